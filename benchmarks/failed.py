@@ -15,6 +15,7 @@ import statistics
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -22,7 +23,8 @@ import numpy as np
 import splitband as sb
 from benchmarks.driven import drawn, kept, over_records
 from splitband.evaluation.jobs import FAILED
-from splitband.evaluation.protocols import Runs, error_from_start
+from splitband.evaluation.protocols import error_from_start
+from splitband.forecasters.backtest import Backtest
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
 
@@ -43,8 +45,11 @@ def measured(name: str, seed: int) -> Errors:
     record, test = drawn(name, seed, SAMPLES)
     setup = sb.Options(search=sb.Search(WORK))
 
-    def all_of_them(runs: Runs, _: sb.Record) -> Runs:
-        return runs
+    fits: dict[str, dict[int, Backtest]] = {}
+
+    def all_of_them(_: sb.Record, done: dict[str, dict[int, Backtest]]) -> Any:
+        fits.update(done)
+        return done, {}
 
     with patch("splitband.evaluation.run.without_failed", all_of_them):
         result = sb.compare(record, methods=METHODS, tests=[test], setup=setup)
@@ -52,7 +57,7 @@ def measured(name: str, seed: int) -> Errors:
     for method, runs in result.runs.items():
         sound = [run for run in runs if run.fit.stable] or runs
         if len(sound) > 1:
-            errors = [error_from_start(run, record) for run in sound]
+            errors = [error_from_start(fits[method][run.seed], record) for run in sound]
             simulated = np.array([run.tests[0].y for run in sound])
             truth = test.y[-simulated.shape[1] :]
             found[method] = {"trainings": len(sound)}

@@ -176,7 +176,6 @@ MOST_PARAMETERS, MOST_FIELDS = 6, 8
 LARGER = {
     "Record": "the one data container: a field for each signal, and what it is called",
     "Prediction": "a field for each array that a frame and a picture show",
-    "Trial": "what becomes of every method on held-out samples",
     "Run": "what one seed says under each of three protocols, and how the fit went",
     "Settings": "the paper's hyperparameters of a training and ours, named in every run file",
     "Row": "a row of the benchmark's table: a field for each of its columns",

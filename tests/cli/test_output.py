@@ -136,6 +136,33 @@ def test_a_killed_command_keeps_nobody_out() -> None:
         assert Path("out", LOCK).exists()
 
 
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_link_in_place_of_the_lock_is_refused_and_not_followed(
+    exists: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    target = tmp_path / "target"
+    if exists:
+        target.write_text("kept")
+    (tmp_path / "out" / LOCK).symlink_to(target)
+    expected = f"--out must not hold a link .*{LOCK}; remove it"
+    with pytest.raises(ValueError, match=expected), locked(tmp_path / "out", "--out"):
+        pass
+    assert target.exists() == exists
+    assert not exists or target.read_text() == "kept"
+
+
+def test_a_second_name_of_a_file_in_place_of_the_lock_is_not_written_to(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    target = tmp_path / "target"
+    target.write_text("kept")
+    (tmp_path / "out" / LOCK).hardlink_to(target)
+    with locked(tmp_path / "out"):
+        assert target.read_text() == "kept"
+    assert target.read_text() == "kept"
+    assert not (tmp_path / "out" / LOCK).exists()
+
+
 def test_a_folder_of_a_full_disk_can_be_locked() -> None:
     with largest_file(0), locked("out"):
         assert Path("out", LOCK).read_bytes() == b""

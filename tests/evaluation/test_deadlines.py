@@ -15,7 +15,7 @@ from splitband.evaluation.forecast import forecast
 from splitband.evaluation.run import compare
 from splitband.evaluation.search import Search
 from splitband.evaluation.work import RunProgress, Work
-from splitband.runtime.deadlines import Deadline
+from splitband.runtime.deadlines import Deadline, now
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
@@ -154,3 +154,9 @@ def test_baselines_alone_have_the_time_of_the_networks() -> None:
     planned = [time.as_json()["planned_phases"]["baselines"] for time in (alone, beside)]
     assert planned[0] > 2 * planned[1]
     assert "search" not in alone.phases
+
+
+def test_the_same_work_may_be_used_again() -> None:
+    """Its time begins with each comparison, and not when it was made."""
+    work = Work(time=TimeBudget(began=now() - 3600.0))
+    assert work.limited(60.0, 1.0).deadline.left > 30

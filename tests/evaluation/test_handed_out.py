@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import splitband as sb
@@ -18,6 +19,7 @@ from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from tests.runtime.test_executors import Elsewhere
 
+Array = npt.NDArray[np.float64]
 DT, TRAIN, WARMUP = 0.1, 160, 12
 SETTINGS = Settings(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, SETTINGS, Bands(0.6, 1, 2), sb.Sizes(hidden_high=4, hidden_low=3))
@@ -52,6 +54,63 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
     assert loaded.lower is not None
 
 
+def widths(prediction: sb.Prediction) -> Array:
+    """The widths of its interval."""
+    assert prediction.lower is not None
+    assert prediction.upper is not None
+    return np.asarray(prediction.upper - prediction.lower)
+
+
+class Fickle(sb.Forecaster):
+    """Forecasts 0 when fitted to few samples, and 1 when fitted to more."""
+
+    name, random, refits = "fickle", True, False
+
+    def extrapolate(self, known: Known) -> Array:
+        return np.full((known.steps, 1), float(len(self.require_fitted().record) >= TRAIN))
+
+
+def test_the_interval_of_what_is_handed_out_is_that_of_the_page(tmp_path: Path) -> None:
+    """A forecast that the final training has changed is doubted by the model, too."""
+    y = 0.01 * np.random.default_rng(0).standard_normal(200)
+    y[:100] += np.linspace(5, 0, 100)
+    result = sb.compare(Record(y, DT), methods=[Fickle()], seeds=1, setup=SETUP)
+    shown = result.predictions["fickle"]
+    assert (widths(shown) > 1).all()
+    np.testing.assert_allclose(widths(result.model.predict(40, level=0.9)), widths(shown))
+    result.model.save(tmp_path / "model")
+    loaded = sb.load(tmp_path / "model").predict(40, level=0.9)
+    np.testing.assert_allclose(widths(loaded), widths(shown))
+
+
+class Wild(Fickle):
+    """Forecasts the mean, and with the seed 1 a hundred times the range."""
+
+    name = "wild"
+
+    def extrapolate(self, known: Known) -> Array:
+        return np.full((known.steps, 1), 100.0 * (self.require_fitted().report.seed == 1))
+
+
+def test_a_failed_training_is_left_out_of_a_comparison_and_of_a_forecast() -> None:
+    """By its simulation of the training record."""
+    compared = sb.compare(record(), methods=[Wild()], setup=SETUP)
+    forecast = sb.forecast(record(), 30, [Wild()], setup=replace(SETUP, train=200))
+    assert [run.seed for run in compared.runs["wild"]] == [0, 2]
+    assert forecast.seeds == (0, 2)
+    np.testing.assert_array_equal(forecast.prediction.y, 0)
+    assert "seed 1 left out: training error" in forecast.description
+    every = sb.forecast(record(), 30, [Wild()], seeds=3, setup=replace(SETUP, train=200))
+    assert every.seeds == (0, 1, 2)
+
+
+@pytest.mark.parametrize("methods", [["mean", "persistence"], [Fickle()]])
+def test_a_comparison_beyond_the_record_is_refused_before_anything_is_fitted(methods: Any) -> None:
+    expected = "horizon must be left out where train is the whole record of 200.* got 50.*forecast"
+    with pytest.raises(ValueError, match=expected):
+        sb.compare(record(), train=200, methods=methods, horizon=50)
+
+
 def test_what_was_trained_elsewhere_is_handed_out() -> None:
     below = sb.Single(GRU(3), SETTINGS)
     methods: list[Forecaster | str] = ["gru", sb.Residual(below, GRU(4)), "mean"]
@@ -82,7 +141,9 @@ def test_the_recommended_method_is_fitted_to_the_whole_record_where_that_is_aske
 
 def test_a_forecast_hands_out_its_model_and_what_it_was_made_with() -> None:
     found = sb.forecast(record(), 30, ["gru"], seeds=2, setup=replace(SETUP, train=200))
-    np.testing.assert_allclose(found.model.predict(30).y, found.prediction.y, atol=1e-12)
+    handed_out = found.model.predict(30, level=0.9)
+    np.testing.assert_allclose(handed_out.y, found.prediction.y, atol=1e-12)
+    np.testing.assert_allclose(widths(handed_out), widths(found.prediction), atol=1e-12)
     again = found.forecaster.fit(record(), seed=0)
     np.testing.assert_allclose(again.predict(30).y, found.prediction.y, atol=1e-12)
 
@@ -170,7 +231,7 @@ class _Diverging(Forecaster):
             raise FloatingPointError("it diverged")
         self.value = float(seed)
 
-    def extrapolate(self, known: Known) -> np.ndarray:
+    def extrapolate(self, known: Known) -> Array:
         return np.full((known.steps, 1), self.value)
 
 

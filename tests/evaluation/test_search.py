@@ -18,7 +18,7 @@ from splitband import Record, Settings
 from splitband.evaluation import candidates, trials
 from splitband.evaluation.costs import reference_seconds, training_cost
 from splitband.evaluation.jobs import failed_seeds
-from splitband.evaluation.protocols import Errors, Run, Runs, without_failed
+from splitband.evaluation.protocols import without_failed
 from splitband.evaluation.search import (
     Search,
     SearchResult,
@@ -27,6 +27,7 @@ from splitband.evaluation.search import (
 from splitband.evaluation.setup import Options, Setup
 from splitband.evaluation.trials import held_out_score
 from splitband.evaluation.work import Work
+from splitband.forecasters.backtest import Backtest, Origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.initialisation import Earlier
@@ -220,20 +221,21 @@ def test_seeds_that_failed_in_training_do_not_count() -> None:
     model = sb.Mean().fit(training)
     sound = model.predict(TRAIN - 10, training[:10])
     wild = replace(sound, y=1e9 + sound.y)
-    runs = [
-        Run("gru", Errors(1.0, None), said, None, fit=FitReport(s, losses={"network": [1.0]}))
-        for s, said in enumerate([sound, wild, sound])
-    ]
+    done = {
+        seed: Backtest({Origin(TRAIN, 10): said}, (), FitReport(seed), np.zeros((2, 1)), "")
+        for seed, said in enumerate([sound, wild, sound])
+    }
 
-    def that_count(runs: list[Run]) -> list[Run]:
-        return without_failed(Runs({"gru": runs}), training)["gru"]
+    def that_count(done: dict[int, Backtest]) -> tuple[list[int], list[str]]:
+        kept, notes = without_failed(training, {"gru": done})
+        return [*kept["gru"]], notes.get("gru", [])
 
-    kept = that_count(runs)
-    assert [run.seed for run in kept] == [0, 2]
-    assert kept[0].description.startswith("seed 1 left out: training error ")
-    assert that_count(runs[:1]) == runs[:1]
-    (alone,) = that_count([replace(runs[0], fit=replace(runs[0].fit, stable=False))])
-    assert alone.description == "unstable: a simulation may grow without bound"
+    seeds, (note,) = that_count(done)
+    assert seeds == [0, 2]
+    assert note.startswith("seed 1 left out: training error ")
+    assert that_count({0: done[0]}) == ([0], [])
+    unstable = replace(done[0], report=FitReport(0, stable=False))
+    assert that_count({0: unstable}) == ([0], ["unstable: a simulation may grow without bound"])
 
 
 def test_it_depends_neither_on_workers_nor_on_what_is_resumed(

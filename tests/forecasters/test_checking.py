@@ -11,37 +11,100 @@ import scipy
 
 import splitband as sb
 from benchmarks import residuals
-from splitband.forecasters.residuals import LAGS, residual_tests
+from splitband.forecasters.residuals import LAGS, ResidualTests, residual_tests
 
 Array = npt.NDArray[np.float64]
 
 
-@pytest.mark.parametrize(("order", "rejected"), [(1, True), (2, False)])
-def test_a_linear_model_of_the_wrong_order_is_rejected(order: int, rejected: bool) -> None:
-    for seed in (0, 1):
-        test, _ = residuals.tested(seed, order, 1000)
-        assert (test.dependent == ["u"]) == rejected
-        assert test.white != rejected
-        assert ("rejected" if rejected else "accepted") in test.verdict()
+def left_with(e: Array, u: Array) -> ResidualTests:
+    """The tests of what a model leaves that says 0."""
+    inputs = u.reshape(len(e), -1)
+    names = "uv"[: inputs.shape[1]]
+    (test,) = residual_tests(e[:, None], inputs, "y", names)
+    return test
 
 
-def test_white_noise_is_rejected_as_often_as_the_level_says() -> None:
-    """Under the hypothesis p is uniform: a test of the test, by Kolmogorov and Smirnov."""
+@pytest.mark.parametrize("kind", ["one step", "20 steps", "5 sinusoids", "slow noise"])
+@pytest.mark.parametrize("model", residuals.MODELS)
+def test_wrong_models_are_rejected_and_right_ones_are_not(model: str, kind: str) -> None:
+    """Whatever the input is: the test is conditional on it."""
+    right = model == "right"
+    for seed in range(1000, 1004):
+        for noise in ("white", "AR(0.8)") if right else ("white",):
+            test = residuals.tested(kind, noise, model, seed)
+            assert test.accepted == right, (model, noise, seed)
+    assert (
+        "Accepted: the residuals of y do not" if right else "Rejected at 99 %"
+    ) in test.verdict()
+
+
+def test_a_residual_that_is_the_whole_response_to_a_few_steps_is_rejected() -> None:
+    """An autoregressive model of the input would explain such steps, and hide them."""
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(-1, 1, 10), 20)
+        e = scipy.signal.lfilter([0.0, 0.147], [1.0, -0.951], u) + 0.01 * rng.standard_normal(200)
+        assert left_with(e, u).dependent == ["u"]
+
+
+def test_of_two_inputs_the_one_whose_effect_is_missed_is_named() -> None:
     rng = np.random.default_rng(0)
-    tests = [
-        residual_tests(rng.standard_normal((400, 1)), u, ("y",), ("u",))[0]
-        for u in rng.standard_normal((300, 400, 1))
-    ]
-    for p in ([t.whiteness.p for t in tests], [t.inputs[0].p for t in tests]):
+    u = np.repeat(rng.uniform(-1, 1, (50, 2)), 20, axis=0)
+    response = scipy.signal.lfilter([0.1], [1.0, -0.9], u, axis=0)
+    noise = 0.05 * rng.standard_normal((2, 1000))
+    one, both = response[:, 1] + noise[0], response.sum(axis=1) + noise[1]
+    assert left_with(one, u).verdict() == (
+        "Rejected at 99 %: the residuals of y still depend on `v`, so the model does not capture "
+        "its full effect."
+    )
+    assert "`u` and `v`, so the model does not capture their full" in left_with(both, u).verdict()
+    # Two inputs that are the same: neither is missed beside the other, and one of them is missed.
+    assert left_with(one, np.stack([u[:, 1], u[:, 1]], axis=1)).dependent == ["u", "v"]
+
+
+def test_an_input_that_never_changes_is_not_tested() -> None:
+    test = left_with(np.random.default_rng(0).standard_normal(300), np.ones(300))
+    assert not test.inputs
+    assert test.verdict() == "Accepted: the residuals of y are white noise."
+
+
+def test_a_model_that_is_exact_is_accepted_for_its_rounding_errors() -> None:
+    u = np.random.default_rng(0).standard_normal(300)
+    y = scipy.signal.lfilter([0.5], [1.0, -0.8], u)
+    e = y.astype(np.float32) - y
+    (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), y[:, None])
+    assert test.accepted
+
+
+@pytest.mark.parametrize("kind", ["5 sinusoids", "1 sinusoid", "20 steps"])
+def test_a_response_without_noise_is_rejected_though_its_own_past_predicts_it(kind: str) -> None:
+    u = residuals.INPUTS[kind](np.random.default_rng(0))
+    assert left_with(residuals.resonant(u), u).dependent == ["u"]
+
+
+def test_gaps_leave_the_verdict() -> None:
+    """Also gaps in every tenth sample, which leave no long past."""
+    for model, accepted in (("right", True), ("half the gain", False)):
+        e, simulated, u = residuals.drawn("20 steps", "AR(0.8)", model, 1000)
+        e[::10] = np.nan
+        (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), simulated[:, None])
+        assert test.accepted == accepted
+
+
+def test_the_p_values_of_what_is_adequate_are_uniform() -> None:
+    """A test of the test, by Kolmogorov and Smirnov."""
+    rng = np.random.default_rng(0)
+    tests = [left_with(rng.standard_normal(400), u) for u in rng.standard_normal((300, 400))]
+    for p in ([t.whiteness.p for t in tests], [t.p for t in tests]):
         assert scipy.stats.kstest(p, "uniform").pvalue > 0.01
 
 
 def test_colored_signals_that_have_nothing_in_common_are_not_taken_to_depend() -> None:
-    """Two slow signals look alike where they are not whitened."""
+    """Two slow signals look alike."""
     rng = np.random.default_rng(1)
     slow = scipy.signal.lfilter([1.0], [1.0, -0.97], rng.standard_normal((100, 2, 1000)))
-    tests = [residual_tests(e[:, None], u[:, None], ("y",), ("u",))[0] for e, u in slow]
-    assert sum(bool(test.dependent) for test in tests) <= 5
+    tests = [left_with(e, u) for e, u in slow]
+    assert sum(bool(test.dependent) for test in tests) <= 3
     assert not any(test.white for test in tests)
 
 

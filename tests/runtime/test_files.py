@@ -89,6 +89,16 @@ def test_the_file_has_the_permissions_of_any_new_file(path: Path, mask: int) -> 
     assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
 
 
+def test_the_mask_of_the_process_is_not_touched(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread that writes a file at the same time would make it writable to everybody."""
+    asked = list[int]()
+    monkeypatch.setattr(os, "umask", asked.append)
+    write_json(path, {})
+    assert not asked
+
+
 def test_json_is_written_as_it_was(path: Path) -> None:
     value = {"rmse": 0.1, "nested": [1, None, True, {"Ω": "5 °"}]}
     write_json(path, value)

@@ -19,9 +19,10 @@ from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.setup import Setup
 from splitband.evaluation.trials import SearchAttempt
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.checking import tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble, over_seeds
 from splitband.forecasters.prediction import Prediction
-from splitband.forecasters.residuals import LAGS, ResidualTests, residual_tests
+from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.provided import provided
 
@@ -165,20 +166,30 @@ class Comparison:
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
         """Test the residuals of a method on samples that nothing was fitted to.
 
-        These are those of the first test record, or else of the forecast. The result is empty where
-        there are fewer than 2 `LAGS` of them.
+        These are those of the first test record, as `Forecaster.check_residuals` tests them, or
+        else of the forecast. The result is empty where there are fewer than 2 `LAGS` of them.
 
         Parameters
         ----------
         name : By default that of the recommended method.
         """
-        run = self.medians[self.recommended if name is None else name]
-        record, y = (self.tests[0], run.tests[0].y) if run.tests else (self.record, run.ahead)
-        if len(y) < 2 * LAGS:
-            return ()
-        left = record.seen[len(record) - len(y) :] - y
-        u = None if record.u is None else record.u[len(record) - len(y) :]
-        return residual_tests(left, u, record.columns, record.inputs)
+        name = self.recommended if name is None else name
+        if name not in self._tested:
+            self._tested[name] = self._test_residuals(name)
+        return self._tested[name]
+
+    @cached_property
+    def _tested(self) -> dict[str, tuple[ResidualTests, ...]]:
+        """Return the tests so far, by method, as they may need a simulation."""
+        return {}
+
+    def _test_residuals(self, name: str) -> tuple[ResidualTests, ...]:
+        run = self.medians[name]
+        if run.tests and self.runs.models.get(name):
+            return tests_on(self.trained(name), self.tests[0])
+        if run.tests:
+            return tests_of(self.tests[0], run.tests[0])
+        return () if run.forecast is None else tests_of(self.record, run.forecast)
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:

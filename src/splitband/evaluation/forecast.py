@@ -13,11 +13,11 @@ from splitband.evaluation.budget import TimeBudget
 from splitband.evaluation.choosing import choose
 from splitband.evaluation.jobs import reasons
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.protocols import models_of
+from splitband.evaluation.protocols import models_of, question_of, without_failed
 from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.run import final_fits, with_limits
 from splitband.evaluation.work import Work
-from splitband.forecasters.backtest import Origin, Question
+from splitband.forecasters.backtest import Origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction, median_of
@@ -123,32 +123,32 @@ def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
     """Forecast beyond the record of a plan that trains on all of it."""
     record, steps = plan.record, plan.horizon
     origin = Origin(plan.train, plan.train)
-    question = Question(record, [origin], plan.train + steps, plan.others, keep=True)
     with with_limits(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
         # Training is slow: only the best network is trained on the whole record.
         fitted = [m for m in searched.forecasters if m.name in trial.errors]
         fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
-        questions = {method.name: question for method in fitted}
+        questions = {method.name: question_of(plan, method) for method in fitted}
         backtests, failures = final_fits(plan, questions, searched, trial, staff)
+    done, notes = (backtests, {}) if plan.seeds else without_failed(plan.training, backtests)
     forecasts = {
         name: [each.predictions[origin] for each in of_seeds.values()]
-        for name, of_seeds in backtests.items()
+        for name, of_seeds in done.items()
         if of_seeds
     }
     final = {name: [each.y for each in of_seeds] for name, of_seeds in forecasts.items()}
     trial = trial.settled(final, staff.time.left_out | reasons(failures, forecasts))
     best = trial.recommended
-    done = [*backtests[best].values()]
-    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in done]
-    model = fitted_ensemble(models_of(plan, backtests)[best], trial.held_out.get(best))
+    fits = [*done[best].values()]
+    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in fits]
+    model = fitted_ensemble(models_of(plan, done)[best], trial.held_out.get(best))
     u = record.u_beyond
     return Forecast(
         plan,
         model,
         trial.intervals[best].around(median_of(forecasts[best])),
         trial,
-        done[0].description,
+        "; ".join(filter(None, [fits[0].description, *notes.get(best, [])])),
         min((samples for samples in left if samples is not None), default=None),
         model.require_fitted().inputs_beyond(None if u is None else u[:steps]),
         staff.time,

@@ -140,13 +140,12 @@ class Runs(dict[str, list[Run]]):
 
 
 def question_of(plan: Plan, forecaster: Forecaster) -> Question:
-    """Return the predictions that all protocols need; no forecast if all samples are trained on."""
+    """Return the predictions that all protocols need; no forecast without a horizon."""
     record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
     first = first_origin(record, train, forecaster.warmup or warmup)
-    origins = [first, Origin(train, train)][: 1 + (train < len(record))]
-    return Question(
-        record, origins, len(record), plan.others, plan.tests, warmup, True, plan.setup.initial
-    )
+    origins = [first, Origin(train, train)][: 1 + (plan.horizon > 0)]
+    end = train + plan.horizon
+    return Question(record, origins, end, plan.others, plan.tests, warmup, True, plan.setup.initial)
 
 
 def runs_of(
@@ -154,8 +153,12 @@ def runs_of(
     questions: Mapping[str, Question],
     backtests: Mapping[str, Mapping[int, Backtest]],
     failures: Sequence[Failure],
+    notes: Mapping[str, Sequence[str]] | None = None,
 ) -> Runs:
-    """Return the predictions and their errors by method and seed."""
+    """Return the predictions and their errors by method and seed.
+
+    `notes` by method are added to the description of its first run.
+    """
     runs = {
         name: [as_run(plan, name, questions[name], each) for each in done.values()]
         for name, done in backtests.items()
@@ -164,6 +167,8 @@ def runs_of(
     for f in failures:
         if f.method in runs:
             runs[f.method] = _noted(runs[f.method], f"seed {f.seed} failed: {f.reason}")
+    for name, said in (notes or {}).items():
+        runs[name] = _noted(runs[name], *said)
     return Runs(runs, failures, models_of(plan, backtests))
 
 
@@ -209,32 +214,34 @@ def median_run(plan: Plan, runs: Sequence[Run]) -> Run:
     return Run(first.method, Errors.of(plan, *said), *said, fit=fit)
 
 
-def without_failed(runs: Runs, training: Record) -> Runs:
-    """Return the runs and the models without the seeds that failed on the training record.
+def without_failed(
+    training: Record, backtests: Mapping[str, Mapping[int, Backtest]]
+) -> tuple[dict[str, dict[int, Backtest]], dict[str, list[str]]]:
+    """Return the fits by method and seed without the seeds that failed, and notes by method.
 
     A seed fails if it is unstable, or by its error in simulating the training record from the
-    start, see `failed_seeds`. The description of a method's first run names the seeds left out.
+    start, see `failed_seeds`. The notes name the seeds left out.
     """
-    kept, models = {}, {}
-    for name, each in runs.items():
-        errors = {run.seed: error_from_start(run, training) for run in each}
-        failed = failed_seeds({run.seed: run.fit for run in each}, errors)
-        sound = [run for run in each if run.seed not in failed]
+    kept: dict[str, dict[int, Backtest]] = {}
+    notes: dict[str, list[str]] = {}
+    for name, done in backtests.items():
+        errors = {seed: error_from_start(each, training) for seed, each in done.items()}
+        failed = failed_seeds({seed: each.report for seed, each in done.items()}, errors)
+        kept[name] = {seed: each for seed, each in done.items() if seed not in failed}
         said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
-        if not any(run.fit.stable for run in sound):
+        if done and not any(each.report.stable for each in kept[name].values()):
             said.append("unstable: a simulation may grow without bound")
-        kept[name] = _noted(sound, *said)
-        of_method = runs.models.get(name, ())
-        models[name] = [m for m in of_method if m.require_fitted().report.seed not in failed]
-    return Runs(kept, runs.failures, models)
+        if said:
+            notes[name] = said
+    return kept, notes
 
 
-def error_from_start(run: Run, training: Record) -> float:
+def error_from_start(done: Backtest, training: Record) -> float:
     """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
-    begin = max(len(training) + len(run.ahead) - len(run.from_start), 0)
-    y = run.from_start.y[: max(len(training) - begin, 0)]
+    first = min(done.predictions, key=lambda origin: origin.at)
+    y = done.predictions[first].y[: max(len(training) - first.at, 0)]
     scale = spread(training.seen)
-    return rmse(training.seen[begin : begin + len(y)] / scale, y / scale) if len(y) else 0.0
+    return rmse(training.seen[first.at :] / scale, y / scale) if len(y) else 0.0
 
 
 def _noted(runs: Sequence[Run], *notes: str) -> list[Run]:

@@ -56,11 +56,11 @@ class Trial:
     left_out : Methods that cannot simulate the test records; they are recommended only if there is
         no other.
     held_out : Errors of these forecasts by method, for baselines also of earlier, longer ones:
-        intervals of any level are computed from them.
+        intervals of any level are computed from them. After `settled`, their `doubt` is, for a
+        network, the root mean square of the change from `early` to `final`, combined with the
+        standard deviation over seeds.
     early : Forecasts of the samples after the training part by each network fitted to the first
         three quarters, `(time, ny)`, one for each held-out origin.
-    doubt : After `settled`, by network: root mean square of the change from `early` to `final`,
-        `(time, ny)`, combined with the standard deviation over seeds.
     """
 
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -71,10 +71,12 @@ class Trial:
     left_out: frozenset[str] = frozenset()
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
     early: Mapping[str, Sequence[Array]] = field(default_factory=dict)
-    doubt: Mapping[str, Array] = field(default_factory=dict)
 
     def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
         """Return the trial with the final forecasts; only methods that have one are recommended.
+
+        A network is trained only once for the trial, and may have been lucky. Its interval is
+        therefore at least as wide as the change of its forecast by the final training requires.
 
         Parameters
         ----------
@@ -82,12 +84,13 @@ class Trial:
         failed : Why methods could not be fitted.
         """
         medians = {name: np.median(y, axis=0) for name, y in final.items() if name in self.errors}
-        doubt = {}
+        held_out = {**self.held_out}
         for name in self.early.keys() & medians:
             change = np.mean([(medians[name] - y) ** 2 for y in self.early[name]], axis=0)
             apart = np.var(final[name], axis=0, ddof=1) if len(final[name]) > 1 else 0.0
-            doubt[name] = np.sqrt(change + apart)
-        return replace(self, final=medians, doubt=doubt, failed={**self.failed, **failed})
+            held_out[name] = replace(held_out[name], doubt=np.sqrt(change + apart))
+        failed = {**self.failed, **failed}
+        return replace(self, final=medians, held_out=held_out, failed=failed)
 
     def joined(self, other: Trial) -> Trial:
         """Return the trial with the methods of another trial of the same record added."""
@@ -103,13 +106,8 @@ class Trial:
 
     @property
     def intervals(self) -> dict[str, Interval]:
-        """Return the interval around each method's forecast of the record, for `LEVEL`.
-
-        A network is trained only once for the trial, and may have been lucky. Its interval is
-        therefore at least as wide as its `doubt` requires.
-        """
-        found = {name: held_out.interval(LEVEL) for name, held_out in self.held_out.items()}
-        return found | {name: found[name].widened(doubt) for name, doubt in self.doubt.items()}
+        """Return the interval around each method's forecast of the record, for `LEVEL`."""
+        return {name: held_out.interval(LEVEL) for name, held_out in self.held_out.items()}
 
     @property
     def recommended(self) -> str:

@@ -83,16 +83,22 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
     Raises
     ------
     ValueError
-        If no method can be fitted.
+        If no method can be fitted; and for a plan that predicts beyond its record, where nothing
+        was measured to compare with.
     """
+    if plan.horizon and plan.train == len(plan.record):
+        raise ValueError(
+            f"horizon must be left out where train is the whole record of {plan.train} samples, as "
+            f"nothing was measured after it to compare with, got {plan.horizon}: "
+            "splitband.forecast predicts beyond a record"
+        )
     with with_limits(plan, work).staffed() as staff:
         trial, searched = choose(plan, staff)
         methods = [method for method in searched.forecasters if method.name in trial.errors]
         questions = {method.name: question_of(plan, method) for method in methods}
         done, failures = final_fits(plan, questions, searched, trial, staff)
-        runs = runs_of(plan, questions, done, failures)
-        if plan.seeds is None:
-            runs = without_failed(runs, plan.training)
+        done, notes = (done, {}) if plan.seeds else without_failed(plan.training, done)
+        runs = runs_of(plan, questions, done, failures, notes)
         forecasters = {m.name: m for m in methods if m.name in runs}
         found = Comparison(plan, runs, None, searched.attempts, forecasters, staff.time)
         trial = replace(trial, left_out=frozenset(found.left_out))

@@ -70,10 +70,13 @@ class Work:
         return self.jobs if self.jobs > 1 else max(getattr(self.executor, "cores", 1), 1)
 
     def limited(self, seconds: float | None, core_seconds: float) -> Work:
-        """Return the work with a time budget: its own, if limited, else these `seconds`."""
+        """Return the work with a time budget: its own, if limited, else these `seconds` from now.
+
+        The same work may serve several comparisons, one after the other.
+        """
         time = self.time
         if not time.limited:
-            time = TimeBudget.of(seconds, self.cores, time.began)
+            time = TimeBudget.of(seconds, self.cores, time.began if seconds is None else None)
         time.requested_limits = seconds, core_seconds
         return replace(self, time=time, deadline=time.deadline)
 

@@ -96,6 +96,10 @@ class Forecaster(Configurable):
         """Return the variant that this seed trains: that of `by_seed`, or the forecaster itself."""
         return self.by_seed.get(seed, self)
 
+    def trains_as(self, other: Forecaster) -> bool:
+        """Return whether a fit does the same as that of another forecaster, with the same seed."""
+        return repr(self) == repr(other)
+
     @property
     def of_one_seed(self) -> Forecaster:
         """Return one member of an ensemble over seeds; any other forecaster itself."""

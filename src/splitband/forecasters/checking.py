@@ -65,8 +65,7 @@ class ModelCheck:
 
         Without inputs the residuals have to be white.
         """
-        tested = (not test.dependent if test.inputs else test.white for test in self.tests)
-        return self.leaves is None and all(tested)
+        return self.leaves is None and all(test.accepted for test in self.tests)
 
     def in_words(self) -> list[str]:
         """Return the results in sentences, without the fits."""
@@ -120,28 +119,61 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     fitted = forecaster.require_fitted()
     require_records("record", record)
     record = record.prepared_as(fitted.record)
-    begin = first_after(
-        record.complete, forecaster.warmup or max(min(WARMUP, len(record) // 10), 2)
-    )
-    if begin is None or len(record) - begin < 2 * LAGS:
-        raise ValueError(
-            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
-            f"got {len(record)}"
-        )
     other = not forecaster.anchored
     with without_warnings(ExtrapolationWarning):
-        free = forecaster.predict(len(record) - begin, record[:begin], other_record=other)
+        free = _free_run(forecaster, record)
+        begin = len(record) - len(free)
         fits = {"simulation": _fit(record.truth[begin:], free.y)}
         fits |= _ahead(forecaster, record, begin, other)
         unchecked = ""
         if "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
         leaves = None if unchecked else _leaves(forecaster, record, begin, other)
-    left = record.seen[begin:] - free.y
-    u = None if record.u is None else record.u[begin:]
-    tests = residual_tests(left, u, record.columns, record.inputs)
+    tests = tests_of(record, free)
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked,
                       tuple(fitted.inputs_beyond(record.u)))  # fmt: skip
+
+
+def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:
+    """Test the residuals of a simulation or forecast to the end of a record.
+
+    Returns nothing where it has fewer than 2 `LAGS` samples.
+    """
+    if len(simulated) < 2 * LAGS:
+        return ()
+    left = record.seen[len(record) - len(simulated) :] - simulated.y
+    return residual_tests(left, record.u, record.columns, record.inputs, simulated.y)
+
+
+def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...]:
+    """Test the residuals of a fitted forecaster on a record that it was not fitted to, as `check`.
+
+    Returns nothing where `check` would not find enough samples.
+    """
+    record = record.prepared_as(forecaster.require_fitted().record)
+    if _begin(forecaster, record) is None:
+        return ()
+    with without_warnings(ExtrapolationWarning):
+        return tests_of(record, _free_run(forecaster, record))
+
+
+def _begin(forecaster: Forecaster, record: Record) -> int | None:
+    """Return the end of the warm-up; None without one, or with too few samples after it."""
+    warmup = forecaster.warmup or max(min(WARMUP, len(record) // 10), 2)
+    begin = first_after(record.complete, warmup)
+    return None if begin is None or len(record) - begin < 2 * LAGS else begin
+
+
+def _free_run(forecaster: Forecaster, record: Record) -> Prediction:
+    """Simulate a record to its end, from a warm-up on its first samples."""
+    begin = _begin(forecaster, record)
+    if begin is None:
+        raise ValueError(
+            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
+            f"got {len(record)}"
+        )
+    other = not forecaster.anchored
+    return forecaster.predict(len(record) - begin, record[:begin], other_record=other)
 
 
 def _fit(y: Array, predicted: Array) -> tuple[float, ...]:

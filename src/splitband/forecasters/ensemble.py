@@ -84,7 +84,7 @@ class Ensemble(Forecaster):
     @classmethod
     def unfitted(cls, members: Sequence[Forecaster], seeds: Sequence[int]) -> Ensemble:
         """Return the ensemble of forecasters that are to be fitted with these seeds."""
-        alike = len({repr(member) for member in members}) == 1
+        alike = all(member.trains_as(members[0]) for member in members)
         usual = [*seeds] == [*range(len(seeds))]
         of = members[0] if alike else members
         return cls(of, len(members), seeds=None if usual else seeds)

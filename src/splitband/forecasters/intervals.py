@@ -109,18 +109,23 @@ class HeldOut:
         measured.
     largest, deviation, bounded : By channel, `(ny,)` each: the largest absolute value, the standard
         deviation over the training record, and whether it does not wander there (see `BOUNDED`).
+    doubt : RMS by horizon, `(time, ny)`, of what is known to be uncertain beside these errors: the
+        interval is at least as wide as it requires. None without.
     """
 
     errors: tuple[Array, ...]
     largest: Array
     deviation: Array
     bounded: npt.NDArray[np.bool_]
+    doubt: Array | None = None
     _known: dict[float, Interval] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check what may come from a file."""
         channels = {np.shape(each)[1:] for each in self.errors}
         channels |= {np.shape(each) for each in (self.largest, self.deviation, self.bounded)}
+        if self.doubt is not None:
+            channels.add(np.shape(self.doubt)[1:])
         if len(channels) != 1:
             raise ValueError("held-out errors must be those of one record's channels")
 
@@ -142,7 +147,8 @@ class HeldOut:
     def interval(self, share: float) -> Interval:
         """Return the interval that should hold `share` of the samples, 0 to 1; it is cached."""
         if share not in self._known:
-            self._known[share] = self._interval(share)
+            found = self._interval(share)
+            self._known[share] = found if self.doubt is None else found.widened(self.doubt)
         return self._known[share]
 
     def _interval(self, share: float) -> Interval:

@@ -42,6 +42,8 @@ from splitband.training.windows import windows_in
 
 DELAYS = Cached(input_delays)
 """Cache of input delays: many trainings need those of the same records."""
+_NEW = Earlier()
+"""No earlier training."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
 
@@ -65,7 +67,7 @@ class Network(Forecaster):
     """The frequency bands, where it filters."""
     conditioned: bool = False
     """Whether the slow component is an input of the fast network."""
-    earlier: Earlier = Earlier()
+    earlier: Earlier = _NEW
     """Trainings that `fit` continues; they are not saved."""
     model: Model | None = None
     """The trained model."""
@@ -175,6 +177,10 @@ class Network(Forecaster):
         new = self.clone()
         new.earlier = earlier
         return new
+
+    def trains_as(self, other: Forecaster) -> bool:
+        """Return whether a fit does the same as another's: it goes on from the same weights."""
+        return super().trains_as(other) and self.earlier is vars(other).get("earlier", _NEW)
 
     def training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,12 +22,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
     Raises OSError, naming `path`, if it cannot be written, for instance on a full disk.
     """
     path = Path(path)
-    with _naming(path):
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
-        )
-        os.close(handle)
-    temporary = Path(name)
+    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
+    with _naming(path, temporary):
+        # The permissions are those of any new file, and an existing one, or a link, is refused.
+        temporary.open("x").close()
     try:
         with _naming(path, temporary):
             yield temporary
@@ -39,7 +38,6 @@ def _finish(temporary: Path, path: Path) -> None:
     # Flush the content to the disk before renaming, so that a power cut leaves no empty file.
     with temporary.open("rb") as written:
         os.fsync(written.fileno())
-    temporary.chmod(0o666 & ~_umask())
     temporary.replace(path)
 
 
@@ -90,9 +88,3 @@ def output_folder(path: str | Path, argument: str = "folder") -> Path:
             f"{argument} must be a folder that can be written, got {path}: {reason}"
         ) from None
     return path
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -134,9 +135,13 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
 
 
 def _locked_file(folder: Path, argument: str) -> int | None:
-    """Return the descriptor of the locked file; None if the system cannot lock it."""
+    """Return the descriptor of the locked file; None if the system cannot lock it.
+
+    Only a file that this call has made is written to: what lies there under its name may be a link.
+    """
+    path = folder / LOCK
     while fcntl is not None:
-        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        handle, created = _opened(path, argument)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -151,11 +156,27 @@ def _locked_file(folder: Path, argument: str) -> int | None:
             return None
         # Another command may have removed the file between the two calls.
         with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(handle), (folder / LOCK).stat()):
-                started = f"{datetime.now():%Y-%m-%d %H:%M}"
-                with contextlib.suppress(OSError):  # on a full disk it names no owner
-                    os.ftruncate(handle, 0)
-                    os.write(handle, f"process {os.getpid()}, started {started}".encode())
-                return handle
+            if os.path.samestat(os.fstat(handle), path.stat()):
+                if created:
+                    started = f"{datetime.now():%Y-%m-%d %H:%M}"
+                    with contextlib.suppress(OSError):  # on a full disk it names no owner
+                        os.write(handle, f"process {os.getpid()}, started {started}".encode())
+                    return handle
+                path.unlink()  # of a command that was killed
         os.close(handle)
     return None
+
+
+def _opened(path: Path, argument: str) -> tuple[int, bool]:
+    """Return the descriptor of a new file, or of the one that is there, and whether it is new."""
+    while True:
+        try:
+            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
+        except FileExistsError:
+            with contextlib.suppress(FileNotFoundError):
+                if not stat.S_ISREG(path.lstat().st_mode):
+                    raise ValueError(
+                        f"{argument} must not hold a link or a folder named {path.name}, "
+                        f"got {path}; remove it"
+                    ) from None
+                return os.open(path, os.O_RDONLY), False
