@@ -14,6 +14,7 @@ from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current,
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import Adjustable, Experiment, Shooting
 from splitband.simulators.sources import failure
+from splitband.simulators.starting import matched
 from splitband.simulators.starts import (
     LAST_ROUNDS,
     SAME_ERROR,
@@ -34,8 +35,6 @@ _WORTH_WINDOWS = 0.3
 
 _FEW = 3
 """Samples for a test run of a simulator's code. By eye."""
-_DEFECTS = (NameError, AttributeError, ImportError)
-"""Errors of code that do not depend on parameter values."""
 
 
 def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
@@ -59,7 +58,9 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     """
     require_records("records", *records)
     effort = effort or Effort()
-    experiments = [Experiment.of(record) for record in records]
+    simulator = matched(simulator, records[0].columns, records[0].inputs)
+    check_runs(simulator, records[0])
+    experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
     if not shooting.names:
@@ -95,20 +96,30 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
 
 
 def check_runs(simulator: Adjustable, record: Record) -> None:
-    """Raise ValueError, with the reason, for a simulator that fails with any parameter values.
+    """Raise ValueError, with the reason, for a simulator that fails at its start values.
 
-    An undefined name in its code raises; an overflow in the middle of the ranges does not.
+    Those are the given values, and of ranges the middle, where the search begins; elsewhere a run
+    that fails is a bad one. Also raises it where another number of channels comes than the record
+    has.
     """
-    begin = Experiment.of(record).part(0, _FEW)
+    begin = Experiment.of(record, simulator).part(0, _FEW)
+    values = simulator.known.middle()
+    where = ", ".join(f"{labelled((name, -1))} = {value:.4g}" for name, value in values.items())
+    where = f" ({where})" if where else ""
     try:
         with np.errstate(all="ignore"):
-            simulator.respond(begin.time, begin.u, [(simulator.known.middle(), None)])
-    except _DEFECTS as error:
-        raise ValueError(f"simulator must run on the record: {failure(error)}") from error
+            y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
     except DeadlineError:
         raise
-    except Exception:
-        return  # it may run with other parameters, or on more samples
+    except Exception as error:
+        raise ValueError(
+            f"simulator must run at its start values{where}: {failure(error)}"
+        ) from error
+    if y.shape != begin.y.shape:
+        raise ValueError(
+            f"simulator must return the record's {record.ny} channel(s), "
+            f"{', '.join(record.columns)}, as {begin.y.shape}: got {y.shape}"
+        )
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
