@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, final
 
@@ -61,10 +61,14 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class _Runs:
-    """Hold a simulator's runs, computed once for all processes."""
+    """Hold a simulator's runs, computed once for all processes.
+
+    `ran`: the `id` of the simulator, see `with_simulators_of`; `driven`: whether it takes inputs.
+    """
 
     runs: Sequence[_Run]
     driven: bool
+    ran: int
 
     def reach(self, grid: Grid, u: Array | None = None) -> int:
         """Return the number of samples that are available from the start of the grid on."""
@@ -80,6 +84,23 @@ class _Runs:
     def _beginning(self, grid: Grid, u: Array | None) -> Array:
         found = [run.y for run in self.runs if run.begins(grid, u)]
         return max(found, key=len, default=np.empty((0, 0)))
+
+
+def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
+    """Give a trained copy of a method its simulators again, in place of what they were run for."""
+    own = {id(part.simulator): part.simulator for part in simulations(method)}
+    for part in simulations(model):
+        ran = getattr(part.simulator, "ran", None)
+        part.simulator = own.get(ran, part.simulator)
+
+
+def simulations(value: Any) -> Iterator[Any]:
+    """Yield the parts of a forecaster that have a simulator."""
+    if hasattr(value, "simulator"):
+        yield value
+    elif isinstance(value, Forecaster | list):
+        for part in value if isinstance(value, list) else vars(value).values():
+            yield from simulations(part)
 
 
 class SimulatorForecaster(Forecaster):
@@ -127,7 +148,7 @@ class SimulatorForecaster(Forecaster):
             if key not in longest or longest[key][0].samples < needed:
                 longest[key] = Grid(each.start, each.sampling_time, needed), each, u
         runs = [_Run(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
-        return self.clone().set_params(simulator=_Runs(runs, self._driven))
+        return self.clone().set_params(simulator=_Runs(runs, self._driven, id(self.simulator)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved; a simulator that is not recorded output becomes a description."""
@@ -319,8 +340,8 @@ class SimulatorForecaster(Forecaster):
     def _run(self, grid: Grid, record: Record, u: Array | None) -> Array:
         """Return the simulator's own output at these times, in the channels of a record."""
         assert self.simulator is not None
-        if isinstance(self.simulator, _Runs):
-            return self.simulator.on(grid, u).values
+        if hasattr(self.simulator, "ran"):
+            return np.asarray(self.simulator.on(grid, u).values)
         if hasattr(self.simulator, "on"):
             return np.asarray(self.simulator.on(grid).values)
         if isinstance(self.simulator, Absent):

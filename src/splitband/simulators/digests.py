@@ -18,7 +18,7 @@ MOST_DEPTH = 40
 """Depth of objects in objects from which on only their types count. By eye."""
 
 
-def code_digest(*functions: Callable[..., Any]) -> str:
+def code_digest(*functions: Callable[..., Any] | None) -> str:
     """Return a digest of functions: their code, and the values and functions that it refers to.
 
     Names count, of globals and of attributes, so do constants, defaults, closures, functions in
@@ -73,8 +73,8 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
     if isinstance(value, type):
         own = is_users(getattr(value, "__module__", ""))
         parts = dict(vars(value)) if own else {}
-        return [value.__qualname__, *value.__bases__,
-                {n: parts[n] for n in sorted(parts) if not n.startswith("__") or n == "__call__"}]  # fmt: skip
+        used = [n for n in sorted(parts) if not n.startswith("__") or n in ("__call__", "__init__")]
+        return [value.__qualname__, *value.__bases__, {name: parts[name] for name in used}]
     if hasattr(value, "__array__"):
         return [np.asarray(value).tolist()]
     kind = type(value)

@@ -44,7 +44,7 @@ def reading_of(unit: Unit, task: Task) -> Reading:
         return Reading(nothing)
     try:
         told, before = _told_when_set(unit, start), False
-    except _Unreadable:
+    except _UnreadableError:
         told, before = nothing, True
     declared, free = _declared(unit, task)
     open_ones = ~told & ~free
@@ -52,7 +52,7 @@ def reading_of(unit: Unit, task: Task) -> Reading:
     return Reading(late, before)
 
 
-class _Unreadable(Exception):
+class _UnreadableError(Exception):
     """Report that outputs cannot be read after inputs were set, without a step."""
 
 
@@ -80,7 +80,7 @@ def _told_when_set(unit: Unit, task: Task) -> Mask:
                 try:
                     values.append(run.outputs.get())
                 except Exception as error:
-                    raise _Unreadable from error
+                    raise _UnreadableError from error
             told |= values[0] != values[1]
         run.instance.terminate()
     return told
@@ -100,7 +100,7 @@ def _late(unit: Unit, task: Task, asked: Mask, declared: Mask) -> Mask:
         first, second = np.abs(_two_steps(unit, task, changed, 1.0) - usual)
         forgets = second <= SAME * first
         soon = None if short is None else _short_steps(unit, task, changed)
-        for i in np.flatnonzero(asked & (first > 0)):
+        for i in np.flatnonzero(asked & (first > 0)).tolist():
             name = task.outputs[i]
             if soon is not None and short is not None:
                 at_once, then = np.abs(soon - short)[:, i]

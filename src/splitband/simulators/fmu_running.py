@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 from splitband.simulators.fmu_unit import COSIMULATION, Unit
@@ -233,7 +234,9 @@ class Exchange:
             if version == 1:
                 settled, _, _, ended, defined, at = instance.eventUpdate()
             else:
-                update = instance.newDiscreteStates if version == 2 else instance.updateDiscreteStates
+                update = (
+                    instance.newDiscreteStates if version == 2 else instance.updateDiscreteStates
+                )
                 more, ended, _, _, defined, at = update()
                 settled = not more
             if ended:
@@ -289,7 +292,7 @@ class Reading:
     before : Whether the others are read before the inputs are set, as they cannot be read then.
     """
 
-    late: Array
+    late: NDArray[np.bool_]
     before: bool = False
 
 
@@ -305,7 +308,7 @@ class CoSimulation:
 
     def run(self, reading: Reading) -> Array:
         """Return the outputs, `(time, outputs)`."""
-        task, late = self.task, reading.late.astype(bool)
+        task, late = self.task, reading.late
         found = np.empty((len(task.time), self.outputs.count))
         for n in range(len(found)):
             if reading.before:

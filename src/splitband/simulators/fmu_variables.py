@@ -15,7 +15,7 @@ WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "
 """Types whose values are whole numbers."""
 NUMERIC = "Real", "Float32", "Float64", "Boolean", *WHOLE
 """Types of variables that can be a channel or an input."""
-OPTIONAL = "OptionalInput"
+OPTIONAL = "OptionalInputs"
 """Name of the element that lists inputs of our own exported FMUs that need not be driven."""
 _MOST = 12
 """Most names in a message. By eye."""
@@ -134,5 +134,5 @@ def _optional(file: Path) -> list[str]:
         root = ElementTree.parse(file).getroot()
     except (OSError, ElementTree.ParseError):
         return []
-    listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}")
+    listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}/Input")
     return [each.get("name", "") for each in listed]

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import WithRepr
-from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
 from splitband.simulators.digests import code_digest
+from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
 from splitband.simulators.starting import Start, check_start, count_arguments
 
 

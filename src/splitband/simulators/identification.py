@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +19,11 @@ from splitband.simulators.starting import matched
 from splitband.simulators.starts import (
     LAST_ROUNDS,
     SAME_ERROR,
+    STARTS,
     Effort,
     StartOutcome,
     descend,
+    starting_points,
     tried,
 )
 
@@ -35,6 +38,8 @@ _WORTH_WINDOWS = 0.3
 
 _FEW = 3
 """Samples for a test run of a simulator's code. By eye."""
+_DEFECTS = (NameError, AttributeError, ImportError)
+"""Errors of code that do not depend on parameter values."""
 
 
 def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
@@ -58,8 +63,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     """
     require_records("records", *records)
     effort = effort or Effort()
-    simulator = matched(simulator, records[0].columns, records[0].inputs)
-    check_runs(simulator, records[0])
+    simulator = check_runs(simulator, records[0])
     experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
@@ -95,31 +99,40 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut)
 
 
-def check_runs(simulator: Adjustable, record: Record) -> None:
-    """Raise ValueError, with the reason, for a simulator that fails at its start values.
+def check_runs(simulator: Any, record: Record) -> Any:
+    """Return the simulator for a record's channels and inputs, if it runs at its start values.
 
-    Those are the given values, and of ranges the middle, where the search begins; elsewhere a run
-    that fails is a bad one. Also raises it where another number of channels comes than the record
-    has.
+    Raises ValueError, with the reason, for one that fails wherever a search begins, as code with a
+    wrong type does; where a function of the parameters is not defined, a run is a bad one. Also
+    raises it where another number of channels comes than the record has.
     """
-    begin = Experiment.of(record, simulator).part(0, _FEW)
-    values = simulator.known.middle()
-    where = ", ".join(f"{labelled((name, -1))} = {value:.4g}" for name, value in values.items())
-    where = f" ({where})" if where else ""
-    try:
-        with np.errstate(all="ignore"):
-            y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
-    except DeadlineError:
-        raise
-    except Exception as error:
-        raise ValueError(
-            f"simulator must run at its start values{where}: {failure(error)}"
-        ) from error
-    if y.shape != begin.y.shape:
-        raise ValueError(
-            f"simulator must return the record's {record.ny} channel(s), "
-            f"{', '.join(record.columns)}, as {begin.y.shape}: got {y.shape}"
-        )
+    simulator = matched(simulator, record.columns, record.inputs)
+    begin, known = Experiment.of(record, simulator).part(0, _FEW), simulator.known
+    reason: Exception | None = None
+    for places in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
+        at = dict(zip(known.free, places, strict=False))
+        values = {name: known.at(name, at.get(name, 0.5)) for name in known.given}
+        try:
+            with np.errstate(all="ignore"):
+                y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
+        except DeadlineError:
+            raise
+        except Exception as error:
+            reason = reason or error
+            if isinstance(error, _DEFECTS):
+                break
+            continue
+        if y.shape != begin.y.shape:
+            raise ValueError(
+                f"simulator must return the record's {record.ny} channel(s), "
+                f"{', '.join(record.columns)}, as {begin.y.shape}: got {y.shape}"
+            )
+        return simulator
+    assert reason is not None
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in known.middle().items())
+    raise ValueError(
+        f"simulator must run at its start values{where and f' ({where})'}: {failure(reason)}"
+    ) from reason
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:

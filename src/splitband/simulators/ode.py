@@ -12,9 +12,9 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array
+from splitband.simulators.digests import code_digest
 from splitband.simulators.function import UserCode
 from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
-from splitband.simulators.digests import code_digest
 from splitband.simulators.starting import Start, check_start, count_arguments
 
 PRECISE = 1e-6, 1e-8
@@ -126,7 +126,7 @@ class Ode(UserCode):
         if len(columns) not in kept:
             made = self._with(observe=partial(_first_states, len(columns)))
             opened = vars(made).get("_opened_by")
-            again = None if opened is None else partial(_matched_again, opened, [*columns])
+            again: Any = None if opened is None else partial(_matched_again, opened, [*columns])
             kept[len(columns)] = made.opened_by(again)
         return kept[len(columns)]
 

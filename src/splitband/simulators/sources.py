@@ -62,13 +62,31 @@ def place(error: BaseException) -> str:
     return ""
 
 
-def defines_function(file: str | Path, name: str) -> bool:
-    """Return whether a Python file has `def name` at module level; nothing is run."""
+def arguments_of(file: str | Path, name: str) -> int | None:
+    """Return how many arguments a `def name` at module level is to be given; nothing is run.
+
+    None without such a function. See `count_arguments`.
+    """
     try:
         tree = ast.parse(Path(file).read_bytes())
     except (OSError, SyntaxError, ValueError):
-        return False
-    return any(isinstance(node, ast.FunctionDef) and node.name == name for node in tree.body)
+        return None
+    found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+    if not found:
+        return None
+    given = found[-1].args
+    names = [arg.arg for arg in (*given.posonlyargs, *given.args)]
+    return wanted_arguments(names, len(names) - len(given.defaults))
+
+
+def wanted_arguments(names: Sequence[str], required: int) -> int:
+    """Return how many positional arguments a function of these names is to be given.
+
+    Those are the required ones, and those with a default that are called `u`, or `p` after it.
+    """
+    named = ("u", "p") if "u" in names else ()
+    wanted = [i < required or name in named for i, name in enumerate(names)]
+    return max((i + 1 for i, each in enumerate(wanted) if each), default=0)
 
 
 def _imported(path: Path, package: str) -> Iterator[str]:

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from splitband.data import Stamp
 from splitband.data.timing import in_words, seconds_of
+from splitband.simulators.sources import wanted_arguments
 
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
@@ -64,15 +65,12 @@ def origin(simulator: Any, stamp: Stamp | None) -> float:
 
 
 def count_arguments(function: Any) -> int:
-    """Return the number of positional arguments that a function is to be given; 0 if unknown.
-
-    Those are the required ones, and those with a default that are called `u`, or `p` after it.
-    """
+    """Return the number of arguments that a function is to be given; 0 if it is unknown."""
     kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
     try:
-        given = inspect.signature(function).parameters
+        given = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
         return 0
-    named = ("u", "p") if "u" in given else ()
-    places = [p.default is p.empty or p.name in named for p in given.values() if p.kind in kinds]
-    return max((i + 1 for i, wanted in enumerate(places) if wanted), default=0)
+    places = [each for each in given if each.kind in kinds]
+    required = sum(each.default is each.empty for each in places)
+    return wanted_arguments([each.name for each in places], required)
