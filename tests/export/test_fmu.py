@@ -57,7 +57,7 @@ def test_an_fmu_says_what_a_stream_says(name: str, tmp_path: Path) -> None:
     assert forecaster.export(file) == [file]
     assert validate_fmu(str(file)) == []
     instance, stream = Instance(file, tmp_path / "rig", record), forecaster.stream()
-    sources = [str(tmp_path / "rig/sources" / each) for each in ("rig.c", "fmu.c")]
+    sources = [str(tmp_path / "rig/sources" / each) for each in ("rig_model.c", "fmu.c")]
     subprocess.run(["gcc", *STRICT, "-fsyntax-only", *sources], check=True)
     at = rows(record, stream)
     worst = 0.0

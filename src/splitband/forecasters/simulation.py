@@ -90,8 +90,7 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
     """Give a trained copy of a method its simulators again, in place of what they were run for."""
     own = {id(part.simulator): part.simulator for part in simulations(method)}
     for part in simulations(model):
-        ran = getattr(part.simulator, "ran", None)
-        part.simulator = own.get(ran, part.simulator)
+        part.simulator = own.get(getattr(part.simulator, "ran", 0), part.simulator)
 
 
 def simulations(value: Any) -> Iterator[Any]:

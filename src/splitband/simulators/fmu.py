@@ -55,12 +55,12 @@ class Fmu(WithRepr):
         self.path = Path(path)
         self.parameters = None if parameters is None else dict(parameters)
         self.known = Parameters(dict(parameters or {}))
-        self.outputs = None if not outputs else [*outputs]
         self.inputs = None if inputs is None else [*inputs]
         self.start, self.held = check_start(start), held
-        self._unit = Unit(self.path)
+        self._unit, self._named = Unit(self.path), bool(outputs)
+        self.outputs = [*(outputs or self._unit.variables.outputs)]
         try:
-            self._unit.variables.check([*(self.outputs or ()), *self.known.given], self.inputs)
+            self._unit.variables.check([*self.outputs, *self.known.given], self.inputs)
         except ValueError:
             self.close()
             raise
@@ -82,7 +82,8 @@ class Fmu(WithRepr):
         """
         variables = self._unit.variables
         return self._with(
-            outputs=variables.outputs_for(columns, self.outputs),
+            outputs=variables.outputs_for(columns, self.outputs if self._named else None),
+            _named=True,
             inputs=variables.inputs_for(inputs, self.inputs),
         )
 
@@ -107,20 +108,16 @@ class Fmu(WithRepr):
 
         Among several runs a failed one gives NaN; a single run that fails raises ValueError.
         """
-        found, names = [], self._names
+        found = []
         for values, _ in points:
             try:
                 y = np.asarray(self._run(time, u, values), dtype=float)
             except Exception as error:
                 if len(points) == 1:
                     raise ValueError(f"the FMU {self.path} failed: {error}") from error
-                y = np.full((len(time), len(names)), np.nan)
+                y = np.full((len(time), len(self.outputs)), np.nan)
             found.append((y, np.empty((len(time), 0))))
         return found
-
-    @property
-    def _names(self) -> list[str]:
-        return [*(self.outputs or self._unit.variables.outputs)]
 
     def _run(self, time: Array, u: Array | None, values: Mapping[str, float]) -> Array:
         unit, names = self._unit, [*self._unit.variables.inputs]
@@ -134,7 +131,7 @@ class Fmu(WithRepr):
         given = None if not names or u is None else np.asarray(u, dtype=float)
         if given is not None:
             check_inputs(unit, names, given)
-        task = Task(np.asarray(time, float), given, values, self._names, names, self.held)
+        task = Task(np.asarray(time, float), given, values, self.outputs, names, self.held)
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
@@ -158,7 +155,8 @@ class Fmu(WithRepr):
     def __getstate__(self) -> dict[str, Any]:
         """Return the constructor's arguments, with which another process opens it."""
         names = "path", "outputs", "parameters", "inputs", "start", "held"
-        return {name: getattr(self, name) for name in names}
+        outputs = self.outputs if self._named else None
+        return {name: getattr(self, name) for name in names} | {"outputs": outputs}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Fmu.__init__(self, **state)

@@ -39,15 +39,15 @@ class Unit:
         if not path.is_file():
             raise FileNotFoundError(f"no such FMU: {path}")
         self.readings: dict[Any, Any] = {}
-        self._folder = tempfile.mkdtemp(prefix="splitband-fmu-")
+        self.folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
         # Unlike `weakref.finalize` it also runs at the end of a worker process, and does not remove
         # the files of a parent process.
-        self._end = Finalize(self, _free, (self._idle, self._folder), exitpriority=0)
+        self._end = Finalize(self, _free, (self._idle, self.folder), exitpriority=0)
         try:
-            fmpy.extract(str(path), self._folder)
-            self.description = fmpy.read_model_description(self._folder)
-            self.variables = Variables.of(path, self.description, Path(self._folder))
+            fmpy.extract(str(path), self.folder)
+            self.description = fmpy.read_model_description(self.folder)
+            self.variables = Variables.of(path, self.description, Path(self.folder))
             self.kind = EXCHANGE if self.description.modelExchange is not None else COSIMULATION
             self._idle.append(self._first())
         except Exception as error:
@@ -91,9 +91,9 @@ class Unit:
     def _instance(self) -> Any:
         from fmpy.simulation import instantiate_fmu  # noqa: PLC0415  the optional extra
 
-        if not Path(self._folder).is_dir():
+        if not Path(self.folder).is_dir():
             raise ValueError(f"the FMU {self.path} has been closed")
-        return instantiate_fmu(self._folder, self.description, self.kind)
+        return instantiate_fmu(self.folder, self.description, self.kind)
 
 
 def variables_of(path: Path) -> Variables:

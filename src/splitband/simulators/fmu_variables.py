@@ -28,6 +28,7 @@ class Variables:
     Attributes
     ----------
     file : Path of the FMU, for messages.
+    names : All variables that can be a channel, an input or a start value.
     outputs, inputs : Its outputs, and the inputs that must be driven.
     optional : Inputs that may keep their start value: those of an FMU of this package that take
         measured samples.
@@ -36,6 +37,7 @@ class Variables:
     """
 
     file: str
+    names: tuple[str, ...]
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
     optional: tuple[str, ...] = ()
@@ -52,6 +54,7 @@ class Variables:
         outputs = [v.name for v in usable if v.causality == "output"]
         return cls(
             str(path),
+            tuple(v.name for v in description.modelVariables),
             tuple(outputs),
             tuple(name for name in inputs if name not in optional),
             tuple(name for name in inputs if name in optional),
@@ -61,10 +64,10 @@ class Variables:
 
     def check(self, outputs: Iterable[str] | None, inputs: Iterable[str] | None) -> None:
         """Raise ValueError for names that are no variables, or that cannot be driven."""
-        names = [*self.outputs, *self.inputs, *self.optional, *self.others]
         for name in (*(outputs or ()), *(inputs or ())):
-            if name not in names:
-                raise ValueError(f"{self.file} has no variable {name}; it has {_listed(names)}")
+            if name not in self.names:
+                known = _listed(self.names)
+                raise ValueError(f"{self.file} has no variable {name}; it has {known}")
         able = {*self.inputs, *self.optional, *self.tunable}
         for name in inputs or ():
             if name not in able:

@@ -112,11 +112,15 @@ class Function(UserCode):
 
     def fingerprint(self) -> str | None:
         """Return the cache key, or None without a `key`."""
-        return None if self.key is None else f"{self.key} {self.known} {self.start or 0.0}".strip()
+        return None if self.key is None else f"{self.key} {self.known}".strip() + self._begins
 
     def digest(self) -> str:
         """Return an identifier of the response, without the values of parameters."""
-        return f"{self.key or code_digest(self.function)} {self.start or 0.0}"
+        return (self.key or code_digest(self.function)) + self._begins
+
+    @property
+    def _begins(self) -> str:
+        return f" from {self.start}" if self.start else ""
 
     def _called(self, time: Array, u: Array, values: Mapping[str, float]) -> npt.ArrayLike:
         p = parameters_class(tuple(self.known.given))(*(values[n] for n in self.known.given))

@@ -120,7 +120,7 @@ class Isolated:
         if self.function is not None:
             return f"{digest([*source_files(self.path), *self.reads])} {self.function}"
         content = hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
-        outputs = [*self.outputs] or None
+        outputs = [*self.outputs]
         inputs = None if self.inputs is None else [*self.inputs]
         # In the format of an `Fmu` without parameters.
         alone = f"{content} {outputs} {inputs} {float(self.start or 0.0)} False []"

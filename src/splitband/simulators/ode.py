@@ -203,12 +203,11 @@ class Ode(UserCode):
         if self.key is None:
             return None
         x0 = np.asarray(self.x0, float).tolist()
-        return f"{self.key} {x0} {self.known} {self._precision} {self.start}"
+        return f"{self.key} {x0} {self.known} {self._precision}"
 
     def digest(self) -> str:
         """Return an identifier of code and settings, without the values of parameters."""
         code = self.key or code_digest(self.rhs, self.observe)
-        code = f"{code} {self.start}" if self.start else code
         x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
         fixed = {n: x for n, x in zip(self._states, x0, strict=True) if n not in self.known.given}
         return f"{code} {fixed} {self._precision} {self.held}"
@@ -219,7 +218,8 @@ class Ode(UserCode):
 
     @property
     def _precision(self) -> str:
-        return f"{self.method} {self.tolerances}"
+        begins = f" from {self.start}" if self.start else ""
+        return f"{self.method} {self.tolerances}{begins}"
 
     @cached_property
     def _states(self) -> list[str]:
