@@ -166,7 +166,8 @@ def _two_steps(unit: Unit, task: Task, changed: Array, share: float) -> Array:
 
 def _short_steps(unit: Unit, task: Task, changed: Array) -> Array | None:
     """Return the outputs after two short steps; None for an FMU that makes none."""
-    if not unit.description.coSimulation.canHandleVariableCommunicationStepSize:
+    able = unit.description.coSimulation.canHandleVariableCommunicationStepSize
+    if not able and unit.version > 1:  # FMPy does not read it of FMI 1
         return None
     try:
         return _two_steps(unit, task, changed, SHORT)
