@@ -151,6 +151,7 @@ TABLE: dict[str, Row] = {
 }  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
 @pytest.mark.parametrize("start", [0.0, -30.0, 1e7, 1.7e9])
 @pytest.mark.parametrize("kind", TABLE)
 def test_a_driven_simulator_gives_the_independent_answer(
@@ -235,7 +236,7 @@ def test_inputs_that_are_not_named_keep_their_start_values(tmp_path: Path) -> No
     np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
     found = sb.Simulation(two(tmp_path, inputs=[])).fit(record).on(record)
     np.testing.assert_array_equal(found.y_sim, 0 * record.y)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="k is none; it has valve, heater|has no variable"):
+    with pytest.raises(ValueError, match="x is none; it has valve, heater"):
         two(tmp_path, inputs=["x"])
 
 
@@ -247,7 +248,7 @@ class Own:
 
 
 def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
-    record = sb.Record(np.cumsum(STEPS) + 0.01 * WAVE, DT, u=STEPS)
+    record = sb.Record(np.cumsum(STEPS) + 0.01 * WAVE, DT, u=STEPS, start=0.0)
     train, ahead = record[:80], record.u[80:]  # type: ignore[index]
     short = sb.Settings(window=30, warmup=10, epochs=1)
     # With a network that adds nothing to speak of, a hybrid is its base.
@@ -263,10 +264,11 @@ def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
         stream = fitted.stream()
         stepped = np.stack([stream.step(u) for u in ahead[:5]])
         np.testing.assert_allclose(stepped, found[:5], atol=1e-5)
-        late = fitted.predict(20, record[60:100], record.u[100:]).y  # type: ignore[index]
         assert np.abs(found[:, 0] - record.y[80:, 0]).max() < 0.5 * np.ptp(record.y)
         assert np.abs(found - other).max() > 1
-        np.testing.assert_allclose(late, fitted.predict(40, u=ahead).y[20:], atol=2.0)
+        if not model.random:  # what drives it before a history is known
+            late = fitted.predict(20, record[60:100], record.u[100:]).y  # type: ignore[index]
+            np.testing.assert_allclose(late, found[20:], atol=1e-9)
     with pytest.raises(ValueError, match="driven by all inputs"):
         sb.Simulation(Own()).fit(sb.Record(record.y[:50], DT, u=STEPS[:50], start=0.0)).predict(
             5, sb.Record(record.y[60:], DT, u=STEPS[60:], start=6.0), STEPS[:5]
@@ -277,13 +279,14 @@ def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
 
 def test_a_comparison_runs_each_record_with_its_own_inputs() -> None:
     """All begin at the same time stamp, and are known by their inputs."""
+
     def record(u: Array) -> sb.Record:
         return sb.Record(np.cumsum(u) + 1e-3 * WAVE, DT, u=u)
 
     result = sb.compare(record(STEPS), methods=[sb.Simulation(Own()), sb.Mean()], others=[
         record(WAVE)], tests=[record(GATE), record(-STEPS)], seeds=1)  # fmt: skip
     simulated = result.runs["simulator"][0]
-    assert max(*simulated.errors.tests, simulated.errors.from_start) < 2e-3
+    assert max(*simulated.errors.tests, simulated.errors.total) < 2e-3
     y = result.model.predict(10, u=ONE[:10]).y  # with inputs that it was not run for
     np.testing.assert_allclose(np.diff(y[:, 0]), 1.0)
 
