@@ -151,7 +151,7 @@ def test_an_exported_fmu_with_inputs_is_exact_as_a_simulator(name: str, tmp_path
     ahead = record[150:210]
     again = sb.Simulation(sb.Fmu(tmp_path / "rig.fmu"))
     if name == "filtered":  # its own simulator's output is an input that no record has
-        with pytest.raises(ValueError, match="inputs .--simulator-inputs. must name .*_simulated"):
+        with pytest.raises(ValueError, match=r"inputs .--simulator-inputs. must name .*_simulated"):
             again.fit(ahead).on(ahead)
         return
     said = again.fit(ahead).on(ahead).y_sim
@@ -163,5 +163,5 @@ def test_a_compiler_may_have_options(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("CC", "gcc -m64 -DNOTHING")
     sb.Mean().fit(free()).export(tmp_path / "rig.fmu")
     monkeypatch.setenv("CC", "gcc --no-such-option")
-    with pytest.raises(ValueError, match="could not be compiled by .*gcc: "):
+    with pytest.raises(ValueError, match=r"could not be compiled by .*gcc: "):
         sb.Mean().fit(free()).export(tmp_path / "rig.fmu")

@@ -69,11 +69,14 @@ int fmi2SetReal(void *c, const unsigned v[], size_t n, const double x[]) { retur
 int fmi2GetReal(void *c, const unsigned v[], size_t n, double x[]) { return get(c, v, n, x); }
 static int whole(void *c, const unsigned v[], size_t n, const int x[])
 { double r; for (size_t i = 0; i < n; i++) { r = x[i]; set(c, v + i, 1, &r); } return 0; }
-int fmi2SetInteger(void *c, const unsigned v[], size_t n, const int x[]) { return whole(c, v, n, x); }
-int fmi2SetBoolean(void *c, const unsigned v[], size_t n, const int x[]) { return whole(c, v, n, x); }
+int fmi2SetInteger(void *c, const unsigned v[], size_t n, const int x[])
+{ return whole(c, v, n, x); }
+int fmi2SetBoolean(void *c, const unsigned v[], size_t n, const int x[])
+{ return whole(c, v, n, x); }
 int fmi2GetInteger(Model *m, const unsigned v[], size_t n, int x[])
 { for (size_t i = 0; i < n; i++) x[i] = m->r[v[i]]; return 0; }
-int fmi2GetBoolean(Model *m, const unsigned v[], size_t n, int x[]) { return fmi2GetInteger(m, v, n, x); }
+int fmi2GetBoolean(Model *m, const unsigned v[], size_t n, int x[])
+{ return fmi2GetInteger(m, v, n, x); }
 int fmi2DoStep(void *c, double t, double h, int p) { return step(c, h); }
 /* for model exchange */
 typedef struct { int more, ended, nominals, values, defined; double time; } Info;
@@ -120,7 +123,8 @@ int F(fmiInitializeSlave)(Model *m, double t, char d, double e) { m->shown = out
 int F(fmiTerminateSlave)(void *c) { return 0; }
 int F(fmiTerminate)(void *c) { return 0; }
 int F(fmiResetSlave)(void *c) { begin(c); return 0; }
-int F(fmiSetReal)(void *c, const unsigned v[], size_t n, const double x[]) { return set(c, v, n, x); }
+int F(fmiSetReal)(void *c, const unsigned v[], size_t n, const double x[])
+{ return set(c, v, n, x); }
 int F(fmiGetReal)(void *c, const unsigned v[], size_t n, double x[]) { return get(c, v, n, x); }
 int F(fmiDoStep)(void *c, double t, double h, char p) { return step(c, h); }
 typedef struct { char converged, references, values, ended, defined; double time; } Info;
@@ -152,7 +156,8 @@ int fmi3SetFloat64(void *c, const unsigned v[], size_t n, const double x[], size
 { return set(c, v, n, x); }
 int fmi3GetFloat64(void *c, const unsigned v[], size_t n, double x[], size_t k)
 { return get(c, v, n, x); }
-int fmi3DoStep(Model *m, double t, double h, bool a, bool *event, bool *ended, bool *early, double *at)
+int fmi3DoStep(Model *m, double t, double h, bool a, bool *event, bool *ended, bool *early,
+               double *at)
 { *event = *ended = *early = 0; *at = t + h; return step(m, h); }
 int fmi3EnterEventMode(void *c) { return 0; }
 int fmi3EnterContinuousTimeMode(void *c) { return 0; }
@@ -288,9 +293,10 @@ def _third(name: str, kinds: Sequence[str], inputs: Sequence[str], *_: object) -
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">{kind}
 <ModelVariables><Float64 name="time" valueReference="100" causality="independent"
-variability="continuous"/>{driven}<Float64 name="x" valueReference="2" causality="local" initial="exact"
-start="0"/><Float64 name="der(x)" valueReference="9" causality="local" derivative="2"/>
-<Float64 name="y" valueReference="3" causality="output"/>
+variability="continuous"/>{driven}<Float64 name="x" valueReference="2" causality="local"
+initial="exact" start="0"/><Float64 name="der(x)"
+valueReference="9" causality="local" derivative="2"/><Float64 name="y"
+valueReference="3" causality="output"/>
 <Float64 name="k" valueReference="4" causality="parameter" variability="tunable" initial="exact"
 start="1"/></ModelVariables><ModelStructure><Output valueReference="3"/>
 <ContinuousStateDerivative valueReference="9"/></ModelStructure></fmiModelDescription>"""

@@ -29,7 +29,7 @@ def lag(t: float, x: Any, u: Any, p: Any) -> list[float]:
     [
         (
             lambda t, x, u, p: [-p.k * x[0] + "1"],
-            r"\(k = .*\): \w*TypeError.*test_defects.py, line",
+            r"\(k = .*\): \w*TypeError.*test_defects.py",
         ),
         (lambda t, x, u, p: [-p.k * x[0] + u[3]], "IndexError"),
         (lambda t, x, u, p: [-p["c"] * x[0]], "no parameter c: there are k"),
@@ -83,7 +83,7 @@ def test_as_many_first_states_are_observed_as_there_are_channels(channels: int) 
     [
         (
             sb.Ode(lag, [1.0], parameters={"k": (0.1, 9.0)}),
-            r"the 1 state\(s\).* 2 channels, y0, y1",
+            r"the 1 state\(s\).* 2 channels",
         ),
         (sb.Ode(lag, [1.0], lambda x: x[:, 0], {"k": (0.1, 9.0)}), r"2 channel\(s\).*got \(3, 1\)"),
         (sb.Function(lambda t, u, p: p.k * t, None, {"k": (0.1, 9.0)}), r"got \(3, 1\)"),

@@ -172,7 +172,7 @@ def test_an_output_that_cannot_be_read_at_its_sample_is_refused(mode: int, tmp_p
     """It has feedthrough and a state, and is computed in the step: neither read is right."""
     fmu = sb.Fmu(built(tmp_path / "rig.fmu", out="r[X] + 3 * r[U]", mode=mode))
     record = sb.Record(lag(STEPS) + 3 * STEPS, DT, u=STEPS)
-    with pytest.raises(ValueError, match="depends on the inputs at once.*model exchange"):
+    with pytest.raises(ValueError, match=r"depends on the inputs at once.*model exchange"):
         sb.Simulation(fmu).fit(record).on(record)
 
 
@@ -196,7 +196,7 @@ def test_what_a_run_cannot_tell_is_said(tmp_path: Path) -> None:
 
 def test_values_that_an_input_cannot_take_are_refused(tmp_path: Path) -> None:
     fmu = sb.Fmu(built(tmp_path / "rig.fmu", types=("Boolean", "Real")))
-    with pytest.raises(ValueError, match="must hold 0 and 1 for u .*Boolean: got 2"):
+    with pytest.raises(ValueError, match=r"must hold 0 and 1 for u .*Boolean: got 2"):
         fmu.simulate(TIME, 2 * ONE[:, None])
 
 
@@ -293,10 +293,10 @@ def test_a_comparison_runs_each_record_with_its_own_inputs() -> None:
 
 def test_a_function_of_time_says_which_time_it_means() -> None:
     record = sb.Record(np.sin(TIME + 7), DT, start=7.0)
-    with pytest.raises(ValueError, match='"record" if it means the record\'s clock.*7 s, 0 if'):
+    with pytest.raises(ValueError, match=r'"record" if it means the record.s clock.*7 s, 0 if'):
         sb.Simulation(sb.Function(np.sin)).fit(record).predict(3)
     for start, shift in (("record", 0.0), (7, 0.0), (0, -7.0)):
-        model = sb.Simulation(sb.Function(lambda time: np.sin(time), start=start)).fit(record[:80])  # type: ignore[arg-type]
+        model = sb.Simulation(sb.Function(np.sin, start=start)).fit(record[:80])  # type: ignore[arg-type]
         np.testing.assert_allclose(model.predict(9).y[:, 0], np.sin(TIME[80:89] + 7 + shift))
     with pytest.raises(ValueError, match='start must be a number of seconds or "record", got'):
         sb.Fmu("none.fmu", start="noon")  # type: ignore[arg-type]
