@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 COMPILES = shutil.which("gcc") is not None and sys.platform == "linux"
@@ -302,4 +302,4 @@ start="1"/></ModelVariables><ModelStructure><Output valueReference="3"/>
 <ContinuousStateDerivative valueReference="9"/></ModelStructure></fmiModelDescription>"""
 
 
-_DESCRIPTIONS = {1: _first, 2: _second, 3: _third}
+_DESCRIPTIONS: dict[int, Callable[..., str]] = {1: _first, 2: _second, 3: _third}
