@@ -174,9 +174,10 @@ def opened_simulator(
     cache = None if options.simulator_cache is None else str(options.simulator_cache)
     if function or text.lower().endswith(".fmu"):
         outputs = () if function else tuple(columns)
-        driven = bool(function) and _takes_inputs(file, function)
+        driven, start = bool(function) and _takes_inputs(file, function), _start_of(options)
+        start = start if function else start or 0.0
         return Isolated(file, function or None, outputs, timeout, reads, cache,
-                        _inputs_of(options), driven, _start_of(options))  # fmt: skip
+                        _inputs_of(options), driven, start)  # fmt: skip
     files = FileOptions(time_column)  # the layout is that of the record
     exported = read_companion(
         text, "--simulator", record.sampling_time, files, columns=columns or None

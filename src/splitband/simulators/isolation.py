@@ -123,7 +123,7 @@ class Isolated:
         outputs = [*self.outputs]
         inputs = None if self.inputs is None else [*self.inputs]
         # In the format of an `Fmu` without parameters.
-        alone = f"{content} {outputs} {inputs} {float(self.start or 0.0)} False []"
+        alone = f"{content} {outputs} {inputs} {self.start or 0.0} False []"
         return f"{alone} {digest(self.reads)}" if self.reads else alone
 
 
