@@ -96,8 +96,8 @@ def test_a_plant_compares_and_simulates_without_error(tmp_path: Path) -> None:
     np.testing.assert_allclose(said, pd.read_csv("ahead.csv")["level"], atol=1e-6)
     call(f"forecast past.csv {rig} --method simulator --future-inputs ahead.csv "
          f"--steps {SAMPLES - TRAIN}", tmp_path / "forecast")  # fmt: skip
-    said = pd.read_csv(tmp_path / "forecast" / "forecast.csv")
-    np.testing.assert_allclose(said["level"], pd.read_csv("ahead.csv")["level"], atol=1e-6)
+    said = pd.read_csv(tmp_path / "forecast" / "forecast.csv")["level"]
+    np.testing.assert_allclose(said, pd.read_csv("ahead.csv")["level"], atol=1e-6)
 
 
 def test_a_function_of_time_and_inputs_is_driven(

@@ -15,7 +15,7 @@ from splitband.forecasters.grey_box import ESTIMATES
 from splitband.runtime.deadlines import Deadline, within
 from splitband.simulators.digests import code_digest
 
-TIME = 0.1 * np.arange(60)
+TIME = 0.1 * np.arange(60.0)
 RECORD = sb.Record(np.exp(-TIME), 0.1, u=np.sin(TIME))
 K, CURVE = np.float64(2.0), np.array([1.0, 2.0])
 

@@ -20,7 +20,7 @@ if not COMPILES:
 
 Array = npt.NDArray[np.float64]
 DT, SAMPLES = 0.1, 120
-TIME = DT * np.arange(SAMPLES)
+TIME: Array = DT * np.arange(float(SAMPLES))
 RNG = np.random.default_rng(0)
 STEPS = np.repeat(RNG.choice([-1.0, 0.5, 1.0], SAMPLES // 5), 5)
 WAVE = np.sin(TIME) + 0.3 * np.cos(2.7 * TIME)
@@ -33,7 +33,7 @@ EXCHANGE = ("ModelExchange",)
 
 def lag(u: Array, held: bool = True) -> Array:
     """SciPy's answer for x' = u - x."""
-    system = scipy.signal.lti([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    system = [[-1.0]], [[1.0]], [[1.0]], [[0.0]]
     y: Array = scipy.signal.lsim(system, u, TIME, interp=not held)[1]
     return y
 
@@ -235,7 +235,7 @@ def test_inputs_that_are_not_named_keep_their_start_values(tmp_path: Path) -> No
     found = sb.Simulation(two(tmp_path, inputs=["valve"])).fit(record).on(record)
     np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
     found = sb.Simulation(two(tmp_path, inputs=[])).fit(record).on(record)
-    np.testing.assert_array_equal(found.y_sim, 0 * record.y)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found.y_sim, 0 * record.y)
     with pytest.raises(ValueError, match="x is none; it has valve, heater"):
         two(tmp_path, inputs=["x"])
 
@@ -304,7 +304,7 @@ def test_a_function_of_time_says_which_time_it_means() -> None:
 
 def test_an_equation_knows_the_time_that_it_is_given() -> None:
     for method in ("RK45", "BDF"):
-        ode = sb.Ode(lambda t, x, u: [t], [0.0], start=5.0, method=method)  # type: ignore[arg-type]
+        ode = sb.Ode(lambda t, x, u: [t], [0.0], start=5.0, method=method)
         record = sb.Record(5 * TIME + TIME**2 / 2, DT, u=STEPS, start=1.7e9)
         found = sb.GreyBox(ode).fit(record[:80]).predict(40, u=STEPS[80:])
         np.testing.assert_allclose(found.y, record.y[80:], rtol=1e-6)

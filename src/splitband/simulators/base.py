@@ -31,16 +31,15 @@ class SimulatorTimeoutError(TimeoutError):
 
 
 class Simulator(Protocol):
-    """Define the method that `run` calls on a simulator.
+    """Define what `run` calls on a simulator: `simulate(time)` or `simulate(time, u)`."""
 
-    A `simulate(time, u)` also gets the record's inputs `(time, nu)`.
-    """
-
-    def simulate(self, time: Array) -> npt.ArrayLike:
+    @property
+    def simulate(self) -> Callable[..., npt.ArrayLike]:
         """Return the measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
 
-        `time` begins at 0 at the record's first sample, where the initial state is that of the
-        simulator, or at its attribute `start`: a number, or "record" for the record's time stamp.
+        A method with a second argument also gets the record's inputs `u`, `(time, nu)`. `time`
+        begins at 0 at the record's first sample, where the initial state is that of the simulator,
+        or at its attribute `start`: a number, or "record" for the record's time stamp.
         """
 
 
@@ -98,8 +97,7 @@ def run(
             return simulator.on(Grid(start, sampling_time, len(time))).values
         if u is None:
             return simulator.simulate(time)
-        driven: Any = simulator
-        return driven.simulate(time, np.resize(u, (len(time), u.shape[1])))
+        return simulator.simulate(time, np.resize(u, (len(time), u.shape[1])))
 
     try:
         returned = np.asarray(within(timeout, simulate))
