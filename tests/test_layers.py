@@ -180,6 +180,8 @@ LARGER = {
     "Settings": "the paper's hyperparameters of a training and ours, named in every run file",
     "Row": "a row of the benchmark's table: a field for each of its columns",
     "Section": "a part of the page: a field for each thing that its template may show",
+    "Ode": "the options of a user: the equation, what is measured of it, and its solver",
+    "Isolated": "a task of another process, as the options of a command say it",
 }
 LONGER = {
     "plan": "all that a user may say of a comparison, each by its name",

@@ -39,7 +39,7 @@ def test_a_test_record_is_simulated_by_its_own_clock() -> None:
     record, tests = rig(160, 3.0), [rig(90, 50.0), rig(300, 3.0)]
     own, brought = (
         [sb.Simulation(simulator), sb.Residual(sb.Simulation(simulator), GRU(3), settings=SETTINGS)]
-        for simulator in (sb.Function(slow), None)
+        for simulator in (sb.Function(slow, start="record"), None)
     )
     found = sb.compare(record, methods=own, tests=tests, seeds=1, setup=SETUP)
     expected = sb.compare(
@@ -56,7 +56,7 @@ def test_a_test_record_is_simulated_by_its_own_clock() -> None:
 
 def test_further_records_have_the_simulator_at_their_own_times() -> None:
     record, others = rig(160, 0.0), [rig(230, 0.0), rig(120, 77.0)]
-    model = sb.Residual(sb.Function(slow), GRU(3), settings=SETTINGS)
+    model = sb.Residual(sb.Function(slow, start="record"), GRU(3), settings=SETTINGS)
     found = sb.compare(record, methods=[model], others=others, tests=[rig(90, 5.0)], seeds=1,
                        setup=SETUP)  # fmt: skip
     alone = model.clone().fit(record, *others)
@@ -78,7 +78,7 @@ def test_an_export_that_covers_both_days_says_each_of_them() -> None:
 def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
     """Not those for two networks, which a setup holds where the record brings no simulator."""
     record = rig(200, 0.0)
-    model = sb.Filtered(sb.Function(slow), GRU(3), settings=SETTINGS)
+    model = sb.Filtered(sb.Function(slow, start="record"), GRU(3), settings=SETTINGS)
     chosen = sb.compare(record, 160, [model], seeds=1).forecaster().fit(record[:160])
     alone = model.clone().fit(record[:160])
     assert isinstance(chosen, sb.Filtered)
@@ -89,7 +89,7 @@ def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_simulator_that_fails_is_a_row_that_says_why(jobs: int) -> None:
     """Whatever it is: a lambda could not be sent to another process."""
-    broken = sb.Simulation(sb.Function(lambda time: 1 / np.zeros(0)[0] + time))
+    broken = sb.Simulation(sb.Function(lambda time: 1 / np.zeros(0)[0] + time, start=0))
     result = sb.compare(rig(200, 3.0), methods=[broken, sb.Mean()], setup=SETUP, work=sb.Work(jobs))
     assert result.recommended == "mean"
     assert "index 0 is out of bounds" in result.require_trial().failed["simulator"]

@@ -170,3 +170,10 @@ def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=message):
             forecaster.export(tmp_path / name)
     assert not [*tmp_path.iterdir()]
+
+
+def test_what_single_precision_cannot_hold_saturates(tmp_path: Path) -> None:
+    """As a literal, for instance of a threshold; it is finite, and no word that C does not know."""
+    sb.Mean().fit(sb.Record(np.full((20, 1), 1e100), 0.1)).export(tmp_path / "rig.c", "float")
+    assert "inff" not in (tmp_path / "rig.c").read_text()
+    subprocess.run(["gcc", *STRICT, "-fsyntax-only", str(tmp_path / "rig.c")], check=True)

@@ -57,7 +57,7 @@ def test_an_fmu_says_what_a_stream_says(name: str, tmp_path: Path) -> None:
     assert forecaster.export(file) == [file]
     assert validate_fmu(str(file)) == []
     instance, stream = Instance(file, tmp_path / "rig", record), forecaster.stream()
-    sources = [str(tmp_path / "rig/sources" / each) for each in ("rig.c", "fmu.c")]
+    sources = [str(tmp_path / "rig/sources" / each) for each in ("rig_model.c", "fmu.c")]
     subprocess.run(["gcc", *STRICT, "-fsyntax-only", *sources], check=True)
     at = rows(record, stream)
     worst = 0.0
@@ -133,3 +133,36 @@ def test_what_an_fmu_needs_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(ValueError, match="an FMU needs a C compiler: none of no-such-compiler"):
         mean.export(tmp_path / "rig.fmu")
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("name", ["fmu", "fmi2Functions", "math", "int"])
+def test_any_name_of_a_file_will_do(name: str, tmp_path: Path) -> None:
+    """Also those of the FMU's own files and of headers."""
+    sb.Mean().fit(free()).export(tmp_path / f"{name}.fmu")
+    with sb.Fmu(tmp_path / f"{name}.fmu") as fmu:
+        assert np.isfinite(np.asarray(fmu.simulate(np.arange(5.0)))).all()
+
+
+@pytest.mark.parametrize("name", ["linear", "filtered"])
+def test_an_exported_fmu_with_inputs_is_exact_as_a_simulator(name: str, tmp_path: Path) -> None:
+    """It is driven by the inputs of the record alone, where it needs no simulator itself."""
+    forecaster, record = fitted(name)
+    forecaster.export(tmp_path / "rig.fmu")
+    ahead = record[150:210]
+    again = sb.Simulation(sb.Fmu(tmp_path / "rig.fmu"))
+    if name == "filtered":  # its own simulator's output is an input that no record has
+        with pytest.raises(ValueError, match=r"inputs .--simulator-inputs. must name .*_simulated"):
+            again.fit(ahead).on(ahead)
+        return
+    said = again.fit(ahead).on(ahead).y_sim
+    wanted = forecaster.predict(60, record[:150], ahead.u).y
+    assert said is not None
+    np.testing.assert_allclose(said, wanted, atol=1e-9 * float(np.std(record.y)))
+
+
+def test_a_compiler_may_have_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "gcc -m64 -DNOTHING")
+    sb.Mean().fit(free()).export(tmp_path / "rig.fmu")
+    monkeypatch.setenv("CC", "gcc --no-such-option")
+    with pytest.raises(ValueError, match=r"could not be compiled by .*gcc: "):
+        sb.Mean().fit(free()).export(tmp_path / "rig.fmu")

@@ -301,13 +301,13 @@ def test_before_the_training_record_a_simulator_begins_with_the_history() -> Non
         return np.cos(0.3 * time)
 
     known = Record(output(begin + t), DT, start=begin)
-    model = sb.Simulation(sb.Function(output)).fit(known)
+    model = sb.Simulation(sb.Function(output, start="record")).fit(known)
     for start, samples in ((20.0, 100), (38.5, 40)):
         history = Record(output(start + DT * np.arange(samples)), DT, start=start)
         expected = output(start + DT * np.arange(samples, samples + STEPS))
         found = model.predict(STEPS, history).y[:, 0]
         np.testing.assert_allclose(found, expected, atol=1e-9)
-    late = sb.Calibrated(sb.Function(lambda time: output(time + 0.5)), ["delay"])
+    late = sb.Calibrated(sb.Function(lambda time: output(time + 0.5), start="record"), ["delay"])
     late.fit(known)
     with pytest.raises(ValueError, match="must not begin before the training record"):
         late.predict(STEPS, replace(known[:100], start=20.0))

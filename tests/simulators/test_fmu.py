@@ -89,7 +89,7 @@ worker = multiprocessing.get_context("fork").Process(target=use)
 worker.start()
 worker.join()
 assert worker.exitcode == 0
-assert os.path.isdir(kept._folder)  # which the worker process has not removed
+assert os.path.isdir(kept._unit.folder)  # which the worker process has not removed
 raise KeyboardInterrupt
 """
 

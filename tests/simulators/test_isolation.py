@@ -142,3 +142,12 @@ def test_nothing_in_the_working_directory_is_taken_for_a_module(
     (tmp_path / "json.py").write_text("raise SystemExit('taken')\n")
     monkeypatch.chdir(tmp_path)
     assert len(run(Isolated(file, "good"), 5, 0.5)) == 5
+
+
+@pytest.mark.parametrize("name", ["metrics", "models", "data", "filters", "simulators"])
+def test_a_users_module_may_have_the_name_of_one_of_ours(name: str, tmp_path: Path) -> None:
+    (tmp_path / f"{name}.py").write_text("FACTOR = 3.0\n")
+    rig = tmp_path / "rig.py"
+    rig.write_text(f"from {name} import FACTOR\ndef good(time):\n    return FACTOR * time\n")
+    found = run(Isolated(str(rig), "good", timeout=60.0), 5, 1.0)
+    np.testing.assert_array_equal(found[:, 0], 3.0 * np.arange(5))

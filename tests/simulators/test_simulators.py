@@ -123,7 +123,7 @@ def test_an_ode_agrees_with_another_solver_on_a_stiff_oscillator() -> None:
 
 
 def test_an_ode_that_blows_up_says_when() -> None:
-    with pytest.raises(ValueError, match=r"Ode failed.*stopped at t = \[1\.\] s") as caught:
+    with pytest.raises(ValueError, match=r"Ode failed.*stopped at t = 1 s") as caught:
         run(Ode(lambda _, x: x**2, [1.0]), SAMPLES, DT)
     assert "\n" not in str(caught.value)
 

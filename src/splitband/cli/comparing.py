@@ -121,10 +121,10 @@ def planned(
     calibrates = any(method.calibrates for method in expected)
     fitted = adjustable(simulator)
     past = steps if hybrid and simulator.simulator not in BASES else 0
-    record = with_simulator(record, simulator, reading, past, calibrates)
     if steps:
         u = records.inputs_ahead(future_inputs, record, steps, reading)
         record = replace(record, u_beyond=u)
+    record = with_simulator(record, simulator, reading, past, calibrates)
     _check_needs(expected, record)
     others, tests = _further(asked, simulator, record, expected)
     train = len(record) if steps or (fitting and asked.train is None) else asked.train

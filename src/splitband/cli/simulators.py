@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from splitband.cli import showing
 from splitband.cli.options.records import FileOptions, RecordOptions
@@ -29,7 +28,14 @@ from splitband.simulators.named import SIMULATORS
 from splitband.simulators.opening import opened
 from splitband.simulators.parameters import Parameters
 from splitband.simulators.shooting import Adjustable
-from splitband.simulators.sources import defines_function
+from splitband.simulators.sources import arguments_of
+from splitband.simulators.starting import (
+    check_start,
+    count_arguments,
+    is_driven,
+    matched,
+    origin,
+)
 
 AnyOptions = TypeVar("AnyOptions", bound=SimulatorOptions)
 
@@ -58,25 +64,36 @@ def with_simulator(
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if beyond else least
     grid = Grid(record.start, record.sampling_time, samples)
+    u = None
     if isinstance(opened, Recorded):
         samples = min(samples, max(least, opened.reach(grid)))
-    elif grid.start:
-        times = f"the record's time stamps, {grid}"
-        if isinstance(grid.start, pd.Timestamp):
-            times = f"seconds since the record's first sample, {in_words(grid.start)}"
-        showing.console.print(f"{simulator} is run on {times}")
+    else:
+        opened = matched(opened, record.columns, record.inputs)
+        if is_driven(opened) and record.u is not None:
+            u = record.u if record.u_beyond is None else np.vstack([record.u, record.u_beyond])
+            samples = min(samples, len(u))
+        begin = origin(opened, record.start)
+        if record.start:
+            showing.console.print(
+                f"{simulator} runs from {begin:g} s on, at the record's first sample, "
+                f"{in_words(record.start)}"
+            )
     try:
-        y_sim = _simulated(opened, options, replace(grid, samples=samples), record.ny)
+        y_sim = _simulated(opened, options, replace(grid, samples=samples), record.ny, u)
     except ValueError as error:
         if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
             raise
-        y_sim = _simulated(opened, options, replace(grid, samples=least), record.ny)
+        y_sim = _simulated(opened, options, replace(grid, samples=least), record.ny, u)
     rest = y_sim[len(record) :]
     return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
 
 
 def _simulated(
-    opened: Simulator, options: SimulatorOptions, grid: Grid, ny: int
+    opened: Simulator,
+    options: SimulatorOptions,
+    grid: Grid,
+    ny: int,
+    u: npt.NDArray[np.float64] | None,
 ) -> npt.NDArray[np.float64]:
     """Return the simulator's output at the times of the grid, `(samples, ny)`."""
     if isinstance(opened, Recorded):
@@ -86,7 +103,7 @@ def _simulated(
         return on_grid.values
     within = None if isinstance(opened, Isolated) else options.simulator_timeout
     cache, name = options.simulator_cache, options.simulator
-    return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start)
+    return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start, u)
 
 
 def load_further(
@@ -140,6 +157,7 @@ def opened_simulator(
         raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     columns = names(options.simulator_columns or "")
     file, function = parts_of(text)
+    _check_used(options, file, function)
     if text in SIMULATORS:
         return SIMULATORS[text]()
     if text.endswith(".py"):
@@ -156,7 +174,10 @@ def opened_simulator(
     cache = None if options.simulator_cache is None else str(options.simulator_cache)
     if function or text.lower().endswith(".fmu"):
         outputs = () if function else tuple(columns)
-        return Isolated(file, function or None, outputs, timeout, reads, cache)
+        driven, start = bool(function) and _takes_inputs(file, function), _start_of(options)
+        start = start if function else start or 0.0
+        return Isolated(file, function or None, outputs, timeout, reads, cache,
+                        _inputs_of(options), driven, start)  # fmt: skip
     files = FileOptions(time_column)  # the layout is that of the record
     exported = read_companion(
         text, "--simulator", record.sampling_time, files, columns=columns or None
@@ -190,7 +211,7 @@ def opened_with_simulator(
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
         found: Any = adjustable(replace(options, parameters=options.parameters or own))
     else:
-        found = opened_simulator(options, past, time_column)
+        found = matched(opened_simulator(options, past, time_column), past.columns, past.inputs)
     if isinstance(found, Recorded):
         if found.start is None:  # it is taken to begin with the history
             found = replace(found, start=past.start)
@@ -200,10 +221,55 @@ def opened_with_simulator(
         return forecasters.load(folder, found)
 
 
+def _check_used(options: SimulatorOptions, file: str, function: str) -> None:
+    """Raise ValueError for options that a simulator of this kind does not use."""
+    fmu = file.lower().endswith(".fmu")
+    if options.simulator_inputs is not None and not fmu:
+        raise ValueError(f"--simulator-inputs is for an .fmu, got --simulator {options.simulator}")
+    if options.simulator_start is not None and not (fmu or function):
+        raise ValueError(
+            f"--simulator-start is for an .fmu or a function, got --simulator {options.simulator}"
+        )
+
+
+def _inputs_of(options: SimulatorOptions) -> tuple[str, ...] | None:
+    """Return the names of --simulator-inputs; None without them."""
+    given = options.simulator_inputs
+    return None if given is None else tuple(names(given)) if given.strip() else ()
+
+
+def _start_of(options: SimulatorOptions) -> Any:
+    """Return --simulator-start as a simulator takes it; None without it."""
+    try:
+        return check_start(options.simulator_start)
+    except ValueError:
+        raise ValueError(
+            f"--simulator-start must be a number of seconds or record, got "
+            f"{options.simulator_start}"
+        ) from None
+
+
+def _takes_inputs(file: str, name: str) -> bool:
+    """Return whether a function of a file is one of time and inputs.
+
+    Raises ValueError for a differential equation, whose states have to be named.
+    """
+    count = arguments_of(file, name)
+    if count is None:
+        function = named_in(file, name)
+        count = count_arguments(function) if callable(function) else 1
+    if count == 4:
+        raise ValueError(
+            f"--parameters must say where the states of {file}:{name} begin, a function of "
+            "(t, x, u, p): x0_1=0,x0_2=-1:1"
+        )
+    return count > 1
+
+
 def with_own_parameters(options: AnyOptions) -> AnyOptions:
     """Set --parameters if FILE.py:NAME is an `sb.Ode` with parameters to fit, or with inputs."""
     file, name = parts_of(options.simulator or "")
-    known = options.parameters is not None or defines_function(file, name)
+    known = options.parameters is not None or arguments_of(file, name) is not None
     if known or not name or not Path(file).is_file():
         return options
     fitted = getattr(named_in(file, name), "adjustable", False)
@@ -215,6 +281,7 @@ def adjustable(options: SimulatorOptions) -> Adjustable | None:
     if options.parameters is None:
         return None
     file, function = parts_of(options.simulator or "")
+    _check_used(options, file, function)
     if not function and not file.lower().endswith(".fmu"):
         raise ValueError(
             "--parameters is for a --simulator that can be run again, FILE.py:FUNCTION or an .fmu, "
@@ -223,4 +290,5 @@ def adjustable(options: SimulatorOptions) -> Adjustable | None:
     if not Path(file).is_file():
         raise FileNotFoundError(f"--simulator must be a file, got {file}")
     given = Parameters.read(options.parameters).given
-    return opened(file, function, given, names(options.simulator_columns or ""))
+    columns = names(options.simulator_columns or "")
+    return opened(file, function, given, columns, _inputs_of(options), _start_of(options))

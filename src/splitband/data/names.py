@@ -30,6 +30,11 @@ def unit_of(name: str) -> str:
     return found[1] if found else ""
 
 
+def bare_name(name: str) -> str:
+    """Return a name without the unit in brackets at its end."""
+    return _UNIT.sub("", name)
+
+
 def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
     """Return whether two lists can name the same signals; numbered names match any others.
 

@@ -20,6 +20,7 @@ from splitband.forecasters.backtest import Backtest, Origin, Question, first_ori
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.prediction import Prediction, median_of
+from splitband.forecasters.simulation import with_simulators_of
 from splitband.metrics import leaves_range, rmse, spread
 
 Array = npt.NDArray[np.float64]
@@ -189,6 +190,7 @@ def models_of(
     plan: Plan, backtests: Mapping[str, Mapping[int, Backtest]]
 ) -> dict[str, list[Forecaster]]:
     """Return the fitted forecasters by method; all of them share the plan's records."""
+    methods = {method.name: method for method in plan.methods}
     models: dict[str, list[Forecaster]] = {}
     for name, of_seeds in backtests.items():
         models[name] = [each.model for each in of_seeds.values() if each.model is not None]
@@ -196,6 +198,8 @@ def models_of(
             fitted = model.require_fitted()
             training = plan.record[: len(fitted.record)]
             model.fitted = replace(fitted, record=training, others=plan.others)
+            if name in methods:
+                with_simulators_of(model, methods[name])
     return models
 
 

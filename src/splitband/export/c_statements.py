@@ -118,8 +118,11 @@ class Renderer:
             return "NAN"
         if np.isinf(value):
             return "INFINITY" if value > 0 else "(-INFINITY)"
-        single = self.precision == "float"
-        text = repr(float(str(np.float32(value)))) + "f" if single else repr(float(value))
+        if self.precision == "float":
+            most = np.finfo(np.float32).max  # a finite number beyond it saturates
+            text = repr(float(str(np.float32(np.clip(value, -most, most))))) + "f"
+        else:
+            text = repr(float(value))
         return f"({text})" if text.startswith("-") else text
 
     def copy(self, shape: tuple[int, ...], target: str, source: str) -> None:

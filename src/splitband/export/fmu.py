@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -21,6 +22,7 @@ from splitband import __version__
 from splitband.data.names import unit_of
 from splitband.export.c import render
 from splitband.export.program import Program
+from splitband.simulators.fmu_variables import OPTIONAL
 
 COMPILERS = "cc", "gcc", "clang"
 """Compilers to look for if the environment variable CC names none."""
@@ -59,11 +61,13 @@ def write(program: Program, path: Path) -> None:
         raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
     headers = Path(fmpy.__file__).parent / "c-code"
     numbers = _numbers(program)
-    header, source = render(program, "double")
+    # Its own names, which no file of the FMU and no header of FMI can have.
+    model = f"{program.name}_model"
+    header, source = render(replace(program, name=model), "double")
     guid = hashlib.sha256((header + source).encode()).hexdigest()[:32]
-    wrapper = files("splitband.export").joinpath("fmu2.c.in").read_text(encoding="ascii")
+    wrapper = resources.files("splitband.export").joinpath("fmu2.c.in").read_text(encoding="ascii")
     for word, value in {
-        "NAME": program.name,
+        "NAME": model,
         "GUID": guid,
         "STEP": f"{program.record.sampling_time!r}",
         "NUMBERS": str(len(numbers)),
@@ -78,30 +82,37 @@ def write(program: Program, path: Path) -> None:
         sources.mkdir()
         for name in ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"):
             shutil.copy(headers / name, sources)
-        (sources / f"{program.name}.h").write_text(header, encoding="ascii")
-        (sources / f"{program.name}.c").write_text(source, encoding="ascii")
+        (sources / f"{model}.h").write_text(header, encoding="ascii")
+        (sources / f"{model}.c").write_text(source, encoding="ascii")
         (sources / "fmu.c").write_text(wrapper, encoding="ascii")
-        described = _description(program, numbers, guid)
+        described = _description(program, numbers, guid, (f"{model}.c", "fmu.c"))
         described.write(folder / "modelDescription.xml", encoding="utf-8", xml_declaration=True)
         binary = folder / "binaries" / fmpy.platform
         binary.mkdir(parents=True)
-        _compile(sources, program.name, binary / f"{program.name}{fmpy.sharedLibraryExtension}")
+        _compile(sources, model, binary / f"{program.name}{fmpy.sharedLibraryExtension}")
         with ZipFile(path, "w", ZIP_DEFLATED) as archive:
             for file in sorted(p for p in folder.rglob("*") if p.is_file()):
                 archive.write(file, file.relative_to(folder))
 
 
-def _compile(sources: Path, name: str, library: Path) -> None:
-    given = os.environ.get("CC")
-    found = [shutil.which(word) for word in ([given] if given else COMPILERS)]
-    compiler = next(filter(None, found), None)
-    if compiler is None:
-        raise ValueError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
+def _compile(sources: Path, model: str, library: Path) -> None:
     options = ["-std=c99", "-O2", "-fPIC", "-shared", "-o", str(library)]
-    command = [compiler, *options, f"{name}.c", "fmu.c", "-lm"]
+    command = [*_compiler(), *options, f"{model}.c", "fmu.c", "-lm"]
     done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise ValueError(f"the FMU could not be compiled by {compiler}: {done.stderr[-300:]}")
+        raise ValueError(f"the FMU could not be compiled by {command[0]}: {done.stderr[-300:]}")
+
+
+def _compiler() -> list[str]:
+    """Return the C compiler with its options: those of the environment variable CC, if set."""
+    given = os.environ.get("CC", "").strip()
+    whole = shutil.which(given) if given else None
+    parts = shlex.split(given, posix=os.name != "nt")  # such as "ccache gcc -m64"
+    commands = [[whole]] if whole else [parts] if parts else [[word] for word in COMPILERS]
+    for compiler, *options in commands:
+        if found := shutil.which(compiler):
+            return [found, *options]
+    raise ValueError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
 
 
 def _numbers(program: Program) -> list[Variable]:
@@ -153,7 +164,7 @@ def _given(program: Program) -> str:
 
 
 def _description(
-    program: Program, numbers: Sequence[Variable], guid: str
+    program: Program, numbers: Sequence[Variable], guid: str, files: Sequence[str]
 ) -> ElementTree.ElementTree[Any]:
     record, add = program.record, ElementTree.SubElement
     root = ElementTree.Element(
@@ -167,13 +178,17 @@ def _description(
         canHandleVariableCommunicationStepSize="false", canGetAndSetFMUstate="true",
     )  # fmt: skip
     sources = add(simulation, "SourceFiles")
-    for name in (f"{program.name}.c", "fmu.c"):
+    for name in files:
         add(sources, "File", name=name)
     if units := sorted({variable.unit for variable in numbers} - {""}):
         defined = add(root, "UnitDefinitions")
         for unit in units:
             add(defined, "Unit", name=unit)
     add(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
+    ours = add(add(root, "VendorAnnotations"), "Tool", name="splitband")
+    optional = add(ours, OPTIONAL)
+    for variable in (*numbers[-record.ny :], FLAGS[0]):  # unless something is observed
+        add(optional, "Input", name=variable.name)
     variables = add(root, "ModelVariables")
     for kind, listed in (("Real", numbers), ("Boolean", FLAGS)):
         for reference, variable in enumerate(listed):

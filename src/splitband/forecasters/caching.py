@@ -42,6 +42,10 @@ class Cached(Generic[Result]):
                 self.learn({key: self.function(*arguments)})
         return self.results[key]
 
+    def forget(self, *arguments: Any) -> None:
+        """Drop the result for these arguments."""
+        self.results.pop(key_of(*_parts(arguments)), None)
+
     def learn(self, results: Mapping[str, Result]) -> None:
         """Add `results`, such as those of another process."""
         self.results |= results

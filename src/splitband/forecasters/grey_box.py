@@ -11,7 +11,6 @@ from typing import Any, Unpack, final
 import numpy as np
 
 from splitband.data import Record
-from splitband.data.timing import seconds_of
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.caching import Cached
 from splitband.forecasters.known import Known
@@ -19,11 +18,13 @@ from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
 from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.identification import check_runs, identify
 from splitband.simulators.shooting import Adjustable, Experiment, fit_key
+from splitband.simulators.starting import matched, origin
 from splitband.simulators.starts import Effort
 
 STARTS = 0.5, 2 / 3, 5 / 6
@@ -48,8 +49,8 @@ class _Fit:
         return identify(self.simulator, *self.records, effort=self.effort)
 
     def __repr__(self) -> str:
-        experiments = [Experiment.of(record) for record in self.records]
-        return fit_key(self.simulator, experiments, self.effort.starts)
+        experiments = [Experiment.of(record, self.simulator) for record in self.records]
+        return f"{fit_key(self.simulator, experiments, self.effort.starts)} {self.effort.seconds}"
 
 
 ESTIMATES: Cached[Estimate] = Cached(_Fit.result)
@@ -145,8 +146,9 @@ class GreyBox(Forecaster):
         checkpoint = how["checkpoint"]
         folder = None if checkpoint is None else checkpoint.path.parent
         self.estimate = self._estimated(records, Effort(self.starts, self.seconds, folder=folder))
-        experiments = [Experiment.of(record) for record in records]
-        adjusted = Adjusted.of(self.simulator, self.estimate, experiments)
+        simulator = self._matched(records[0])
+        experiments = [Experiment.of(record, simulator) for record in records]
+        adjusted = Adjusted.of(simulator, self.estimate, experiments)
         self.adjusted = replace(adjusted, simulator=None)
         self.u = records[0].u
         self.memory = self._chosen_memory(experiments[0])
@@ -163,7 +165,16 @@ class GreyBox(Forecaster):
         self._estimated(records, Effort(self.starts, self.seconds, workers, folder))
 
     def _estimated(self, records: Sequence[Record], effort: Effort) -> Estimate:
-        return ESTIMATES(_Fit(self.simulator, tuple(records), effort))
+        fit = _Fit(self._matched(records[0]), tuple(records), effort)
+        found = ESTIMATES(fit)
+        if found.cut and effort.seconds is None and current().left == np.inf:
+            ESTIMATES.forget(fit)  # a deadline has cut it, and there is none now
+            found = ESTIMATES(fit)
+        return found
+
+    def _matched(self, record: Record) -> Any:
+        """Return the simulator for the channels and inputs of a record."""
+        return matched(self.simulator, record.columns, record.inputs)
 
     def extrapolate(self, known: Known) -> Array:
         """Return the simulation from the state estimated from the last samples of the history."""
@@ -216,22 +227,23 @@ class GreyBox(Forecaster):
         return Integrated(self.name, self._adjusted(), self._clock())
 
     def _adjusted(self) -> Adjusted:
-        self.require_fitted()
+        record = self.require_fitted().record
         assert self.adjusted is not None
-        return replace(self.adjusted, simulator=self.simulator)
+        return replace(self.adjusted, simulator=self._matched(record))
 
     def _clock(self) -> Clock:
         fitted = self.require_fitted()
-        return Clock(seconds_of(fitted.start), fitted.record.sampling_time, self.u)
+        start = origin(self.simulator, fitted.start)
+        return Clock(start, fitted.record.sampling_time, self.u, self.simulator)
 
     def _experiment(self, known: Known) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""
         fitted = self.require_fitted()
         step = fitted.record.sampling_time
         if known.begin is None:
-            start = seconds_of(None if known.grid is None else known.grid.start)
+            start = origin(self.simulator, None if known.grid is None else known.grid.start)
         else:
-            start = seconds_of(fitted.start) + known.begin * step
+            start = origin(self.simulator, fitted.start) + known.begin * step
         ahead = np.full((known.steps, known.y.shape[1]), np.nan)
         time = start + step * np.arange(len(known.y) + known.steps, dtype=np.float64)
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)

@@ -13,7 +13,7 @@ import hashlib
 import json
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ import safetensors.torch
 from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.description import Classes, Tensors, described
+from splitband.forecasters.simulation import simulations
 from splitband.runtime import outputs
 from splitband.runtime.files import replacing, to_json
 from splitband.simulators import Simulator
@@ -190,21 +191,12 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
 
 def _give(forecaster: Forecaster, simulator: Simulator) -> None:
     """Set the simulator of a forecaster, with a warning if it differs from the saved one."""
-    simulations = [*_simulations(forecaster)]
-    if not simulations:
+    given = [*simulations(forecaster)]
+    if not given:
         raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")
-    saved = [each.simulator for each in simulations if isinstance(each.simulator, Absent)]
+    saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
     for said in dict.fromkeys(each.difference(simulator) for each in saved):
         if said:
             warnings.warn(said, stacklevel=4)
-    for each in simulations:
+    for each in given:
         each.simulator = simulator
-
-
-def _simulations(value: Any) -> Iterator[Any]:
-    """Yield the parts of a forecaster that have a simulator."""
-    if hasattr(value, "simulator"):
-        yield value
-    elif isinstance(value, Forecaster | list):
-        for part in value if isinstance(value, list) else vars(value).values():
-            yield from _simulations(part)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 import numpy as np
 
-from splitband.data import Aligned, Grid, Record, Stamp, check_alike
+from splitband.data import Aligned, Grid, Record, check_alike
 from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.caching import Cached
@@ -24,6 +24,10 @@ from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibrating import calibrate
 from splitband.simulators.calibration import Calibration, Term, samples_needed
+from splitband.simulators.starting import is_driven, matched
+
+if TYPE_CHECKING:
+    from torch import nn
 
 CALIBRATIONS = Cached(calibrate)
 """Cache of calibrations: forecasters, seeds and trials need the same one, which takes seconds."""
@@ -37,35 +41,65 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
 @dataclass(frozen=True, eq=False)
-class _Runs:
-    """Hold a simulator's outputs, computed once for all processes.
+class _Run:
+    """Hold a simulator's output `(time, ny)` on a grid, with the inputs that drove it, if any."""
 
-    `outputs`: `(time, ny)`, by the time stamp of the first sample and the sampling time in s.
+    grid: Grid
+    u: Array | None
+    y: Array
+
+    def begins(self, grid: Grid, u: Array | None) -> bool:
+        """Return whether it has the start, the inputs and, but for rounding, the step of a grid."""
+        step, own = grid.step, self.grid.step
+        if self.grid.start != grid.start or abs(own - step) >= NEAR_ROW * own / max(len(self.y), 1):
+            return False
+        if self.u is None or u is None:
+            return self.u is u
+        count = min(len(self.u), len(u))
+        return np.array_equal(self.u[:count], u[:count])
+
+
+@dataclass(frozen=True, eq=False)
+class _Runs:
+    """Hold a simulator's runs, computed once for all processes.
+
+    `ran`: the `id` of the simulator, see `with_simulators_of`; `driven`: whether it takes inputs.
     """
 
-    outputs: Mapping[tuple[Stamp | None, float], Array]
+    runs: Sequence[_Run]
+    driven: bool
+    ran: int
 
-    def reach(self, grid: Grid) -> int:
+    def reach(self, grid: Grid, u: Array | None = None) -> int:
         """Return the number of samples that are available from the start of the grid on."""
-        return len(self._beginning(grid))
+        return len(self._beginning(grid, u))
 
-    def on(self, grid: Grid) -> Aligned:
+    def on(self, grid: Grid, u: Array | None = None) -> Aligned:
         """Return the output at these times; raises ValueError where it is not available."""
-        y = self._beginning(grid)
+        y = self._beginning(grid, u)
         if len(y) < grid.samples:
             raise ValueError(f"the simulator has not been run for {grid}")
         return Aligned(y[: grid.samples], "")
 
-    def _beginning(self, grid: Grid) -> Array:
-        """Return the output with the start and, but for rounding, the step of the grid."""
-        return next(
-            (
-                y
-                for (start, step), y in self.outputs.items()
-                if start == grid.start and abs(step - grid.step) < NEAR_ROW * step / max(len(y), 1)
-            ),
-            np.empty((0, 0)),
-        )
+    def _beginning(self, grid: Grid, u: Array | None) -> Array:
+        found = [run.y for run in self.runs if run.begins(grid, u)]
+        return max(found, key=len, default=np.empty((0, 0)))
+
+
+def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
+    """Give a trained copy of a method its simulators again, in place of what they were run for."""
+    own = {id(part.simulator): part.simulator for part in simulations(method)}
+    for part in simulations(model):
+        part.simulator = own.get(getattr(part.simulator, "ran", 0), part.simulator)
+
+
+def simulations(value: Any) -> Iterator[Any]:
+    """Yield the parts of a forecaster that have a simulator."""
+    if hasattr(value, "simulator"):
+        yield value
+    elif isinstance(value, Forecaster | list):
+        for part in value if isinstance(value, list) else vars(value).values():
+            yield from simulations(part)
 
 
 class SimulatorForecaster(Forecaster):
@@ -81,6 +115,8 @@ class SimulatorForecaster(Forecaster):
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
         self._name = name
+        self.u: Array | None = None
+        """Inputs of the training record, which drive the simulator before a history."""
 
     @property
     def needs(self) -> frozenset[str]:
@@ -102,16 +138,16 @@ class SimulatorForecaster(Forecaster):
         """Return it with its simulator run over these records."""
         if self.simulator is None or hasattr(self.simulator, "reach"):
             return self
-        samples: dict[tuple[Stamp | None, float], int] = {}
+        longest: dict[Any, tuple[Grid, Record, Array | None]] = {}
         for each, ahead in ((record, horizon), *((other, 0) for other in others)):
             needed = self._needed(len(each) + ahead, max(len(record), len(each)))
-            place = each.start, each.sampling_time
-            samples[place] = max(needed, samples.get(place, 0))
-        outputs = {
-            (start, step): self._run(Grid(start, step, needed), record.ny)
-            for (start, step), needed in samples.items()
-        }
-        return self.clone().set_params(simulator=_Runs(outputs))
+            u = self._driving(each)
+            needed = needed if u is None else min(needed, len(u))
+            key = each.start, each.sampling_time, None if u is None else u.tobytes()
+            if key not in longest or longest[key][0].samples < needed:
+                longest[key] = Grid(each.start, each.sampling_time, needed), each, u
+        runs = [_Run(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
+        return self.clone().set_params(simulator=_Runs(runs, self._driven, id(self.simulator)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved; a simulator that is not recorded output becomes a description."""
@@ -127,6 +163,11 @@ class SimulatorForecaster(Forecaster):
         if new.fitted is not None:
             new.applied.check(new.fitted.record.ny)
         return new
+
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
+        """Keep the inputs of the first record, which also drive the simulator later on."""
+        if self.simulator is None or self._driven:
+            self.u = records[0].u
 
     def extrapolate(self, known: Known) -> Array:
         """Return the output after the history."""
@@ -157,10 +198,42 @@ class SimulatorForecaster(Forecaster):
             if begin_sim and times.start is not None:
                 earlier = stamp_after(times.start, begin_sim * record.sampling_time)
                 times, needed = replace(times, start=earlier), samples
-            y_sim = self._run(replace(times, samples=needed), record.ny)
+            u = self._driving_until(known, begin)
+            needed = needed if u is None else min(needed, len(u))
+            y_sim = self._run(replace(times, samples=needed), record, u)
         if y_sim is None:
             raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
         return self.applied.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
+
+    @property
+    def _driven(self) -> bool:
+        """Return whether its own simulator takes the inputs of records."""
+        return self.simulator is not None and is_driven(self.simulator)
+
+    def _driving(self, record: Record) -> Array | None:
+        """Return the known inputs of a record, those beyond it included, if they drive it."""
+        if not self._driven or record.u is None:
+            return None
+        return record.u if record.u_beyond is None else np.concatenate([record.u, record.u_beyond])
+
+    def _driving_until(self, known: Known, begin: float) -> Array | None:
+        """Return the inputs from the start of the simulation on, if they drive it.
+
+        Raises ValueError where those before the history are not known.
+        """
+        if not self._driven or known.u is None:
+            return None
+        if begin <= 0:
+            return known.u
+        fitted = self.require_fitted()
+        past = fitted.record.u if self.u is None and not fitted.begin else self.u
+        if past is None or begin % 1 or begin > len(past):
+            raise ValueError(
+                f"history must begin in the training record, or right after it, for {self.name}, "
+                "whose simulator is driven by all inputs since that began; with other_record=True "
+                "(--other-run) the simulator begins with the history"
+            )
+        return np.concatenate([past[: int(begin)], known.u])
 
     @property
     def _at_own_times(self) -> bool:
@@ -187,6 +260,8 @@ class SimulatorForecaster(Forecaster):
 
     def part(self, outside: bool = False) -> Part:
         """Return the simulator sample by sample: its output is given, or computed ahead."""
+        if self._driven and not outside:
+            raise NotSteppedError(f"{self.name} has a simulator that its inputs drive")
         if self.simulator is not None and not outside:
             return RunAhead(self.trajectory)
         if not self.applied.stays:
@@ -220,6 +295,8 @@ class SimulatorForecaster(Forecaster):
         begin, samples = known.begin or 0.0, len(known.y) + known.steps
         if self._at_own_times:
             end = float(self.simulator.reach(self._times(known)))
+        elif self._driven and known.u is not None:
+            end = begin + len(known.u)
         elif self.simulator is None and known.y_sim is not None:
             end = begin + len(known.y_sim)
         else:
@@ -243,10 +320,12 @@ class SimulatorForecaster(Forecaster):
     def _output(self, record: Record) -> Array:
         """Return the output over a record, and beyond it as far as it is known or needed."""
         if self.simulator is not None:
-            samples = self._needed(len(record), len(record))
-            if hasattr(self.simulator, "reach"):
+            samples, u = self._needed(len(record), len(record)), self._driving(record)
+            if u is not None:
+                samples = min(samples, len(u))
+            elif hasattr(self.simulator, "reach"):
                 samples = min(samples, max(len(record), self.simulator.reach(record.grid)))
-            return self._run(replace(record.grid, samples=samples), record.ny)
+            return self._run(replace(record.grid, samples=samples), record, u)
         if record.y_sim is None:
             raise ValueError(f"{self.name} needs a simulator, the record has none")
         return (
@@ -257,14 +336,23 @@ class SimulatorForecaster(Forecaster):
         """Return how many samples its own simulator must run for to cover `samples`."""
         return samples
 
-    def _run(self, grid: Grid, ny: int) -> Array:
-        """Return the simulator's own output at these times."""
+    def _run(self, grid: Grid, record: Record, u: Array | None) -> Array:
+        """Return the simulator's own output at these times, in the channels of a record."""
         assert self.simulator is not None
+        if hasattr(self.simulator, "ran"):
+            return np.asarray(self.simulator.on(grid, u).values)
         if hasattr(self.simulator, "on"):
             return np.asarray(self.simulator.on(grid).values)
         if isinstance(self.simulator, Absent):
             self.simulator.simulate(None)
-        return run(self.simulator, grid.samples, grid.step, ny, start=grid.start)
+        simulator = matched(self.simulator, record.columns, record.inputs)
+        return run(simulator, grid.samples, grid.step, record.ny, start=grid.start, u=u)
+
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return the module from inputs to outputs; see `Forecaster.differentiable`."""
+        if self._driven:
+            raise ValueError(f"{self.name} cannot be run by torch: its simulator is not")
+        return super().differentiable(known)
 
 
 @final
@@ -342,8 +430,9 @@ class Calibrated(SimulatorForecaster):
             return "the simulator with fitted gain and offset"
         return "the simulator, calibrated on the training samples"
 
-    def learn(self, records: Sequence[Record], **_: Any) -> None:
+    def learn(self, records: Sequence[Record], **how: Any) -> None:
         """Fit the terms to the first record."""
+        super().learn(records, **how)
         self.applied = self._fitted_to(records[0])
 
     def prepare(self, records: Sequence[Record], *_: Any) -> None:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from splitband.data.timing import seconds_of
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
 from splitband.runtime.arrays import Array
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.shooting import Experiment
+from splitband.simulators.starting import origin
 
 
 class Given(Part):
@@ -90,11 +90,13 @@ class Clock:
     ----------
     start, step : Time of the first training sample, and sampling time, in s.
     u : Inputs of the training record, from its first sample on.
+    simulator : The one that runs at these times.
     """
 
     start: float
     step: float
     u: Array | None
+    simulator: Any
 
     def times(self, first: float, samples: int) -> Array:
         """Return the times of samples in s; `first` is counted from the first training sample."""
@@ -110,7 +112,7 @@ class Clock:
         if known.begin is not None:
             return known.begin
         start = None if known.grid is None else known.grid.start
-        return (seconds_of(start) - self.start) / self.step
+        return (origin(self.simulator, start) - self.start) / self.step
 
 
 class Integrated(Part):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
 from splitband.forecasters.known import Known
-from splitband.forecasters.predicting import known_at_origin
+from splitband.forecasters.predicting import known_at_origin, known_of, predicted
 from splitband.forecasters.stepping import NotSteppedError, Recursion, State
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array
@@ -135,7 +136,9 @@ def stream_of(
     try:
         return _begun(forecaster, forecaster.stepped(), history, other_record)
     except NotSteppedError:
-        asked = Repredicted(forecaster, _prepared(forecaster, history), other_record)
+        own = None if history is None else _prepared(forecaster, history)
+        begin = known_at_origin(forecaster, own, other_record).begin
+        asked = Repredicted(forecaster, _prepared(forecaster, history), begin)
         return _begun(forecaster, asked, history, other_record)
 
 
@@ -182,10 +185,13 @@ def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | No
 
 
 class Repredicted(Recursion):
-    """Call `predict` for each sample, which takes longer the longer the history is."""
+    """Predict each sample anew, which takes longer the longer the history is.
 
-    def __init__(self, forecaster: Forecaster, history: Record, other_record: bool) -> None:
-        self.forecaster, self.history, self.other_record = forecaster, history, other_record
+    `begin`: where the history begins, see `Known`.
+    """
+
+    def __init__(self, forecaster: Forecaster, history: Record, begin: float | None) -> None:
+        self.forecaster, self.history, self.begin = forecaster, history, begin
         self.simulated = "simulator" in forecaster.needs
         self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
 
@@ -225,14 +231,16 @@ class Repredicted(Recursion):
             start=past.start,
         )
         with without_warnings(ExtrapolationWarning):
-            predicted = self.forecaster.predict(
+            known, _ = known_of(
+                self.forecaster,
                 len(state["y"]) - origin,
                 record,
                 state["u"][origin:] if self.nu else None,
                 state["y_sim"][origin:] if self.simulated else None,
-                other_record=self.other_record,
+                other_record=self.begin is None,
             )
-        return predicted.y[-1]
+            # Without time stamps the record cannot say where it begins.
+            return predicted(self.forecaster, replace(known, begin=self.begin), record).y[-1]
 
 
 class InUnits(Recursion):

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Grid, Stamp
-from splitband.data.timing import seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.recorded import Recorded
+from splitband.simulators.starting import is_driven, origin
 
 
 class SimulatorError(RuntimeError):
@@ -31,12 +31,15 @@ class SimulatorTimeoutError(TimeoutError):
 
 
 class Simulator(Protocol):
-    """Define the method that `run` calls on a simulator."""
+    """Define what `run` calls on a simulator: `simulate(time)` or `simulate(time, u)`."""
 
-    def simulate(self, time: Array) -> npt.ArrayLike:
+    @property
+    def simulate(self) -> Callable[..., npt.ArrayLike]:
         """Return the measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
 
-        `time` is that of the record, see `run`. An initial state is the state at its first sample.
+        A method with a second argument also gets the record's inputs `u`, `(time, nu)`. `time`
+        begins at 0 at the record's first sample, where the initial state is that of the simulator,
+        or at its attribute `start`: a number, or "record" for the record's time stamp.
         """
 
 
@@ -49,12 +52,13 @@ def run(
     cache: str | Path | None = None,
     name: str | None = None,
     start: Stamp | None = None,
+    u: Array | None = None,
 ) -> Array:
     """Run a simulator and check its output.
 
     Parameters
     ----------
-    simulator : Anything with a `simulate(time)`.
+    simulator : Anything with a `simulate(time)`, or with a `simulate(time, u)`.
     samples, sampling_time : Number of samples, and the time between two of them in s.
     ny : Number of channels of the record.
     timeout : Seconds to wait; after that, the call goes on in a background thread.
@@ -62,9 +66,10 @@ def run(
         changes with everything its output depends on, such as the content of an FMU. By default
         the simulator's own `cache`, if it has one.
     name : Name of the simulator in messages, by default its `name`, or its class.
-    start : The record's first time stamp. If it is in seconds, the simulator is called with the
-        times start, start + dt, start + 2 dt, ...; for a date or None with 0, dt, 2 dt, ... An
-        exported output is aligned by its time stamps.
+    start : The record's first time stamp, by which an exported output is aligned. Other simulators
+        are called with the times t, t + dt, t + 2 dt, ... for t = 0, or as they say themselves, see
+        `Simulator`.
+    u : The record's inputs at these samples, `(samples, nu)`, for a simulator that takes them.
 
     Returns
     -------
@@ -79,8 +84,9 @@ def run(
     """
     name = name or getattr(simulator, "name", "") or type(simulator).__name__
     cache = cache or getattr(simulator, "cache", None)
-    begin = seconds_of(start)
-    stored = _cache_file(simulator, (samples, sampling_time, ny, begin), cache)
+    begin = 0.0 if isinstance(simulator, Recorded) else origin(simulator, start)
+    u = _driving(name, simulator, u, samples)
+    stored = _cache_file(simulator, (samples, sampling_time, ny, begin, _digest(u)), cache)
     if stored is not None and (known := _read_whole(stored, (samples, ny))) is not None:
         return known
     # A grid has two points at least, from which a simulator can derive the step.
@@ -89,7 +95,9 @@ def run(
     def simulate() -> npt.ArrayLike:
         if isinstance(simulator, Recorded):  # `time` holds seconds, and its stamps may be dates
             return simulator.on(Grid(start, sampling_time, len(time))).values
-        return simulator.simulate(time)
+        if u is None:
+            return simulator.simulate(time)
+        return simulator.simulate(time, np.resize(u, (len(time), u.shape[1])))
 
     try:
         returned = np.asarray(within(timeout, simulate))
@@ -120,6 +128,23 @@ def run(
         with replacing(stored) as temporary:
             np.save(temporary, y)
     return y
+
+
+def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> Array | None:
+    """Return the inputs of a run, `(samples, nu)`; None for a simulator that takes none."""
+    if not is_driven(simulator):
+        return None
+    if u is None:
+        return np.empty((samples, 0))
+    if len(u) < samples:
+        raise ValueError(
+            f"u must hold the inputs of {samples} samples for simulator {name}, got {len(u)}"
+        )
+    return u[:samples]
+
+
+def _digest(u: Array | None) -> str:
+    return "" if u is None else hashlib.sha256(np.ascontiguousarray(u).tobytes()).hexdigest()
 
 
 def within(timeout: float | None, call: Callable[[], Any]) -> Any:

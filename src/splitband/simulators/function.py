@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import WithRepr
+from splitband.simulators.digests import code_digest
 from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
-from splitband.simulators.sources import code_digest, count_arguments
+from splitband.simulators.starting import Start, check_start, count_arguments
 
 
 class UserCode(WithRepr):
@@ -66,26 +67,39 @@ class Function(UserCode):
     key : Identifier of the function in the cache of `run`; without a key nothing is cached.
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
         this order. Those whose names begin with `x0_` are fitted for each record separately.
+    start : Time of a record's first sample in s, by default 0, or "record" for its time stamp. A
+        function of time alone needs it where the record's clock does not begin at 0.
     """
 
     function: Callable[..., npt.ArrayLike]
     key: str | None = None
     parameters: Given | None = None
+    start: Start | None = None
 
     states = 0
     difference = 1e-6
 
+    def __post_init__(self) -> None:
+        """Check the start."""
+        check_start(self.start)
+
     @property
     def adjustable(self) -> bool:
         """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
-        return bool(self.known.given) or count_arguments(self.function) > 1
+        return bool(self.known.given) or self.driven
 
-    def simulate(self, time: Array) -> npt.ArrayLike:
-        """Simulate the measured channels at the times `time` in s.
+    @property
+    def driven(self) -> bool:
+        """Return whether it takes a record's inputs."""
+        return count_arguments(self.function) > 1
+
+    def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
+        """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.
 
         A parameter with a range takes the middle of it.
         """
-        return self._called(time, np.empty((len(time), 0)), self.known.middle())
+        inputs = np.empty((len(time), 0)) if u is None else u
+        return self._called(time, inputs, self.known.middle())
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """Return the responses, without states, see `Adjustable`."""
@@ -98,11 +112,15 @@ class Function(UserCode):
 
     def fingerprint(self) -> str | None:
         """Return the cache key, or None without a `key`."""
-        return None if self.key is None else f"{self.key} {self.known}".strip()
+        return None if self.key is None else f"{self.key} {self.known}".strip() + self._begins
 
     def digest(self) -> str:
         """Return an identifier of the response, without the values of parameters."""
-        return self.key or code_digest(self.function)
+        return (self.key or code_digest(self.function)) + self._begins
+
+    @property
+    def _begins(self) -> str:
+        return f" from {self.start}" if self.start else ""
 
     def _called(self, time: Array, u: Array, values: Mapping[str, float]) -> npt.ArrayLike:
         p = parameters_class(tuple(self.known.given))(*(values[n] for n in self.known.given))

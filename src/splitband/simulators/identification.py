@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,12 +15,15 @@ from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current,
 from splitband.simulators.estimate import Curvature, Estimate, labelled
 from splitband.simulators.shooting import Adjustable, Experiment, Shooting
 from splitband.simulators.sources import failure
+from splitband.simulators.starting import matched
 from splitband.simulators.starts import (
     LAST_ROUNDS,
     SAME_ERROR,
+    STARTS,
     Effort,
     StartOutcome,
     descend,
+    starting_points,
     tried,
 )
 
@@ -59,7 +63,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     """
     require_records("records", *records)
     effort = effort or Effort()
-    experiments = [Experiment.of(record) for record in records]
+    simulator = check_runs(simulator, records[0])
+    experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
     if not shooting.names:
@@ -94,21 +99,40 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut)
 
 
-def check_runs(simulator: Adjustable, record: Record) -> None:
-    """Raise ValueError, with the reason, for a simulator that fails with any parameter values.
+def check_runs(simulator: Any, record: Record) -> Any:
+    """Return the simulator for a record's channels and inputs, if it runs at its start values.
 
-    An undefined name in its code raises; an overflow in the middle of the ranges does not.
+    Raises ValueError, with the reason, for one that fails wherever a search begins, as code with a
+    wrong type does; where a function of the parameters is not defined, a run is a bad one. Also
+    raises it where another number of channels comes than the record has.
     """
-    begin = Experiment.of(record).part(0, _FEW)
-    try:
-        with np.errstate(all="ignore"):
-            simulator.respond(begin.time, begin.u, [(simulator.known.middle(), None)])
-    except _DEFECTS as error:
-        raise ValueError(f"simulator must run on the record: {failure(error)}") from error
-    except DeadlineError:
-        raise
-    except Exception:
-        return  # it may run with other parameters, or on more samples
+    simulator = matched(simulator, record.columns, record.inputs)
+    begin, known = Experiment.of(record, simulator).part(0, _FEW), simulator.known
+    reason: Exception | None = None
+    for places in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
+        at = dict(zip(known.free, places, strict=False))
+        values = {name: known.at(name, at.get(name, 0.5)) for name in known.given}
+        try:
+            with np.errstate(all="ignore"):
+                y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
+        except DeadlineError:
+            raise
+        except Exception as error:
+            reason = reason or error
+            if isinstance(error, _DEFECTS):
+                break
+            continue
+        if y.shape != begin.y.shape:
+            raise ValueError(
+                f"simulator must return the record's {record.ny} channel(s), "
+                f"{', '.join(record.columns)}, as {begin.y.shape}: got {y.shape}"
+            )
+        return simulator
+    assert reason is not None
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in known.middle().items())
+    raise ValueError(
+        f"simulator must run at its start values{where and f' ({where})'}: {failure(reason)}"
+    ) from reason
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -12,9 +12,10 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array
+from splitband.simulators.digests import code_digest
 from splitband.simulators.function import UserCode
 from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
-from splitband.simulators.sources import code_digest, count_arguments
+from splitband.simulators.starting import Start, check_start, count_arguments
 
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
@@ -34,13 +35,15 @@ class Ode(UserCode):
         After many steps it is compiled with Numba, if possible.
     x0 : x at the record's first sample.
     observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
-        channels, `(time,)` or `(time, ny)`; by default the first state.
+        channels, `(time,)` or `(time, ny)`; by default the first states, as many as the record has
+        channels.
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
         this order. `x0_1`, `x0_2`, ... replace the elements of `x0`.
     held : Whether inputs are held until the next sample. By default they are interpolated.
     method : SciPy's name of the method. Only RK45 (Dormand-Prince) can be compiled.
     tolerances : Relative and absolute tolerance.
     key : Identifier of `rhs` and `observe` in the cache, as for `Function`.
+    start : t at a record's first sample in s, or "record" for its time stamp.
 
     Examples
     --------
@@ -56,15 +59,17 @@ class Ode(UserCode):
 
     rhs: Callable[..., Any]
     x0: npt.ArrayLike
-    observe: Callable[..., npt.ArrayLike] = lambda x: x[:, 0]
+    observe: Callable[..., npt.ArrayLike] | None = None
     parameters: Given | None = None
     held: bool = False
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
     tolerances: tuple[float, float] = (1e-8, 1e-10)
     key: str | None = None
+    start: Start = 0.0
 
     def __post_init__(self) -> None:
         """Check the initial values, and that every one among the parameters names a state."""
+        check_start(self.start)
         try:
             x0 = np.atleast_1d(np.asarray(self.x0, float))
         except (TypeError, ValueError):
@@ -100,7 +105,30 @@ class Ode(UserCode):
     @property
     def driven(self) -> bool:
         """Return whether it takes a record's inputs."""
-        return count_arguments(self.rhs) > 2 or count_arguments(self.observe) > 1
+        observes = self.observe is not None and count_arguments(self.observe) > 1
+        return count_arguments(self.rhs) > 2 or observes
+
+    def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
+        """Return the equation with as many of its first states observed as there are channels.
+
+        Raises ValueError for an equation of fewer states.
+        """
+        if self.observe is not None:
+            return self
+        if len(columns) > self.states:
+            raise ValueError(
+                f"observe must map the {self.states} state(s) of the equation to the record's "
+                f"{len(columns)} channels, {', '.join(columns)}: by default the first states are "
+                "observed"
+            )
+        # Kept, as it also holds compiled code.
+        kept: dict[int, Self] = vars(self).setdefault("_matched", {})
+        if len(columns) not in kept:
+            made = self._with(observe=partial(_first_states, len(columns)))
+            opened = vars(made).get("_opened_by")
+            again: Any = None if opened is None else partial(_matched_again, opened, [*columns])
+            kept[len(columns)] = made.opened_by(again)
+        return kept[len(columns)]
 
     def precise(self) -> Self:
         """Return a copy with tolerances that also make its derivatives accurate.
@@ -110,13 +138,14 @@ class Ode(UserCode):
         """
         return self._with(tolerances=tuple(map(min, self.tolerances, PRECISE)))
 
-    def simulate(self, time: Array) -> npt.ArrayLike:
-        """Solve at the times `time` in s; raises RuntimeError if SciPy's solver fails.
+    def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
+        """Solve at the times `time` in s, with the inputs `(time, nu)`.
 
-        A parameter with a range takes the middle of it.
+        A parameter with a range takes the middle of it. Raises RuntimeError if SciPy's solver
+        fails.
         """
         if self.driven:
-            y, _ = self.respond(time, None, [(self.known.middle(), None)])[0]
+            y, _ = self.respond(time, u, [(self.known.middle(), None)])[0]
             return y
         values, time = self.known.middle(), np.asarray(time, float)
         # It takes neither inputs nor parameters here.
@@ -173,7 +202,8 @@ class Ode(UserCode):
         """Return the cache key: the key, the parameters and the solver's settings."""
         if self.key is None:
             return None
-        return f"{self.key} {np.asarray(self.x0, float).tolist()} {self.known} {self._precision}"
+        x0 = np.asarray(self.x0, float).tolist()
+        return f"{self.key} {x0} {self.known} {self._precision}"
 
     def digest(self) -> str:
         """Return an identifier of code and settings, without the values of parameters."""
@@ -188,7 +218,8 @@ class Ode(UserCode):
 
     @property
     def _precision(self) -> str:
-        return f"{self.method} {self.tolerances}"
+        begins = f" from {self.start}" if self.start else ""
+        return f"{self.method} {self.tolerances}{begins}"
 
     @cached_property
     def _states(self) -> list[str]:
@@ -256,18 +287,33 @@ class Ode(UserCode):
     def _scipy(self, rhs: Callable[..., Any], time: Array, initial: Array) -> Array:
         rtol, atol = self.tolerances
         longest = float(time[1] - time[0]) if self.driven else np.inf
+        # Its steps are lost in the rounding of large times: it counts from 0.
+        begin, times = float(time[0]), time - time[0]
         solution = scipy.integrate.solve_ivp(
-            rhs, (time[0], time[-1]), initial, method=self.method, t_eval=time,
-            rtol=rtol, atol=atol, max_step=longest,
+            lambda t, x: rhs(begin + t, x), (0.0, times[-1]), initial, method=self.method,
+            t_eval=times, rtol=rtol, atol=atol, max_step=longest,
         )  # fmt: skip
         if not solution.success:
-            raise RuntimeError(f"the solver stopped at t = {solution.t[-1:]} s: {solution.message}")
+            at = begin + float(solution.t[-1]) if len(solution.t) else begin
+            raise RuntimeError(f"the solver stopped at t = {at:g} s: {solution.message}")
         return np.asarray(solution.y.T)
 
     def _observed(self, x: Array, u: Array, values: Mapping[str, float]) -> Array:
+        if self.observe is None:
+            return x[:, :1]
         arguments = (x, u, self._p(values))
         y = np.asarray(self.observe(*arguments[: count_arguments(self.observe) or 1]), dtype=float)
         return y[:, None] if y.ndim == 1 else y
+
+
+def _matched_again(opened: Callable[[Given], Ode], columns: list[str], given: Given) -> Ode:
+    """Return an equation of a user's file, opened in another process, with its states observed."""
+    return opened(given).matched(columns, ())
+
+
+def _first_states(count: int, x: Array) -> Array:
+    """Return the first states, `(time, count)`."""
+    return x[:, :count]
 
 
 def _solver(rhs: Callable[..., Any], compiled: bool) -> Callable[..., Array]:

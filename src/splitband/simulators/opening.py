@@ -17,11 +17,17 @@ from splitband.simulators.isolation import named_in
 from splitband.simulators.ode import Ode
 from splitband.simulators.parameters import INITIAL, Parameters
 from splitband.simulators.shooting import Adjustable
-from splitband.simulators.sources import count_arguments, digest, source_files
+from splitband.simulators.sources import digest, source_files
+from splitband.simulators.starting import Start, count_arguments
 
 
 def opened(
-    file: str, name: str, given: Mapping[str, Any], outputs: Sequence[str] = ()
+    file: str,
+    name: str,
+    given: Mapping[str, Any],
+    outputs: Sequence[str] = (),
+    inputs: Sequence[str] | None = None,
+    start: Start | None = None,
 ) -> Adjustable:
     """Return a simulator with these parameters.
 
@@ -34,10 +40,11 @@ def opened(
         function of time as `Function` takes it, or a function `rhs(t, x, u, p)` of four arguments:
         the right-hand side of an `Ode` whose first state is measured.
     given : Parameters, which override those of an `Ode` or a `Function` in the file.
-    outputs : Output variables of an FMU.
+    outputs, inputs : Variables of an FMU.
+    start : Of the simulator; None for its own.
     """
     if not name:
-        return Fmu(file, outputs or None, dict(given))
+        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0)
     contents = digest(source_files(file))
     found, key = _defined(file, name, contents), f"{contents} {name}"
     if isinstance(found, UserCode):
@@ -49,7 +56,10 @@ def opened(
         simulator = Ode(found, _initial(given), parameters=dict(given), key=key)
     else:
         simulator = Function(found, key, dict(given))
-    return simulator.opened_by(partial(opened, str(Path(file).resolve()), name))
+    if start is not None:
+        simulator = replace(simulator, start=start)
+    how = partial(opened, str(Path(file).resolve()), name, start=start)
+    return simulator.opened_by(how)
 
 
 @lru_cache(maxsize=16)

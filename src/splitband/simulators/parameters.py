@@ -28,8 +28,20 @@ By eye."""
 
 @cache
 def parameters_class(names: tuple[str, ...]) -> Any:
-    """Return the named-tuple class of the argument `p` of user functions."""
-    return namedtuple("p", names)
+    """Return the named-tuple class of the argument `p` of user functions.
+
+    A value is `p.k` or, in code that is not compiled, `p["k"]`.
+    """
+    plain = namedtuple("p", names)  # type: ignore[misc]
+
+    def item(self: Any, key: Any) -> Any:
+        if not isinstance(key, str):
+            return tuple.__getitem__(self, key)
+        if key not in names:
+            raise KeyError(f"no parameter {key}: there are {', '.join(names) or 'none'}")
+        return getattr(self, key)
+
+    return type("p", (plain,), {"__slots__": (), "__getitem__": item})
 
 
 @dataclass(frozen=True)

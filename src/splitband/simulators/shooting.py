@@ -21,6 +21,7 @@ from splitband.runtime import deadlines
 from splitband.runtime.arrays import Array
 from splitband.simulators.parameters import Parameters, Point, Response
 from splitband.simulators.sources import failure
+from splitband.simulators.starting import origin
 
 BAD = 1e3
 """Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""
@@ -78,9 +79,11 @@ class Experiment:
     u: Array | None
 
     @classmethod
-    def of(cls, record: Record) -> Experiment:
-        """Return the experiment of a record."""
-        return cls(record.time, record.seen, record.u)
+    def of(cls, record: Record, simulator: Any) -> Experiment:
+        """Return the experiment of a record for a simulator, on whose clock its times are."""
+        begin = origin(simulator, record.start)
+        time = begin + record.sampling_time * np.arange(len(record), dtype=np.float64)
+        return cls(time, record.seen, record.u)
 
     def part(self, begin: int, end: int) -> Experiment:
         """Return the samples from `begin` to before `end`."""

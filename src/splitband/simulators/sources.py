@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import inspect
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.machinery import PathFinder
 from importlib.util import resolve_name
 from pathlib import Path
 from sysconfig import get_path
 from traceback import extract_tb
-from types import CodeType, FunctionType, ModuleType
-from typing import Any
-
-import numpy as np
 
 _INSTALLED = ("site-packages", "dist-packages")
 
@@ -57,7 +53,7 @@ def failure(error: BaseException) -> str:
 
 def place(error: BaseException) -> str:
     """Return the file and line of user code that raised an error; empty if there is none."""
-    known = Path(__file__).resolve().parents[1], Path(get_path("stdlib")).resolve()
+    known = _known()
     for frame in reversed(extract_tb(error.__traceback__)):
         path = Path(frame.filename).resolve()
         installed = set(known) & set(path.parents) or set(_INSTALLED) & set(path.parts)
@@ -66,13 +62,31 @@ def place(error: BaseException) -> str:
     return ""
 
 
-def defines_function(file: str | Path, name: str) -> bool:
-    """Return whether a Python file has `def name` at module level; nothing is run."""
+def arguments_of(file: str | Path, name: str) -> int | None:
+    """Return how many arguments a `def name` at module level is to be given; nothing is run.
+
+    None without such a function. See `count_arguments`.
+    """
     try:
         tree = ast.parse(Path(file).read_bytes())
     except (OSError, SyntaxError, ValueError):
-        return False
-    return any(isinstance(node, ast.FunctionDef) and node.name == name for node in tree.body)
+        return None
+    found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+    if not found:
+        return None
+    given = found[-1].args
+    names = [arg.arg for arg in (*given.posonlyargs, *given.args)]
+    return wanted_arguments(names, len(names) - len(given.defaults))
+
+
+def wanted_arguments(names: Sequence[str], required: int) -> int:
+    """Return how many positional arguments a function of these names is to be given.
+
+    Those are the required ones, and those with a default that are called `u`, or `p` after it.
+    """
+    named = ("u", "p") if "u" in names else ()
+    wanted = [i < required or name in named for i, name in enumerate(names)]
+    return max((i + 1 for i, each in enumerate(wanted) if each), default=0)
 
 
 def _imported(path: Path, package: str) -> Iterator[str]:
@@ -107,48 +121,15 @@ def _located(name: str, search: Sequence[str]) -> Iterator[tuple[Path, str]]:
             yield Path(spec.origin).resolve(), full if where else ".".join(parts[:i])
 
 
-def code_digest(*functions: Callable[..., Any]) -> str:
-    """Return a digest of functions: their code, and the values and functions that it refers to.
-
-    Objects of other types enter only with their type.
-    """
-    said = hashlib.sha256()
-    waiting: list[Any] = [*functions]
-    seen: set[int] = set()
-    while waiting:
-        value = waiting.pop()
-        function = getattr(value, "py_func", value)  # the source of a Numba function
-        if isinstance(function, FunctionType):
-            if id(function) in seen:
-                continue
-            seen.add(id(function))
-            waiting += [function.__code__, *(function.__defaults__ or ())]
-            waiting += [cell.cell_contents for cell in function.__closure__ or ()]
-            used = inspect.getclosurevars(function).globals
-            waiting += [used[name] for name in sorted(used)]
-        elif isinstance(value, CodeType):
-            said.update(value.co_code)
-            waiting += value.co_consts
-        elif isinstance(value, np.ndarray):
-            said.update(value.tobytes())
-        elif isinstance(value, ModuleType):
-            said.update(value.__name__.encode())
-        elif isinstance(value, tuple | list):
-            waiting += value
-        elif isinstance(value, dict):
-            waiting += [part for pair in value.items() for part in pair]
-        elif value is None or isinstance(value, str | int | float):
-            said.update(repr(value).encode())
-        else:
-            said.update(type(value).__qualname__.encode())
-    return said.hexdigest()
+def is_users(module: str) -> bool:
+    """Return whether a loaded module, by its name, is the user's own: not installed, not ours."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    if file is None:
+        return module == "__main__"
+    path = Path(file).resolve()
+    return not (set(_known()) & set(path.parents) or set(_INSTALLED) & set(path.parts))
 
 
-def count_arguments(function: Callable[..., Any]) -> int:
-    """Return the number of required positional arguments of a function; 0 if it is unknown."""
-    kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
-    try:
-        given = inspect.signature(function).parameters.values()
-    except (TypeError, ValueError):
-        return 0
-    return sum(p.kind in kinds and p.default is p.empty for p in given)
+def _known() -> tuple[Path, Path]:
+    """Return the folders of this package and of the standard library."""
+    return Path(__file__).resolve().parents[1], Path(get_path("stdlib")).resolve()

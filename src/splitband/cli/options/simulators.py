@@ -12,8 +12,8 @@ from splitband.simulators.named import SIMULATORS
 _simulator = panel("Simulator")
 
 _SIMULATOR = (
-    "A simulator: an exported trajectory, an .fmu, FILE.py:FUNCTION of time in s, "
-    f"or one of {', '.join(SIMULATORS)}."
+    "A simulator: an exported trajectory, an .fmu, FILE.py:FUNCTION of time in s or of (time, u), "
+    f"or one of {', '.join(SIMULATORS)}. It is driven by the record's inputs."
 )
 PATIENCE = 600.0
 """Default time limit of a simulator, in s. By eye."""
@@ -33,6 +33,23 @@ class SimulatorOptions:
         str | None,
         _simulator("Its columns or outputs that match --columns.", "NAMES", "of the same names"),
     ] = None
+    simulator_inputs: Annotated[
+        str | None,
+        _simulator(
+            "Variables of an FMU that take --inputs, in their order; the others keep their start "
+            'values, with "" all of them.',
+            "NAMES",
+            "of the same names",
+        ),
+    ] = None
+    simulator_start: Annotated[
+        str | None,
+        _simulator(
+            "Its time in s at the record's first sample, or `record` for its time stamp there.",
+            "SECONDS|record",
+            "0",
+        ),
+    ] = None
     simulator_timeout: Annotated[
         float, _simulator("Give up on a simulator after this time.", "SECONDS", min=0.0)
     ] = PATIENCE
@@ -49,8 +66,8 @@ class SimulatorOptions:
         _simulator(
             "Fit the simulator's parameters in these ranges, or set them. The simulator is an "
             "FMU, FILE.py:RHS with a function of (t, x, u, p), whose states begin at x0_1, x0_2, "
-            "... and are measured in this order, FILE.py:FUNCTION of (time, u, p), or an sb.Ode of "
-            "a file, which may have its ranges itself.",
+            "... and of which the first ones are measured, FILE.py:FUNCTION of (time, u, p), or an "
+            "sb.Ode of a file, which may have its ranges itself.",
             "k=0.1:10,c=0.05",
             False,
         ),

@@ -1,0 +1,342 @@
+"""Run an instance of an FMU over the samples of a record: what is read belongs to their inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitband.runtime.arrays import Array
+from splitband.simulators.fmu_unit import COSIMULATION, Unit
+from splitband.simulators.fmu_variables import WHOLE
+
+RELATIVE_TOLERANCE = 1e-8
+"""Of the solver for model exchange, relative to the nominal values of the states. By eye."""
+MOST_STEPS = 100_000
+"""Most steps of that solver between two samples. By eye."""
+MOST_EVENTS = 10_000
+"""Most events between two samples, and most updates at one event. By eye."""
+NEAR = 1e-9
+"""Times this close, as a share of the sampling time, count as the same. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Say what a run is given, and what it returns.
+
+    Attributes
+    ----------
+    time : Evenly spaced times in s, two at least.
+    u : Inputs, `(time, inputs)`; None without any.
+    values : Start values of variables.
+    outputs, inputs : Names of the variables to read, and of those that take `u`.
+    held : Whether model exchange holds inputs until the next sample; else it interpolates them.
+    """
+
+    time: Array
+    u: Array | None
+    values: Mapping[str, float]
+    outputs: Sequence[str]
+    inputs: Sequence[str]
+    held: bool = False
+
+    @property
+    def step(self) -> float:
+        """Return the sampling time in s."""
+        return float(self.time[1] - self.time[0])
+
+
+class Variables:
+    """Read and set variables of an instance, of several types at once."""
+
+    def __init__(self, unit: Unit, instance: Any, names: Sequence[str]) -> None:
+        self.count = len(names)
+        groups: dict[str, list[int]] = {}
+        for i, name in enumerate(names):
+            groups.setdefault(_type(unit, name), []).append(i)
+        self.groups = [
+            (
+                places,
+                [unit.by_name[names[i]].valueReference for i in places],
+                getattr(instance, f"get{kind}"),
+                getattr(instance, f"set{kind}"),
+                float if kind in ("Real", "Float32", "Float64") else round,
+            )
+            for kind, places in groups.items()
+        ]
+
+    def set(self, values: Array) -> None:
+        """Set the variables to these values, `(count,)`."""
+        for places, references, _, setter, convert in self.groups:
+            setter(references, [convert(float(values[i])) for i in places])
+
+    def get(self) -> Array:
+        """Return the values, `(count,)`."""
+        found = np.empty(self.count)
+        for places, references, getter, _, _ in self.groups:
+            found[places] = [*getter(references)]
+        return found
+
+
+def _type(unit: Unit, name: str) -> str:
+    kind = str(unit.by_name[name].type)
+    if kind == "Enumeration":
+        return "Int64" if unit.version == 3 else "Integer"
+    return kind
+
+
+def check_inputs(unit: Unit, names: Sequence[str], u: Array) -> None:
+    """Raise ValueError for values that an integer or a Boolean input cannot take."""
+    for name, column in zip(names, u.T, strict=True):
+        kind = unit.by_name[name].type
+        whole = kind == "Boolean" or kind in WHOLE
+        wrong = column != np.round(column) if whole else np.zeros(len(column), dtype=bool)
+        if kind == "Boolean":
+            wrong |= (column != 0) & (column != 1)
+        if wrong.any():
+            raise ValueError(
+                f"inputs must hold {'0 and 1' if kind == 'Boolean' else 'whole numbers'} for "
+                f"{name} of {unit.path}, which is of the type {kind}: got {column[wrong][0]:g}"
+            )
+
+
+def initialise(unit: Unit, instance: Any, task: Task, inputs: Variables, end: float) -> None:
+    """Set start values and the first inputs, and leave the initialisation."""
+    from fmpy import simulation as by_fmpy  # noqa: PLC0415  the optional extra
+
+    version, begin, description = unit.version, float(task.time[0]), unit.description
+    left = dict(task.values)
+
+    def apply(settable: Any) -> None:
+        nonlocal left
+        left = by_fmpy.apply_start_values(instance, description, left, settable=settable)
+
+    def drive() -> None:
+        if task.u is not None:
+            inputs.set(task.u[0])
+
+    if version == 1:
+        if unit.kind != COSIMULATION:
+            instance.setTime(begin)
+        apply(by_fmpy.has_start_value)
+        drive()
+        how = {"tStart": begin, "stopTime": end} if unit.kind == COSIMULATION else {}
+        instance.initialize(**how)
+    else:
+        if version == 2:
+            instance.setupExperiment(startTime=begin, stopTime=end)
+        apply(by_fmpy.settable_in_instantiated)
+        how = {"startTime": begin, "stopTime": end} if version == 3 else {}
+        instance.enterInitializationMode(**how)
+        apply(by_fmpy.settable_in_initialization_mode)
+        drive()
+        instance.exitInitializationMode()
+    if left:
+        raise ValueError(f"these variables of {unit.path} cannot be set: {', '.join(left)}")
+
+
+class _Inputs:
+    """Set the inputs of a run by model exchange; a solver calls `apply`."""
+
+    def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+        smooth = [
+            i
+            for i, name in enumerate(task.inputs)
+            if unit.by_name[name].type in ("Real", "Float32", "Float64")
+            and unit.by_name[name].variability not in ("discrete", "tunable")
+            and not task.held
+        ]
+        self.all = Variables(unit, instance, task.inputs)
+        self.smooth = Variables(unit, instance, [task.inputs[i] for i in smooth])
+        self.time, self.step = task.time, task.step
+        self.u = np.empty((len(task.time), 0)) if task.u is None else task.u
+        self.lines = self.u[:, smooth]
+        self.jumps = np.delete(self.u, smooth, axis=1)
+
+    def apply(self, time: float, **_: Any) -> None:
+        """Set the inputs that run along straight lines between samples."""
+        if not self.smooth.count:
+            return
+        place = min(max((time - self.time[0]) / self.step, 0.0), len(self.lines) - 1.0)
+        n = min(int(place), len(self.lines) - 2)
+        self.smooth.set(self.lines[n] + (place - n) * (self.lines[n + 1] - self.lines[n]))
+
+    def jump(self, n: int) -> bool:
+        """Return whether an input jumps at sample n."""
+        return bool((self.jumps[n] != self.jumps[n - 1]).any())
+
+
+class Exchange:
+    """Integrate an FMU for model exchange by CVODE (Hindmarsh et al., ACM TOMS 31, 2005)."""
+
+    def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+        self.unit, self.instance, self.task = unit, instance, task
+        self.inputs = _Inputs(unit, instance, task)
+        initialise(unit, instance, task, self.inputs.all, float(task.time[-1]))
+        self.event_time = np.inf
+        if unit.version > 1:
+            self._update()
+        self.solver = _solver(unit, instance, task, self.inputs)
+
+    def run(self) -> Array:
+        """Return the outputs, `(time, outputs)`, of events at a sample those after them."""
+        outputs = Variables(self.unit, self.instance, self.task.outputs)
+        found = np.empty((len(self.task.time), outputs.count))
+        for n in range(len(found)):
+            if n:
+                self._integrate(n)
+            found[n] = outputs.get()
+        self.instance.terminate()
+        return found
+
+    def _integrate(self, n: int) -> None:
+        """Go on to sample n, and set its inputs."""
+        now, end = (float(t) for t in self.task.time[n - 1 : n + 1])
+        near, instance = NEAR * self.task.step, self.instance
+        for _ in range(MOST_EVENTS):
+            if now >= end - near and self.event_time > end + near:
+                break
+            event, stop = False, min(end, self.event_time)
+            if stop > now + near:
+                event, _, now = self.solver.step(now, stop)
+            if self.event_time <= now + near:
+                event, now = True, max(now, self.event_time)
+            instance.setTime(now)
+            self.inputs.apply(now)
+            if self.unit.description.modelExchange.needsCompletedIntegratorStep:
+                done = instance.completedIntegratorStep()
+                event |= bool(done if self.unit.version == 1 else done[0])
+            if event:
+                self._event(now)
+        else:
+            raise ValueError(f"the FMU {self.unit.path} has no end of events at {now:g} s")
+        instance.setTime(end)
+        self.inputs.apply(end)
+        if self.inputs.jump(n):
+            self._event(end, n)
+
+    def _event(self, now: float, n: int | None = None) -> None:
+        """Handle an event, at which the inputs of sample n are set."""
+        if self.unit.version > 1:
+            self.instance.enterEventMode()
+        if n is not None:
+            self.inputs.all.set(self.inputs.u[n])
+        self._update()
+        self.solver.reset(now)
+
+    def _update(self) -> None:
+        """Update the discrete states, and find the time of the next event."""
+        instance, version = self.instance, self.unit.version
+        for _ in range(MOST_EVENTS):
+            if version == 1:
+                settled, _, _, ended, defined, at = instance.eventUpdate()
+            else:
+                update = (
+                    instance.newDiscreteStates if version == 2 else instance.updateDiscreteStates
+                )
+                more, ended, _, _, defined, at = update()
+                settled = not more
+            if ended:
+                raise ValueError(f"the FMU {self.unit.path} has ended its simulation")
+            if settled:
+                break
+        self.event_time = at if defined else np.inf
+        if version > 1:
+            instance.enterContinuousTimeMode()
+
+
+def _solver(unit: Unit, instance: Any, task: Task, inputs: _Inputs) -> Any:
+    from fmpy.sundials import CVodeSolver  # noqa: PLC0415  the optional extra
+
+    class Solver(CVodeSolver):  # type: ignore[misc]
+        """Also set the inputs where derivatives are evaluated, which FMPy's own does not."""
+
+        def f(self, t: float, y: Any, ydot: Any, user_data: Any) -> int:
+            self.set_time(t)
+            self.input.apply(t)
+            result: int = super().f(t, y, ydot, user_data)
+            return result
+
+    description, version = unit.description, unit.version
+    nominals = "getNominalContinuousStates" if version == 1 else "getNominalsOfContinuousStates"
+    slopes = "getContinuousStateDerivatives" if version == 3 else "getDerivatives"
+    experiment = description.defaultExperiment
+    given = None if experiment is None else experiment.tolerance
+    return Solver(
+        nx=description.numberOfContinuousStates,
+        nz=description.numberOfEventIndicators,
+        get_x=instance.getContinuousStates,
+        set_x=instance.setContinuousStates,
+        get_dx=getattr(instance, slopes),
+        get_z=instance.getEventIndicators,
+        get_nominals=getattr(instance, nominals),
+        set_time=instance.setTime,
+        input=inputs,
+        startTime=float(task.time[0]),
+        maxStep=task.step,
+        relativeTolerance=min(RELATIVE_TOLERANCE, float(given or 1.0)),
+        maxNumSteps=MOST_STEPS,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Say when the outputs of a co-simulation FMU are read.
+
+    Attributes
+    ----------
+    late : Outputs that are those of a sample's inputs only after the step, `(outputs,)`.
+    before : Whether the others are read before the inputs are set, as they cannot be read then.
+    """
+
+    late: NDArray[np.bool_]
+    before: bool = False
+
+
+class CoSimulation:
+    """Step an FMU for co-simulation from sample to sample."""
+
+    def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+        self.unit, self.instance, self.task = unit, instance, task
+        self.inputs = Variables(unit, instance, task.inputs)
+        self.outputs = Variables(unit, instance, task.outputs)
+        self.now = float(task.time[0])
+        initialise(unit, instance, task, self.inputs, float(task.time[-1]) + task.step)
+
+    def run(self, reading: Reading) -> Array:
+        """Return the outputs, `(time, outputs)`."""
+        task, late = self.task, reading.late
+        found = np.empty((len(task.time), self.outputs.count))
+        for n in range(len(found)):
+            if reading.before:
+                found[n] = self.outputs.get()
+            self.drive(n)
+            if not (reading.before or late.all()):
+                found[n] = self.outputs.get()
+            if n + 1 < len(found) or late.any():
+                self.now = float(task.time[n])
+                self.step(task.step)
+            if late.any():
+                found[n, late] = self.outputs.get()[late]
+        self.instance.terminate()
+        return found
+
+    def drive(self, n: int) -> None:
+        """Set the inputs of a sample."""
+        if self.task.u is not None:
+            self.inputs.set(self.task.u[n])
+
+    def step(self, length: float) -> None:
+        """Make a step of this length in s."""
+        try:
+            done = self.instance.doStep(self.now, length)
+        except Exception as error:
+            raise ValueError(
+                f"the FMU {self.unit.path} stopped at {self.now:g} s: {error}"
+            ) from error
+        if done is not None and (done[1] or done[2]):  # FMI 3 tells it ended or returned early
+            raise ValueError(f"the FMU {self.unit.path} stopped at {done[3]:g} s")
+        self.now += length

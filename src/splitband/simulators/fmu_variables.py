@@ -1,0 +1,141 @@
+"""Find the variables of an FMU that belong to the channels and inputs of a record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from splitband.data.names import bare_name
+
+WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",\
+    "UInt64"  # fmt: skip
+"""Types whose values are whole numbers."""
+NUMERIC = "Real", "Float32", "Float64", "Boolean", *WHOLE
+"""Types of variables that can be a channel or an input."""
+OPTIONAL = "OptionalInputs"
+"""Name of the element that lists inputs of our own exported FMUs that need not be driven."""
+_MOST = 12
+"""Most names in a message. By eye."""
+
+
+@dataclass(frozen=True)
+class Variables:
+    """Hold the names of an FMU's variables.
+
+    Attributes
+    ----------
+    file : Path of the FMU, for messages.
+    names : All variables that can be a channel, an input or a start value.
+    outputs, inputs : Its outputs, and the inputs that must be driven.
+    optional : Inputs that may keep their start value: those of an FMU of this package that take
+        measured samples.
+    tunable : Other variables that can be set while it runs.
+    others : Other variables that can be read.
+    """
+
+    file: str
+    names: tuple[str, ...]
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    tunable: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, path: Path, description: Any, folder: Path) -> Variables:
+        """Return the variables of a description by FMPy; `folder` holds its XML file."""
+        usable = [v for v in description.modelVariables
+                  if v.type in NUMERIC and not (v.shape or v.dimensions)]  # fmt: skip
+        optional = {*_optional(folder / "modelDescription.xml")}
+        inputs = [v.name for v in usable if v.causality == "input"]
+        outputs = [v.name for v in usable if v.causality == "output"]
+        return cls(
+            str(path),
+            tuple(v.name for v in description.modelVariables),
+            tuple(outputs),
+            tuple(name for name in inputs if name not in optional),
+            tuple(name for name in inputs if name in optional),
+            tuple(v.name for v in usable if v.causality != "input" and v.variability == "tunable"),
+            tuple(v.name for v in usable if v.name not in {*outputs, *inputs}),
+        )
+
+    def check(self, outputs: Iterable[str] | None, inputs: Iterable[str] | None) -> None:
+        """Raise ValueError for names that are no variables, or that cannot be driven."""
+        for name in (*(outputs or ()), *(inputs or ())):
+            if name not in self.names:
+                known = _listed(self.names)
+                raise ValueError(f"{self.file} has no variable {name}; it has {known}")
+        able = {*self.inputs, *self.optional, *self.tunable}
+        for name in inputs or ():
+            if name not in able:
+                raise ValueError(
+                    f"inputs must be inputs of {self.file}: {name} is none; it has "
+                    f"{_listed([*self.inputs, *self.optional])}"
+                )
+
+    def outputs_for(self, columns: Sequence[str], given: Sequence[str] | None) -> list[str]:
+        """Return the variable of each channel: the given ones, or those of the same names.
+
+        Raises ValueError, with both lists, where they cannot be told.
+        """
+        if given is not None and len(given) == len(columns):
+            return [*given]
+        found = None if given is not None else _by_name(columns, (*self.outputs, *self.others))
+        if found is None and given is None and len(columns) == len(self.outputs) == 1:
+            return [*self.outputs]
+        if found is None:
+            raise ValueError(
+                f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
+                f"the record's channels, {_listed(columns)}, in their order: "
+                + (f"got {_listed(given)}" if given else f"it has {_listed(self.outputs)}")
+            )
+        return found
+
+    def inputs_for(self, inputs: Sequence[str], given: Sequence[str] | None) -> list[str]:
+        """Return the variable of each input: the given ones, or those of the same names.
+
+        An FMU without inputs takes none. Raises ValueError, with both lists, where they cannot be
+        told, or where an input of the FMU would not be driven.
+        """
+        if given is not None and len(given) in (0, len(inputs)):
+            return [*given]
+        if given is None:
+            found = _by_name(inputs, (*self.inputs, *self.optional))
+            if found is not None and {*self.inputs} <= {*found}:
+                return found
+            if len(inputs) == len(self.inputs) == 1:
+                return [*self.inputs]
+            if not self.inputs:
+                return []
+        raise ValueError(
+            f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
+            f"record's inputs, {_listed(inputs) or 'of which it has none'}, in their order: "
+            + (f"got {_listed(given)}" if given else f"it has {_listed(self.inputs)}")
+            + "; inputs that are not named keep their start values, and with an empty list all do"
+        )
+
+
+def _by_name(wanted: Sequence[str], known: Sequence[str]) -> list[str] | None:
+    """Return the known names that equal the wanted ones, if need be without units."""
+    if {*wanted} <= {*known}:
+        return [*wanted]
+    found = [[k for k in known if bare_name(k) == bare_name(name)] for name in wanted]
+    names = [each[0] for each in found if len(each) == 1]
+    return names if len({*names}) == len(wanted) else None
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:_MOST]) + (", ..." if len(names) > _MOST else "")
+
+
+def _optional(file: Path) -> list[str]:
+    """Return the inputs that our own annotation in a model description lists."""
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError):
+        return []
+    listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}/Input")
+    return [each.get("name", "") for each in listed]

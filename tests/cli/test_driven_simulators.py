@@ -1,0 +1,113 @@
+"""`--simulator` is driven by the inputs of each record, in every command."""
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.signal
+
+from splitband.cli import main
+from tests.cli.support import call, results
+from tests.simulators.fmus import COMPILES, built
+
+DT, SAMPLES, TRAIN = 0.1, 160, 120
+TIME = DT * np.arange(SAMPLES)
+RNG = np.random.default_rng(0)
+VALVE, HEATER = (np.repeat(RNG.uniform(-1, 1, SAMPLES // 8), 8) for _ in range(2))
+FUNCTIONS = """
+from scipy.signal import lsim
+
+
+def plant(time, u):
+    return lsim(([1.0], [1.0, 1.0]), u[:, 0], time, interp=False)[1]
+
+
+def equation(t, x, u, p):
+    return [u[0] - x[0]]
+"""
+
+needs_gcc = pytest.mark.skipif(not COMPILES, reason="no gcc to compile an FMU with")
+
+
+@pytest.fixture(autouse=True)
+def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Records whose clock shows seconds since 1970, by SciPy, and the plant as a simulator."""
+    pytest.importorskip("fmpy")
+    monkeypatch.chdir(tmp_path)
+    y = scipy.signal.lsim(([1.0], [1.0, 1.0]), VALVE, TIME, interp=False)[1]
+    frame = pd.DataFrame({"time": 1.7e9 + TIME, "heater": HEATER, "valve": VALVE, "level": y})
+    frame.to_csv("rig.csv", index=False)
+    frame[:TRAIN].to_csv("past.csv", index=False)
+    frame[TRAIN:].to_csv("ahead.csv", index=False)
+    frame.rename(columns={"valve": "opening"}).to_csv("other.csv", index=False)
+    Path("sim.py").write_text(FUNCTIONS)
+
+
+def refused(line: str, folder: Path) -> None:
+    assert main([*shlex.split(line), "--out", str(folder)]) != 0
+
+
+def fmu() -> Path:
+    return built(Path("Plant.fmu").resolve(), inputs=("valve", "heater"), output="level")
+
+
+@needs_gcc
+def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
+    fmu()
+    call("spectrum rig.csv --inputs heater,valve --columns level --simulator Plant.fmu", tmp_path)
+    assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
+    call("spectrum other.csv --inputs opening --columns level --simulator Plant.fmu "
+         "--simulator-inputs valve --simulator-columns x", tmp_path)  # fmt: skip
+    assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
+
+
+@needs_gcc
+def test_inputs_that_cannot_be_told_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fmu()
+    lines = {
+        "other.csv --inputs heater,opening": "heater, opening, in their order: it has valve, heat",
+        "rig.csv": "of which it has none, in their order: it has valve, heater",
+        "rig.csv --inputs valve --simulator-inputs rate": "has no variable rate",
+    }
+    for line, message in lines.items():
+        refused(f"spectrum {line} --columns level --simulator Plant.fmu", tmp_path)
+        assert message in " ".join(capsys.readouterr().err.split())
+    call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
+    assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
+
+
+@needs_gcc
+def test_a_plant_compares_and_simulates_without_error(tmp_path: Path) -> None:
+    """With its training part, beyond it, and on a record that tests it."""
+    fmu()
+    rig = "--inputs heater,valve --columns level --simulator Plant.fmu"
+    call(f"compare rig.csv {rig} --methods simulator,mean --train {TRAIN} --test rig.csv "
+         "--test-simulator Plant.fmu", tmp_path / "out")  # fmt: skip
+    found = results(tmp_path / "out")["methods"]["simulator"]
+    assert max(*found["forecast_rmse"], *found["total_rmse"], *found["test_rmse"][0]) < 1e-6
+    call(f"fit past.csv {rig} --method simulator", tmp_path / "model")
+    call(f"simulate {tmp_path / 'model'} --simulator Plant.fmu --future-inputs ahead.csv "
+         f"--steps {SAMPLES - TRAIN}", tmp_path / "ahead-sim.csv")  # fmt: skip
+    said = pd.read_csv(tmp_path / "ahead-sim.csv")["level"]
+    np.testing.assert_allclose(said, pd.read_csv("ahead.csv")["level"], atol=1e-6)
+    call(f"forecast past.csv {rig} --method simulator --future-inputs ahead.csv "
+         f"--steps {SAMPLES - TRAIN}", tmp_path / "forecast")  # fmt: skip
+    said = pd.read_csv(tmp_path / "forecast" / "forecast.csv")["level"]
+    np.testing.assert_allclose(said, pd.read_csv("ahead.csv")["level"], atol=1e-6)
+
+
+def test_a_function_of_time_and_inputs_is_driven(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = "spectrum rig.csv --inputs valve --columns level --simulator sim.py:"
+    call(f"{rig}plant", tmp_path)
+    assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
+    assert "runs from 0 s on, at the record's first sample, 1700000000 s" in capsys.readouterr().out
+    refused(f"{rig}equation", tmp_path)
+    assert "--parameters must say where the states" in capsys.readouterr().err
+    refused(f"{rig}plant --simulator-start noon", tmp_path)
+    assert "--simulator-start must be a number of seconds or record" in capsys.readouterr().err

@@ -1,0 +1,174 @@
+"""Defects of a user's code end a fit at once; an equation is known by all that it says."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband.forecasters.grey_box import ESTIMATES
+from splitband.runtime.deadlines import Deadline, within
+from splitband.simulators.digests import code_digest
+
+TIME = 0.1 * np.arange(60.0)
+RECORD = sb.Record(np.exp(-TIME), 0.1, u=np.sin(TIME))
+K, CURVE = np.float64(2.0), np.array([1.0, 2.0])
+
+
+def lag(t: float, x: Any, u: Any, p: Any) -> list[float]:
+    return [-p.k * x[0]]
+
+
+@pytest.mark.parametrize(
+    ("rhs", "message"),
+    [
+        (
+            lambda t, x, u, p: [-p.k * x[0] + "1"],
+            r"\(k = .*\): \w*TypeError.*test_defects.py",
+        ),
+        (lambda t, x, u, p: [-p.k * x[0] + u[3]], "IndexError"),
+        (lambda t, x, u, p: [-p["c"] * x[0]], "no parameter c: there are k"),
+        (lambda t, x, u, p: [math.log(-1.0 - p.k)], "math domain error|nonnegative"),
+        (lambda t, x, u, p: [-p.k * x[0], 0.0 * p.kk], "no attribute 'kk'"),
+    ],
+)
+def test_an_equation_that_raises_wherever_a_search_begins_ends_at_once(
+    rhs: Any, message: str
+) -> None:
+    ode = sb.Ode(rhs, [1.0], parameters={"k": (0.1, 10.0)})
+    with pytest.raises(ValueError, match="must run at its start values.*(" + message + ")"):
+        sb.GreyBox(ode).check(RECORD)
+    with pytest.raises(ValueError, match=message):  # in place of a network that is trained
+        sb.compare(RECORD, setup=sb.Options(simulator=ode))
+
+
+def test_an_equation_that_raises_elsewhere_is_fitted() -> None:
+    def partly(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        if p.k > 2:
+            raise ArithmeticError("no convergence")
+        return [-p.k * x[0]]
+
+    model = sb.GreyBox(sb.Ode(partly, [1.0], parameters={"k": (0.1, 10.0)}), starts=2)
+    assert model.fit(RECORD).parameters["used"]["k"] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_parameter_is_an_attribute_or_an_item() -> None:
+    def by_item(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [-p["k"] * x[0]]
+
+    for rhs in (lag, by_item):
+        model = sb.GreyBox(sb.Ode(rhs, [1.0], parameters={"k": (0.1, 10.0)}), starts=1).fit(RECORD)
+        assert model.parameters["used"]["k"] == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_as_many_first_states_are_observed_as_there_are_channels(channels: int) -> None:
+    def swing(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [x[1], -p.k * x[0]]
+
+    y = np.column_stack([np.cos(2 * TIME), -2 * np.sin(2 * TIME)])[:, :channels]
+    ode = sb.Ode(swing, [1.0, 0.0], parameters={"k": (1.0, 9.0)})
+    model = sb.GreyBox(ode, starts=2).fit(sb.Record(y[:40], 0.1))
+    assert model.parameters["used"]["k"] == pytest.approx(4.0, rel=1e-6)
+    np.testing.assert_allclose(model.predict(20).y, y[40:], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("simulator", "message"),
+    [
+        (
+            sb.Ode(lag, [1.0], parameters={"k": (0.1, 9.0)}),
+            r"the 1 state\(s\).* 2 channels",
+        ),
+        (sb.Ode(lag, [1.0], lambda x: x[:, 0], {"k": (0.1, 9.0)}), r"2 channel\(s\).*got \(3, 1\)"),
+        (sb.Function(lambda t, u, p: p.k * t, None, {"k": (0.1, 9.0)}), r"got \(3, 1\)"),
+    ],
+)
+def test_another_number_of_channels_is_refused_before_a_fit(simulator: Any, message: str) -> None:
+    record = sb.Record(np.column_stack([np.exp(-TIME), np.exp(-TIME)]), 0.1)
+    with pytest.raises(ValueError, match=message):
+        sb.GreyBox(simulator).fit(record)
+    with pytest.raises(ValueError, match=message):
+        sb.identify(simulator, record)
+
+
+def made(text: str, **known: Any) -> Any:
+    """A function that was typed in a notebook."""
+    names = {"np": np, "partial": partial, **known}
+    exec(text, names)
+    return names["f"]
+
+
+PAIRS = {
+    "names": ("def f(t, x, u, p): return [-p.k * np.sin(x[0]) - p.c * x[1]]",
+              "def f(t, x, u, p): return [-p.c * np.cos(x[0]) - p.k * x[1]]"),
+    "a constant": ("def f(x): return 2.0 * x", "def f(x): return 3.0 * x"),
+    "a default": ("def f(x, *, k=1): return k * x", "def f(x, *, k=2): return k * x"),
+    "a closure": ("def g(k):\n  def f(x): return k * x\n  return f\nf = g(1)",
+                  "def g(k):\n  def f(x): return k * x\n  return f\nf = g(2)"),
+    "a function in it": ("def f(x):\n  def h(z): return np.sin(z)\n  return h(x)",
+                         "def f(x):\n  def h(z): return np.cos(z)\n  return h(x)"),
+    "a global of a function in it": (
+        "g = np.int64(3)\ndef f(x): return (lambda z: g * z)(x)",
+        "g = np.int64(4)\ndef f(x): return (lambda z: g * z)(x)",
+    ),
+    "a partial": ("def g(k, x): return k * x\nf = partial(g, 1)",
+                  "def g(k, x): return k * x\nf = partial(g, 2)"),
+    "an object": ("class C:\n  def __init__(s, k): s.k = k\n  def __call__(s, x): return s.k * x\n"
+                  "f = C(1)",
+                  "class C:\n  def __init__(s, k): s.k = k\n  def __call__(s, x): return s.k * x\n"
+                  "f = C(2)"),
+    "a table": ("g = [np.arange(3.0)]\ndef f(x): return g[0] * x",
+                "g = [np.arange(3.0) + 1]\ndef f(x): return g[0] * x"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", PAIRS)
+def test_an_edited_equation_is_another_one(what: str) -> None:
+    first, second = PAIRS[what]
+    assert code_digest(made(first)) == code_digest(made(first))
+    assert code_digest(made(first)) != code_digest(made(second))
+
+
+def test_an_edited_equation_is_fitted_again() -> None:
+    values = []
+    for text in ("[-p.k * x[0] - 0.5 * p.c * x[0]]", "[-p.c * x[0] - 0.5 * p.k * x[0]]"):
+        rhs = made(f"def f(t, x, u, p): return {text}")
+        ode = sb.Ode(rhs, [1.0], parameters={"k": (0.1, 10.0), "c": 0.5})
+        values.append(sb.GreyBox(ode, starts=2).fit(RECORD).parameters["used"]["k"])
+    assert values == pytest.approx([0.75, 1.0], rel=1e-6)
+
+
+def test_a_fit_that_a_deadline_cut_is_done_again_without_one() -> None:
+    ESTIMATES.results.clear()
+    calls = 0
+
+    def slow(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        nonlocal calls
+        calls += 1
+        return [-p.k * x[0]]
+
+    ode = sb.Ode(slow, [1.0], parameters={"k": (0.1, 10.0)}, key="slow")
+    with pytest.MonkeyPatch.context() as patch, within(Deadline.after(1e6)):
+        patch.setattr("splitband.runtime.deadlines.now", lambda: 2e12 if calls > 20_000 else 0.0)
+        cut = sb.GreyBox(ode).fit(RECORD)
+    assert cut.estimate.cut
+    assert not sb.GreyBox(ode).fit(RECORD).estimate.cut
+
+
+def test_a_loaded_stream_goes_on_where_the_training_record_ended(tmp_path: Path) -> None:
+    """Without time stamps, too: of the record only its end is saved."""
+    function = sb.Function(lambda time, u, p: p.k * time, "ramp", {"k": (0.1, 10.0)})
+    model = sb.GreyBox(function, starts=1).fit(sb.Record(2 * TIME, 0.1))
+    model.save(tmp_path)
+    for each in (model, sb.load(tmp_path, function)):
+        stream = each.stream()
+        found = [stream.step()[0] for _ in range(3)]
+        assert found == pytest.approx([12.0, 12.2, 12.4])
+        stream.observe(12.6)
+        assert stream.step()[0] == pytest.approx(12.8)

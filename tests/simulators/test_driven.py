@@ -1,0 +1,310 @@
+"""Driven simulators against independent answers: SciPy and closed forms, whatever the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy
+
+import splitband as sb
+from tests.simulators.fmus import COMPILES, built
+
+pytest.importorskip("fmpy")
+if not COMPILES:
+    pytest.skip("no gcc to compile an FMU with", allow_module_level=True)
+
+Array = npt.NDArray[np.float64]
+DT, SAMPLES = 0.1, 120
+TIME: Array = DT * np.arange(float(SAMPLES))
+RNG = np.random.default_rng(0)
+STEPS = np.repeat(RNG.choice([-1.0, 0.5, 1.0], SAMPLES // 5), 5)
+WAVE = np.sin(TIME) + 0.3 * np.cos(2.7 * TIME)
+GATE = np.repeat(RNG.integers(0, 2, SAMPLES // 4), 4).astype(float)
+LEVEL = np.repeat(RNG.integers(0, 5, SAMPLES // 3), 3).astype(float)
+ONE = np.ones(SAMPLES)
+BOTH = "CoSimulation", "ModelExchange"
+EXCHANGE = ("ModelExchange",)
+
+
+def lag(u: Array, held: bool = True) -> Array:
+    """SciPy's answer for x' = u - x."""
+    system = [[-1.0]], [[1.0]], [[1.0]], [[0.0]]
+    y: Array = scipy.signal.lsim(system, u, TIME, interp=not held)[1]
+    return y
+
+
+def jumping(at: float) -> Array:
+    """In closed form: x' = 1 - x, and a jump of 1."""
+    after = np.where(at - 1e-9 <= TIME, np.exp(-np.maximum(TIME - at, 0.0)), 0.0)
+    return np.asarray(1 - np.exp(-TIME) + after)
+
+
+def switched() -> Array:
+    """In closed form: x' = 1 - x, and -x after it has reached 0.5."""
+    at = np.log(2.0)
+    return np.where(at > TIME, 1 - np.exp(-TIME), 0.5 * np.exp(at - TIME))
+
+
+def lagging(t: float, x: Any, u: Any, p: Any) -> list[float]:
+    return [p.k * (u[0] - x[0])]
+
+
+def stiff(t: float, x: Any, u: Any) -> list[float]:
+    """Robertson's rates, with an inflow: they span eleven decades."""
+    slow, fast = 0.04 * x[0], 1e4 * x[1] * x[2]
+    return [u[0] - slow + fast, slow - fast - 3e7 * x[1] ** 2, 3e7 * x[1] ** 2]
+
+
+def robertson() -> Array:
+    solved = scipy.integrate.solve_ivp(
+        lambda t, x: stiff(t, x, [np.interp(t, TIME, 0.1 + 0.1 * GATE)]), (0, TIME[-1]),
+        [1.0, 0.0, 0.0], method="Radau", t_eval=TIME, rtol=1e-9, atol=1e-13, max_step=DT,
+    )  # fmt: skip
+    return np.asarray(solved.y[0])
+
+
+# What runs, the record's inputs by name, the independent answer, and how near it comes.
+Row = tuple[Callable[[Path], Any], dict[str, Array], Callable[[], Array], float]
+TABLE: dict[str, Row] = {
+    "co-simulation": (lambda at: sb.Fmu(built(at)), {"u": STEPS}, lambda: lag(STEPS), 1e-6),
+    "co-simulation, feedthrough that is read at once": (
+        lambda at: sb.Fmu(built(at, out="r[X] + 2 * r[U]")),
+        {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
+    ),
+    "co-simulation, a gain that is computed in the step": (
+        lambda at: sb.Fmu(built(at, out="3 * r[U]", mode=1)),
+        {"u": STEPS}, lambda: 3 * STEPS, 1e-12,
+    ),
+    "co-simulation, inputs permuted": (
+        lambda at: sb.Fmu(built(at, slope="r[U] - r[X] - 2 * r[V]", inputs=("valve", "heater"))),
+        {"heater": WAVE, "valve": STEPS}, lambda: lag(STEPS - 2 * WAVE), 1e-6,
+    ),
+    "co-simulation, a Boolean and an integer": (
+        lambda at: sb.Fmu(built(at, slope="r[U] * r[V] - r[X]", types=("Boolean", "Integer"),
+                                inputs=("gate", "level"))),
+        {"level": LEVEL, "gate": GATE}, lambda: lag(GATE * LEVEL), 1e-6,
+    ),
+    "model exchange": (
+        lambda at: sb.Fmu(built(at, EXCHANGE)), {"u": WAVE}, lambda: lag(WAVE, False), 2e-6,
+    ),
+    "model exchange, inputs held": (
+        lambda at: sb.Fmu(built(at, EXCHANGE), held=True), {"u": STEPS}, lambda: lag(STEPS), 1e-6,
+    ),
+    "both kinds, with feedthrough": (
+        lambda at: sb.Fmu(built(at, BOTH, out="r[X] + 2 * r[U]", mode=1)),
+        {"u": WAVE}, lambda: lag(WAVE, False) + 2 * WAVE, 2e-6,
+    ),
+    "model exchange, a Boolean and an integer": (
+        lambda at: sb.Fmu(built(at, EXCHANGE, slope="r[U] * r[V] - r[X]",
+                                types=("Boolean", "Integer"), inputs=("gate", "level"))),
+        {"gate": GATE, "level": LEVEL}, lambda: lag(GATE * LEVEL), 1e-6,
+    ),
+    "model exchange, an event between samples": (
+        lambda at: sb.Fmu(built(at, EXCHANGE, next_event=1.03)),
+        {"u": ONE}, lambda: jumping(1.03), 1e-6,
+    ),
+    "model exchange, an event at a sample": (
+        lambda at: sb.Fmu(built(at, EXCHANGE, next_event=2.0)),
+        {"u": ONE}, lambda: jumping(2.0), 1e-6,
+    ),
+    "model exchange, an event of the state": (
+        lambda at: sb.Fmu(built(at, EXCHANGE, slope="(r[V] ? 0 : r[U]) - r[X]", limit=0.5)),
+        {"u": ONE}, switched, 1e-6,
+    ),
+    "FMI 1, co-simulation": (
+        lambda at: sb.Fmu(built(at, version=1, out="r[X] + 2 * r[U]")),
+        {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
+    ),
+    "FMI 1, model exchange": (
+        lambda at: sb.Fmu(built(at, EXCHANGE, version=1)), {"u": WAVE}, lambda: lag(WAVE, False),
+        2e-6,
+    ),
+    "FMI 3, co-simulation": (
+        lambda at: sb.Fmu(built(at, version=3, out="r[X] + 2 * r[U]")),
+        {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
+    ),
+    "FMI 3, model exchange": (
+        lambda at: sb.Fmu(built(at, EXCHANGE, version=3)), {"u": WAVE}, lambda: lag(WAVE, False),
+        2e-6,
+    ),
+    "equation": (
+        lambda _: sb.Ode(lagging, [0.0], parameters={"k": 1.0}), {"u": WAVE},
+        lambda: lag(WAVE, False), 1e-6,
+    ),
+    "equation, inputs held": (
+        lambda _: sb.Ode(lagging, [0.0], parameters={"k": 1.0}, held=True), {"u": STEPS},
+        lambda: lag(STEPS), 1e-6,
+    ),
+    "stiff equation": (
+        lambda _: sb.Ode(stiff, [1.0, 0.0, 0.0], method="BDF"), {"u": 0.1 + 0.1 * GATE},
+        robertson, 1e-4,
+    ),
+    "function of time and inputs": (
+        lambda _: sb.Function(lambda time, u: np.cumsum(u[:, 0]) * (time[1] - time[0]) + time),
+        {"u": STEPS}, lambda: DT * np.cumsum(STEPS) + TIME, 1e-12,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+@pytest.mark.parametrize("start", [0.0, -30.0, 1e7, 1.7e9])
+@pytest.mark.parametrize("kind", TABLE)
+def test_a_driven_simulator_gives_the_independent_answer(
+    kind: str, start: float, tmp_path: Path
+) -> None:
+    make, inputs, answer, near = TABLE[kind]
+    wanted = answer()
+    record = sb.Record(wanted, DT, u=np.column_stack([*inputs.values()]), start=start,
+                       inputs=tuple(inputs))  # fmt: skip
+    model = sb.Simulation(make(tmp_path / "rig.fmu")).fit(record[:80])
+    np.testing.assert_allclose(model.on(record).y_sim[:, 0], wanted, atol=near)  # type: ignore[index]
+    found = model.predict(SAMPLES - 80, u=record.u[80:])  # type: ignore[index]
+    np.testing.assert_allclose(found.y[:, 0], wanted[80:], atol=near)
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_an_output_that_cannot_be_read_at_its_sample_is_refused(mode: int, tmp_path: Path) -> None:
+    """It has feedthrough and a state, and is computed in the step: neither read is right."""
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", out="r[X] + 3 * r[U]", mode=mode))
+    record = sb.Record(lag(STEPS) + 3 * STEPS, DT, u=STEPS)
+    with pytest.raises(ValueError, match=r"depends on the inputs at once.*model exchange"):
+        sb.Simulation(fmu).fit(record).on(record)
+
+
+def test_a_gain_or_a_delay_that_nothing_tells_apart_is_refused(tmp_path: Path) -> None:
+    """By one fixed step and no word of its dependencies; with that, the gain is exact."""
+    record = sb.Record(3 * STEPS, DT, u=STEPS)
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", out="3 * r[U]", mode=1, fixed=DT))
+    with pytest.raises(ValueError, match="computed in the step after it, or one sample late"):
+        sb.Simulation(fmu).fit(record).on(record)
+    told = sb.Fmu(built(tmp_path / "told.fmu", out="3 * r[U]", mode=1, fixed=DT, dependencies="1"))
+    np.testing.assert_allclose(sb.Simulation(told).fit(record).on(record).y_sim, record.y)  # type: ignore[arg-type]
+
+
+def test_what_a_run_cannot_tell_is_said(tmp_path: Path) -> None:
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", mode=1, fixed=DT))
+    record = sb.Record(lag(STEPS), DT, u=STEPS)
+    with pytest.warns(UserWarning, match="y of .*rig.fmu is taken not to depend on the inputs"):
+        found = sb.Simulation(fmu).fit(record).on(record)
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+
+
+def test_values_that_an_input_cannot_take_are_refused(tmp_path: Path) -> None:
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", types=("Boolean", "Real")))
+    with pytest.raises(ValueError, match=r"must hold 0 and 1 for u .*Boolean: got 2"):
+        fmu.simulate(TIME, 2 * ONE[:, None])
+
+
+def two(folder: Path, **options: Any) -> sb.Fmu:
+    return sb.Fmu(built(folder / "two.fmu", inputs=("valve", "heater"), output="level"), **options)
+
+
+@pytest.mark.parametrize(
+    ("columns", "inputs", "message"),
+    [
+        (("level",), ("a", "b"), r"record's inputs, a, b, .*it has valve, heater"),
+        (("level",), ("valve",), r"record's inputs, valve, .*it has valve, heater"),
+        (("level",), (), r"of which it has none.*it has valve, heater"),
+        (("p", "q"), ("valve", "heater"), r"channels, p, q, .*it has level"),
+    ],
+)
+def test_names_that_do_not_match_are_refused_with_both_lists(
+    columns: tuple[str, ...], inputs: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    u = np.zeros((30, len(inputs))) if inputs else None
+    record = sb.Record(np.zeros((30, len(columns))), DT, u=u, columns=columns, inputs=inputs)
+    for model in (sb.Simulation(two(tmp_path)), sb.GreyBox(two(tmp_path))):
+        with pytest.raises(ValueError, match=message):
+            model.fit(record).predict(3, record, None if u is None else u[:3])
+
+
+def test_names_match_without_units_and_local_variables_are_found(tmp_path: Path) -> None:
+    record = sb.Record(lag(STEPS), DT, u=np.column_stack([WAVE, STEPS]), columns=("x [m]",),
+                       inputs=("heater [W]", "valve (%)"))  # fmt: skip
+    found = sb.Simulation(two(tmp_path)).fit(record).on(record)
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+
+
+def test_inputs_that_are_not_named_keep_their_start_values(tmp_path: Path) -> None:
+    record = sb.Record(lag(STEPS), DT, u=STEPS, inputs=("opening",))
+    found = sb.Simulation(two(tmp_path, inputs=["valve"])).fit(record).on(record)
+    np.testing.assert_allclose(found.y_sim, record.y, atol=1e-6)  # type: ignore[arg-type]
+    found = sb.Simulation(two(tmp_path, inputs=[])).fit(record).on(record)
+    np.testing.assert_array_equal(found.y_sim, 0 * record.y)
+    with pytest.raises(ValueError, match="x is none; it has valve, heater"):
+        two(tmp_path, inputs=["x"])
+
+
+class Own:
+    """A simulator of the user's own that takes inputs."""
+
+    def simulate(self, time: Array, u: Array) -> Array:
+        return np.cumsum(u[:, 0])
+
+
+def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
+    record = sb.Record(np.cumsum(STEPS) + 0.01 * WAVE, DT, u=STEPS, start=0.0)
+    train, ahead = record[:80], record.u[80:]  # type: ignore[index]
+    short = sb.Settings(window=30, warmup=10, epochs=1)
+    # With a network that adds nothing to speak of, a hybrid is its base.
+    for model in (
+        sb.Simulation(Own()),
+        sb.Calibrated(Own(), ["gain", "offset"]),
+        sb.Residual(sb.Simulation(Own()), sb.GRU(2), settings=short),
+        sb.Filtered(sb.Calibrated(Own(), ["gain"]), sb.GRU(2), sb.Bands(0.5, 1, 1), settings=short),
+    ):
+        fitted = model.fit(train, seed=0)
+        found = fitted.predict(40, u=ahead).y
+        other = fitted.predict(40, u=-ahead).y
+        stream = fitted.stream()
+        stepped = np.stack([stream.step(u) for u in ahead[:5]])
+        np.testing.assert_allclose(stepped, found[:5], atol=1e-5)
+        assert np.abs(found[:, 0] - record.y[80:, 0]).max() < 0.5 * np.ptp(record.y)
+        assert np.abs(found - other).max() > 1
+        if not model.random:  # what drives it before a history is known
+            late = fitted.predict(20, record[60:100], record.u[100:]).y  # type: ignore[index]
+            np.testing.assert_allclose(late, found[20:], atol=1e-9)
+    with pytest.raises(ValueError, match="driven by all inputs"):
+        sb.Simulation(Own()).fit(sb.Record(record.y[:50], DT, u=STEPS[:50], start=0.0)).predict(
+            5, sb.Record(record.y[60:], DT, u=STEPS[60:], start=6.0), STEPS[:5]
+        )
+    with pytest.raises(ValueError, match="cannot be run by torch"):
+        sb.Simulation(Own()).fit(train).as_torch()
+
+
+def test_a_comparison_runs_each_record_with_its_own_inputs() -> None:
+    """All begin at the same time stamp, and are known by their inputs."""
+
+    def record(u: Array) -> sb.Record:
+        return sb.Record(np.cumsum(u) + 1e-3 * WAVE, DT, u=u)
+
+    result = sb.compare(record(STEPS), methods=[sb.Simulation(Own()), sb.Mean()], others=[
+        record(WAVE)], tests=[record(GATE), record(-STEPS)], seeds=1)  # fmt: skip
+    simulated = result.runs["simulator"][0]
+    assert max(*simulated.errors.tests, simulated.errors.total) < 2e-3
+    y = result.model.predict(10, u=ONE[:10]).y  # with inputs that it was not run for
+    np.testing.assert_allclose(np.diff(y[:, 0]), 1.0)
+
+
+def test_a_function_of_time_says_which_time_it_means() -> None:
+    record = sb.Record(np.sin(TIME + 7), DT, start=7.0)
+    with pytest.raises(ValueError, match=r'"record" if it means the record.s clock.*7 s, 0 if'):
+        sb.Simulation(sb.Function(np.sin)).fit(record).predict(3)
+    for start, shift in (("record", 0.0), (7, 0.0), (0, -7.0)):
+        model = sb.Simulation(sb.Function(np.sin, start=start)).fit(record[:80])  # type: ignore[arg-type]
+        np.testing.assert_allclose(model.predict(9).y[:, 0], np.sin(TIME[80:89] + 7 + shift))
+    with pytest.raises(ValueError, match='start must be a number of seconds or "record", got'):
+        sb.Fmu("none.fmu", start="noon")  # type: ignore[arg-type]
+
+
+def test_an_equation_knows_the_time_that_it_is_given() -> None:
+    for method in ("RK45", "BDF"):
+        ode = sb.Ode(lambda t, x, u: [t], [0.0], start=5.0, method=method)
+        record = sb.Record(5 * TIME + TIME**2 / 2, DT, u=STEPS, start=1.7e9)
+        found = sb.GreyBox(ode).fit(record[:80]).predict(40, u=STEPS[80:])
+        np.testing.assert_allclose(found.y, record.y[80:], rtol=1e-6)
