@@ -35,6 +35,8 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
     [
         (table(str, "time,y\nms,\n"), 1e-3, 0, ("y",)),  # a unit for the time alone
         (table(str, "ms,C\ntime,y\n"), 1e-3, 0, ("y [C]",)),  # units above the names
+        (table(str, "time,y\n,\nms,\n"), 1e-3, 0, ("y",)),
+        (table(str, "Started 2024-01-05 10:00:00\ntime,y\nrun 3,\n"), 1, 0, ("y",)),
         (table(str, "Probe,#7\n\nTime,y\nsec,°C\n"), 1, 0, ("y [°C]",)),
         (table(lambda i: f"{HOURS[i]:%d.%m.%y,%H:%M:%S}", "Date,Time,y\n"), 3600, HOURS[0], ("y",)),
         (table(lambda i: f"2024-03-01,10:00:{i:02d}Z", "Date,Time,y\n"), 1,
@@ -103,6 +105,11 @@ def test_files_that_are_refused_with_what_to_do(
         found = read(path, **remedy)
         assert found.sampling_time == pytest.approx(step, rel=1e-6)
         np.testing.assert_array_equal(found.y[:, -1], Y)
+
+
+def test_names_may_be_like_the_words_below(tmp_path: Path) -> None:
+    with pytest.warns(ReadingWarning, match="'mode 1'"):
+        check(text_file(tmp_path, table(lambda i: f"{i},mode {i}", "t,mode 1,y\n")), 1, 0, ("y",))
 
 
 def test_a_unit_that_is_not_known_is_refused(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ _SEPARATORS = (";", "\t", ",", "|", " ")
 _SAMPLE = 400
 """Rows at the beginning of a file that decide its layout. By eye."""
 _STAMP = re.compile(
-    r"(?:\w{3,9},?\s+)?"
+    r"(?:(?:[a-z]{2,3}\.?|\w+day),?\s+)?"
     r"(?:\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{1,2}[-. /][a-z]{3,9}[-. /]\d{2,4}|\d+:\d\d|\d+ days? \d)"
     r"[\d:.,TZ+\s/-]*(?:[ap]\.?m\.?|[a-z]{3,4})?[\d:+-]*",
     re.IGNORECASE,
@@ -185,8 +185,8 @@ class _Columns:
                 raise ValueError(
                     f"line {row.line} holds {word!r} where line {below.line} has a number: "
                     f"missing={word!r} (--missing) if it stands for a missing value, "
-                    f"skip_rows={row.line} (--skip-rows) with header_row=N (--header-row) leaves it "
-                    "out"
+                    f"skip_rows={row.line} (--skip-rows) with header_row=N (--header-row) leaves "
+                    "it out"
                 )
 
     def check(self, rows: Sequence[Row]) -> None:
@@ -227,8 +227,9 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
     if count == len(rows):
         columns.check(rows)
         raise ValueError(f"none of the lines up to {rows[-1].line} holds numbers without words")
-    below, rows, body = rows[count], rows[:count], rows[count:]
-    columns.check_unlike(rows, below)
+    rows, body = [row for row in rows[:count] if row.width], rows[count:]
+    below = body[0]
+    columns.check_unlike(rows if above else rows[1:], below)
     if above is not None:
         columns.check(rows)
         return Head(_named(above, rows, below, columns), below.line)
@@ -236,10 +237,10 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
         return _chosen(rows, body, columns)
     if below.cells == ("", *map(str, range(len(below.cells) - 1))):  # a DataFrame without names
         return Head(below.cells, below.line + 1)
-    names = _in_comments(raw, below, sep, columns)
-    if names is None:
+    found = _in_comments(raw, below, sep, columns)
+    if found is None:
         _check_no_numbers_for_names(body)
-    return Head(names, below.line)
+    return Head(found, below.line)
 
 
 def _line(raw: Sequence[str], number: int) -> str:
@@ -326,17 +327,19 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Hea
 def _has_unit_of_time(row: Row, names: Row) -> bool:
     """Return whether a row has a unit for a column of time stamps."""
     pairs = zip(names.cells, row.cells, strict=False)
-    return any(is_time(name) and time_name(f"t [{unit.strip('[]()')}]")[1] for name, unit in pairs)
+    units = [unit.strip("[]()") for name, unit in pairs if is_time(name)]
+    return any(time_name(f"t [{unit}]")[1] for unit in units)
 
 
 def _named(names: Row, units: Sequence[Row], below: Row, columns: _Columns) -> tuple[str, ...]:
     """Return names with the units of the line below them, such as "x [mm]"."""
     found = list(names.cells)
-    if units and (len(units[0].cells) > 1 or len(columns.numbers) == 1):
-        for i, unit, cell in zip(
+    several = bool(units) and (units[0].width > 1 or _has_unit_of_time(units[0], names))
+    if several or (units and len(columns.numbers) == 1):
+        for i, written, cell in zip(
             columns.numbers, units[0].at(columns.numbers), below.at(columns.numbers), strict=True
         ):
-            unit = unit.strip("[]() -") if i < len(found) and found[i] else ""
+            unit = written.strip("[]() -") if i < len(found) and found[i] else ""
             if unit and not _STAMP.fullmatch(cell):
                 named = unit_of(found[i]) or found[i].endswith((f"{unit})", f"{unit}]"))
                 found[i] += "" if named else f" [{unit}]"

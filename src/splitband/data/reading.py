@@ -216,8 +216,8 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
     if days and is_clock_number(timed[0], table[timed[0]]):
         raise ValueError(
             f"{timed[0]!r} beside {days[0]!r} can be read as seconds or as times of the day (930 "
-            f"as 09:30): time_column={timed[0]!r} (--time-column) takes seconds; write times of the "
-            "day as 09:30"
+            f"as 09:30): time_column={timed[0]!r} (--time-column) takes seconds; write times of "
+            "the day as 09:30"
         )
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
