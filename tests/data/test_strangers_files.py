@@ -34,6 +34,7 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
     ("text", "step", "start", "columns"),
     [
         (table(str, "time,y\nms,\n"), 1e-3, 0, ("y",)),  # a unit for the time alone
+        (table(lambda i: f"{i},{i}", "time,x,y\nms,1,1\n"), 1e-3, 0, ("x [1]", "y [1]")),
         (table(str, "ms,C\ntime,y\n"), 1e-3, 0, ("y [C]",)),  # units above the names
         (table(str, "time,y\n,\nms,\n"), 1e-3, 0, ("y",)),
         (table(str, "Started 2024-01-05 10:00:00\ntime,y\nrun 3,\n"), 1, 0, ("y",)),
@@ -58,7 +59,7 @@ def test_files_that_are_read(
     assert found.sampling_time == pytest.approx(step, rel=1e-4)
     assert found.columns == columns
     assert found.start == (pytest.approx(start, abs=0.01) if np.isscalar(start) else start)
-    np.testing.assert_array_equal(found.y[:, 0], Y)
+    np.testing.assert_array_equal(found.y[:, -1], Y)
 
 
 @pytest.mark.parametrize(

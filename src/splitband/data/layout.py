@@ -192,7 +192,9 @@ class _Columns:
     def check(self, rows: Sequence[Row]) -> None:
         """Raise ValueError for a row with numbers and words, which is nobody's header."""
         for row in rows:
-            if values := self.values(row):
+            values = self.values(row)
+            no_units = {*values} == {"1"} and not _is_value(row.at(self.numbers)[0])
+            if values and not no_units:
                 word = next(iter(self.words(row)), "")
                 raise ValueError(
                     f"line {row.line} holds {values[0]!r} and {word!r}, neither names nor a row of "
