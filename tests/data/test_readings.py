@@ -97,7 +97,6 @@ def test_a_clock_that_goes_back_has_not_passed_midnight(tmp_path: Path) -> None:
     [
         ([f"00:{i // 10:02d}.{i % 10}" for i in range(30)], 0.1),
         ([f"{23 + i // 20}:{i * 3 % 60:02d}.5" for i in range(60)], 3),
-        ([f"{45 + i // 60}:{i % 60:02d}" for i in range(90)], 1),
         (["59:58", "59:59", "1:00:00", "1:00:01"], 1),
         ([f"10:00:00:{10 * i:03d}" for i in range(9)], 0.01),
         ([f"01.02.2024 10:00:00,{10 * i:03d}" for i in range(9)], 0.01),
@@ -117,6 +116,7 @@ def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step:
     ("stamps", "others"),
     [
         ([f"10:{i:02d}" for i in range(20)], {60: "hours and minutes", 1: "minutes and seconds"}),
+        ([f"{45 + i // 60}:{i % 60:02d}" for i in range(90)], {60: "hours", 1: "and seconds"}),
         (range(739252, 739272), {1: "seconds", 86400: "MATLAB's serial days"}),
         (np.arange(20) / 4 + 45292, {0.25: "seconds", 21600: "Excel's serial days"}),
         (np.arange(20) + 2460310.5, {1: "seconds", 86400: "Julian days"}),

@@ -53,10 +53,10 @@ def in_file(column: Column, row: int) -> str:
 
 def without(column: Column, words: Sequence[str]) -> Column:
     """Return a column without the cells that stand for missing values."""
+    values = pd.to_numeric(column, errors="coerce") if is_text(column) else column
+    missing = values.isin([value for word in words if np.isfinite(value := _number(word))])
     if is_text(column):
-        missing = column.astype(str).str.strip().isin(words)
-    else:
-        missing = column.isin([value for word in words if np.isfinite(value := _number(word))])
+        missing |= column.astype(str).str.strip().isin(words)
     column = column.mask(missing) if missing.any() else column
     values = pd.to_numeric(column, errors="coerce") if is_text(column) else column
     return column if (values.isna() & column.notna()).any() else values

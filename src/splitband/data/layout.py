@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from splitband.data.names import unit_of
-from splitband.data.stamps import is_time
+from splitband.data.stamps import is_time, time_name
 
 SIGNS = {".": ",", ",": "."}
 """Decimal signs, each with its thousands separator."""
@@ -17,13 +17,14 @@ _SEPARATORS = (";", "\t", ",", "|", " ")
 _SAMPLE = 400
 """Rows at the beginning of a file that decide its layout. By eye."""
 _STAMP = re.compile(
-    r"(?:\w{3,9},?\s+)?"
+    r"(?:(?:[a-z]{2,3}\.?|\w+day),?\s+)?"
     r"(?:\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{1,2}[-. /][a-z]{3,9}[-. /]\d{2,4}|\d+:\d\d|\d+ days? \d)"
     r"[\d:.,TZ+\s/-]*(?:[ap]\.?m\.?|[a-z]{3,4})?[\d:+-]*",
     re.IGNORECASE,
 )
 _MISSING = {"", "na", "n/a", "#n/a", "#na", "null", "none", "<na>"}
 """Cells that pandas, too, reads as missing values."""
+_BRACKETS = re.compile(r"\(.*\)|\[.*\]")
 _COMMENT = re.compile(r"\s*[#%]\s*")
 
 
@@ -113,6 +114,7 @@ def separator(lines: Sequence[str], layout: Layout) -> str:
 
     " " stands for any blanks.
     """
+    lines = lines[layout.header_row or 0 :]
     sample = [*islice((line for line in lines if line.strip(" \t;,|")), _SAMPLE)]
     shares = {}
     for sep in _SEPARATORS:
@@ -122,6 +124,11 @@ def separator(lines: Sequence[str], layout: Layout) -> str:
         shares[sep] = sum(map(_is_value, cells)) / len(cells) if several and cells else -1.0
     best = max(_SEPARATORS, key=shares.__getitem__)  # the first of equals
     return best if shares[best] >= 0 else ","
+
+
+def _alike(cell: str) -> str:
+    """Return what cells have in common that differ by their digits."""
+    return re.sub(r"[-+]?\d+(?:\.\d+)?", "#", cell)
 
 
 def _missing(layout: Layout) -> set[str]:
@@ -168,10 +175,26 @@ class _Columns:
         """Return whether the row has a name for each column of numbers; the first may have none."""
         return bool(self.words(row)) and all(row.at([i for i in self.numbers if i]))
 
+    def check_unlike(self, rows: Sequence[Row], below: Row) -> None:
+        """Raise ValueError for a row that has the stamp of a row of numbers, 'Jan 5 10:00'."""
+        texts = [i for i in range(len(below.cells)) if i not in self.numbers]
+        for row in rows:
+            pairs = zip(row.at(texts), below.at(texts), strict=True)
+            if any(cell != _alike(cell) == _alike(other) for cell, other in pairs):
+                word = self.words(row)[0]
+                raise ValueError(
+                    f"line {row.line} holds {word!r} where line {below.line} has a number: "
+                    f"missing={word!r} (--missing) if it stands for a missing value, "
+                    f"skip_rows={row.line} (--skip-rows) with header_row=N (--header-row) leaves "
+                    "it out"
+                )
+
     def check(self, rows: Sequence[Row]) -> None:
         """Raise ValueError for a row with numbers and words, which is nobody's header."""
         for row in rows:
-            if values := self.values(row):
+            values = self.values(row)
+            no_units = {*values} == {"1"} and not _is_value(row.at(self.numbers)[0])
+            if values and not no_units:
                 word = next(iter(self.words(row)), "")
                 raise ValueError(
                     f"line {row.line} holds {values[0]!r} and {word!r}, neither names nor a row of "
@@ -190,14 +213,14 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
 
     Raises ValueError, with the lines and what to do, where this leaves a choice.
     """
-    filled = ((i, line) for i, line in enumerate(lines, 1) if line)
+    begin = layout.header_row or 0
+    filled = ((i, line) for i, line in enumerate(lines[begin:], begin + 1) if line)
     rows = [Row.of(i, line, sep) for i, line in islice(filled, _SAMPLE)]
     if layout.header_row == 0:
         return Head(None, rows[0].line)
     above = None
     if layout.header_row is not None:
         above = Row.of(layout.header_row, _line(raw, layout.header_row), sep)
-        rows = [row for row in rows if row.line > above.line]
     columns = _Columns(rows, layout)
     if not columns.numbers:  # words alone, below the names
         names = rows.pop(0) if above is None else above
@@ -206,15 +229,20 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
     if count == len(rows):
         columns.check(rows)
         raise ValueError(f"none of the lines up to {rows[-1].line} holds numbers without words")
-    below, rows = rows[count], rows[:count]
+    rows, body = [row for row in rows[:count] if row.width], rows[count:]
+    below = body[0]
+    columns.check_unlike(rows if above else rows[1:], below)
     if above is not None:
         columns.check(rows)
         return Head(_named(above, rows, below, columns), below.line)
     if rows:
-        return _chosen(rows, below, columns)
+        return _chosen(rows, body, columns)
     if below.cells == ("", *map(str, range(len(below.cells) - 1))):  # a DataFrame without names
         return Head(below.cells, below.line + 1)
-    return Head(_in_comments(raw, below, sep, columns), below.line)
+    found = _in_comments(raw, below, sep, columns)
+    if found is None:
+        _check_no_numbers_for_names(body)
+    return Head(found, below.line)
 
 
 def _line(raw: Sequence[str], number: int) -> str:
@@ -240,16 +268,33 @@ def _in_comments(
     return None
 
 
-def _chosen(above: Sequence[Row], below: Row, columns: _Columns) -> Head:
-    """Return the head whose names stand in one of the rows above the first row of numbers."""
-    if below.quoted and above[-1].width == below.width - 1:  # the names of rows, as R writes them
+def _check_no_numbers_for_names(body: Sequence[Row]) -> None:
+    """Raise ValueError where the first row may be a DataFrame's names 0, 1, 2 or ..."""
+    first, *others = body[0].cells
+    counted = [first, *others] == [str(i) for i in range(len(others) + 1)]
+    later = [cell for row in body[1:] for cell in row.cells[first == "" :]]
+    names = bool(others) and all(map(str.isdigit, others)) and (counted or first == "")
+    if names and later and not any(map(str.isdigit, later)):
+        line = body[0].line
+        raise ValueError(
+            f"line {line} may hold names or numbers: header_row={line} (--header-row) makes them "
+            "names, header_row=0 numbers"
+        )
+
+
+def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Head:
+    """Return the head whose names stand in one of the rows above those of the numbers."""
+    below = body[0]
+    dated = _STAMP.fullmatch(below.cells[0]) and any(map(is_time, above[-1].cells))
+    if below.quoted and above[-1].width == below.width - 1 and not dated:  # names of rows, of R
         above = [Row(row.line, ("", *row.cells)) for row in above]
     mixed = [i for i, row in enumerate(above) if columns.mixed(row)]
     block = above[mixed[-1] + 1 :] if mixed else above
     columns.check(above[-1:] if not block else [])
     full = [row for row in block if columns.full(row)]
     full = full or [row for row in block if row.width == below.width and len(block) == 1]
-    if not full:
+    cells = max(len(row.cells) for row in body)
+    if not full or all(row.width > cells for row in full):
         line, width = block[-1].line, block[-1].width
         raise ValueError(
             f"line {line} holds {width} name{'s'[: width > 1]}, line {below.line} {below.width} "
@@ -264,8 +309,15 @@ def _chosen(above: Sequence[Row], below: Row, columns: _Columns) -> Head:
             f"lines {' and '.join(str(row.line) for row in found)} may all hold the names of the "
             f"columns: header_row={found[0].line} (--header-row) says which"
         )
-    units = block[block.index(found[0]) + 1 :]
+    if unit := next(filter(_BRACKETS.fullmatch, found[0].cells), ""):
+        raise ValueError(
+            f"line {found[0].line} holds {unit!r} where a name is due: names with blanks need "
+            f"quotes, skip_rows={found[0].line} (--skip-rows) leaves them out"
+        )
+    at = block.index(found[0])
+    units = block[at + 1 :]
     columns.check(units)
+    units = units or [row for row in block[:at] if _has_unit_of_time(row, found[0])]
     if len(units) > 2:
         raise ValueError(
             f"lines {found[0].line} to {units[-1].line} hold names: header_row={found[0].line} "
@@ -274,14 +326,23 @@ def _chosen(above: Sequence[Row], below: Row, columns: _Columns) -> Head:
     return Head(_named(found[0], units, below, columns), below.line)
 
 
+def _has_unit_of_time(row: Row, names: Row) -> bool:
+    """Return whether a row has a unit for a column of time stamps."""
+    pairs = zip(names.cells, row.cells, strict=False)
+    units = [unit.strip("[]()") for name, unit in pairs if is_time(name)]
+    return any(time_name(f"t [{unit}]")[1] for unit in units)
+
+
 def _named(names: Row, units: Sequence[Row], below: Row, columns: _Columns) -> tuple[str, ...]:
     """Return names with the units of the line below them, such as "x [mm]"."""
     found = list(names.cells)
-    if units and (units[0].width > 1 or len(columns.numbers) == 1):
-        for i, unit, cell in zip(
+    several = bool(units) and (units[0].width > 1 or _has_unit_of_time(units[0], names))
+    if several or (units and len(columns.numbers) == 1):
+        for i, written, cell in zip(
             columns.numbers, units[0].at(columns.numbers), below.at(columns.numbers), strict=True
         ):
-            if (unit := unit.strip("[]() -")) and not _STAMP.fullmatch(cell) and i < len(found):
+            unit = written.strip("[]() -") if i < len(found) and found[i] else ""
+            if unit and not _STAMP.fullmatch(cell):
                 named = unit_of(found[i]) or found[i].endswith((f"{unit})", f"{unit}]"))
                 found[i] += "" if named else f" [{unit}]"
     return tuple(found)

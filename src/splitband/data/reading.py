@@ -25,6 +25,7 @@ from splitband.data.spacing import Spacing, spacing
 from splitband.data.stamps import (
     TIME_NAMES,
     also_time,
+    is_clock_number,
     is_day,
     is_time,
     is_time_of_day,
@@ -211,9 +212,15 @@ def _stamps(table: Table, asked: _Names | None) -> list[str]:
 
 def _dated(table: Table, timed: Sequence[str]) -> list[str]:
     """Return the first of the time columns, after one with the dates of its times of the day."""
+    days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
+    if days and is_clock_number(timed[0], table[timed[0]]):
+        raise ValueError(
+            f"{timed[0]!r} beside {days[0]!r} can be read as seconds or as times of the day (930 "
+            f"as 09:30): time_column={timed[0]!r} (--time-column) takes seconds; write times of "
+            "the day as 09:30"
+        )
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
-    days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
     if is_numeric_dtype(table[timed[0]]):  # fractions of Excel's days
         numeric = [c for c in days if is_numeric_dtype(table[c])]
         days = [c for c in numeric if table[c].between(2e4, 8e4).all()]
@@ -223,7 +230,7 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
 def _check_alike(table: Table, timed: Sequence[str]) -> None:
     """Raise ValueError for structures with time stamps of their own: they are several records."""
     for other in timed[1:]:
-        if "." in other and not table[other].equals(table[timed[0]]):
+        if "." in timed[0] + other and not table[other].equals(table[timed[0]]):
             raise ValueError(
                 f"{timed[0]!r} and {other!r} are different time stamps: time_column "
                 "(--time-column) and columns (--columns) choose one record"
@@ -327,7 +334,7 @@ def _common_length(table: Table, picked: Sequence[str]) -> int:
             f"{other[0]!r} has {lengths[other[0]]}"
         )
     if rows < 2:
-        raise ValueError(f"a record must have at least 2 rows: it has {rows}")
+        raise ValueError(f"a record must have at least 2 rows: it has {rows}; {_available(table)}")
     return rows
 
 

@@ -89,7 +89,8 @@ def _even_grid(
         line = "" if column is None else in_file(column, row)
         raise ValueError(
             f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
-            f"{stamps[row - 1]:.10g} s{line}"
+            f"{stamps[row - 1]:.10g} s{line}; time_column='' (--time-column '') with sampling_time "
+            "ignores the stamps"
         )
     median, mean = float(np.median(steps)), float(steps.mean())
     if unit > 0.99 * median:  # rounding this coarse could hide a missing row

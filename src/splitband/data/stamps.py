@@ -38,11 +38,13 @@ _AROUND = re.compile(r"^(?:[\w\[\]]+\.)+(?=\w+$)|^[%#_\s]+|[\s,(\[]+(?:utc|gmt)[
 """What a name has around the word for time: fields of structures, marks, a time zone."""
 _CLOCK = re.compile(r"\s*(?:(\d+) days?,? )?(\d+):(\d\d)(?::(\d\d))?(?:[.,](\d+)|:(\d{3}))?\s*")
 _TIME_OF_DAY = re.compile(
-    r"\s*\d{1,2}(?::\d\d(?::\d\d)?|\.\d\d\.\d\d)(?:[.,]\d+)?(?:\s*[AaPp]\.?[Mm]\.?)?\s*"
+    r"\s*\d{1,2}:\d\d(?::\d\d)?(?:[.,]\d+)?"
+    r"(?:\s*[AaPp]\.?[Mm]\.?)?(?:\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d))?\s*"
 )
 _ZONE = re.compile(r":\d\d(?:[.,]\d+)?\s*(?:Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)\s*$")
 _DOTTED = re.compile(r"\s*\d{1,2}\.\d{1,2}\.\d")
-_DOTTED_TIME = re.compile(r"^(\d{1,2})\.(\d\d)\.(\d\d)")
+_DOTTED_TIME = re.compile(r"^([01]?\d|2[0-3])\.([0-5]\d)\.([0-5]\d)\b(?!\.\d*\.)")
+_BRACKETS = re.compile(r"[(\[]([^()\[\]]*[^()\[\]\d][^()\[\]]*)[)\]]$")
 _DECIMAL = re.compile(r"(?<=:\d\d),(?=\d)|(?<=:\d\d:\d\d):(?=\d{3})")
 """A comma or a third colon before the fraction of a second."""
 _SHORT_YEAR = re.compile(r"\s*\d\d-\d\d-\d\d\b")
@@ -54,7 +56,7 @@ _SERIAL_DAYS = {
 }
 """Number of the first of January 1970."""
 _FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-_DIGITS = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}
+_DIGITS = {6: "%Y%m", 10: "%y%m%d%H%M", 8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}
 """Dates that are written as one number, by the number of their digits."""
 
 
@@ -110,14 +112,23 @@ def also_time(name: str, column: Column) -> bool:
 
 def is_day(column: Column) -> bool:
     """Return whether a column begins with a date without a time."""
-    return ":" not in _NO_TIME.sub("", str(column.iloc[0])) and not is_time_of_day(column)
+    return ":" not in _NO_TIME.sub("", str(column.iloc[0]))
 
 
 def is_time_of_day(column: Column) -> bool:
     """Return whether a column holds times without a date: 20:00, 8.00.00 PM, fractions of a day."""
     if is_numeric_dtype(column):
         return bool(column.between(0, 1, inclusive="left").all())
-    return _TIME_OF_DAY.fullmatch(str(column.iloc[0])) is not None
+    first = str(column.iloc[0]).strip()
+    return bool(_TIME_OF_DAY.fullmatch(first) or _DOTTED_TIME.match(first))
+
+
+def is_clock_number(name: str, column: Column) -> bool:
+    """Return whether numbers without a unit can be times of the day, such as 930 or 93000."""
+    if time_name(name)[1] is not None or not is_numeric_dtype(column):
+        return False
+    digits = (column % 100 < 60) & (column // 100 % 100 < 60) & column.between(0, 240000)
+    return bool(((column % 1 == 0) & digits).all())
 
 
 def joined(date: Column, time: Column) -> Column:
@@ -143,6 +154,8 @@ def readings(what: str, name: str, column: Column) -> list[Reading]:
         require_finite(what, values[:, None])
         kind = np.float32 if column.dtype == np.float32 else np.float64
         return _of_numbers(what, name, values, 2 * float(np.spacing(kind(np.abs(values).max()))))
+    if time_name(name)[0] not in ("date", "datetime") and (dotted := _of_dotted(what, column)):
+        return dotted
     return _of_clock(column) or _with_unit(column) or [_of_dates(what, column)]
 
 
@@ -153,6 +166,11 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
     others = list(_beside_seconds(values, grain, dated)) if unit is None else []
     if certain := [each for each in others if each.certain]:
         return certain[:1]
+    if unit is None and (found := _BRACKETS.search(_AROUND.sub("", name.strip().lower()))):
+        raise ValueError(
+            f"{what} has a unit that is not known, {found[1]!r}, other than 't [ms]': "
+            "time_column='' (--time-column '') with sampling_time (--sampling-time) ignores it"
+        )
     if abs(values[0]) * scale > 1e11:
         raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
     if dated and unit is None and not others and not (values > 1e8).all():
@@ -160,6 +178,8 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
             f"{what} must hold dates, Excel's serial days or seconds since 1970, or name its unit "
             f"as in 'date [s]': row 0 holds {values[0]:.10g}"
         )
+    if scale > 1:  # rounded in this unit, not in seconds
+        grain = max(grain, last_place(values))
     return [Reading("seconds", values * scale, grain * scale), *others]
 
 
@@ -167,7 +187,8 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
     """Yield what numbers without a unit may mean other than seconds."""
     step, exact = float(np.median(np.diff(values))), last_place(values) > 1e-5
     common = _steps_in_days(values)
-    if common and not exact and values.min() >= 0 and values.max() < 1 and step < 61 / _DAY:
+    # Steps of 3, 4, 6 and 12 minutes are those of 480, 360, 240 and 120 Hz.
+    if common and not exact and 0 <= values[0] < 1 and round(1440 * step) not in (3, 4, 6, 12):
         yield Reading("fractions of a day", values * _DAY, last_place(values) * _DAY)
     for words, unit in _FINER.items():
         if values.min() * unit > 9.4e8 and values.max() * unit < 2.5e9:  # years 2000 to 2049
@@ -181,7 +202,8 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
             certain = dated or (common and not exact)
             if certain or common or (not exact and of_1970 > 1e5):  # steps of any length
                 yield _of_days(words, values, of_1970, certain)
-    if values.min() >= 1700 and values.max() <= 2100 and _is_whole(step, 1, 4, 12, 52, 365.25):
+    parts = _is_whole(step, 1, 4, 12, 52, 365.25) or (not exact and _is_whole(step, 8766))
+    if values.min() >= 1700 and values.max() <= 2100 and parts:
         yield Reading("years", (values - values[0]) * _YEAR, grain * _YEAR)
     if step > 999 and values[0] < 9.4e8 and not (_is_whole(_DAY / step) or _is_whole(step / _DAY)):
         for words in ("milliseconds", "microseconds"):
@@ -246,10 +268,19 @@ def _of_clock(column: Column) -> list[Reading]:
     if not short.all():
         return [Reading("times of the day", _unwrapped(exact, _DAY))]
     minutes = Reading("minutes and seconds", _unwrapped(exact, 3600.0))
-    if a.max() > 24 or parts[[4, 5]].notna().any(axis=None):
+    if parts[[4, 5]].notna().any(axis=None):
         return [minutes]
     hours = Reading("hours and minutes", _unwrapped(np.asarray(seconds, np.float64), _DAY))
     return [hours, minutes]
+
+
+def _of_dotted(what: str, column: Column) -> list[Reading]:
+    """Return what stamps such as 10.12.24 may mean: a time of the day, a date; [] for others."""
+    texts = column.astype(str).str.strip()
+    if not texts.str.match(_DOTTED_TIME).all():
+        return []
+    clock = _of_clock(texts.str.replace(_DOTTED_TIME, r"\1:\2:\3", regex=True))
+    return clock + ([] if _dates(texts)[0].isna().any() else [_of_dates(what, texts)])
 
 
 def _with_unit(column: Column) -> list[Reading]:
@@ -272,6 +303,7 @@ def _of_dates(what: str, column: Column) -> Reading:
     if is_text(column):
         column = column.astype(str).str.replace(_DECIMAL, ".", regex=True)
     dates, note = _dates(column)
+    dates = dates.where(dates.dt.year.between(1700, 2200))  # what nanoseconds can hold
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
         raise ValueError(
@@ -280,7 +312,7 @@ def _of_dates(what: str, column: Column) -> Reading:
         )
     first = dates.iloc[0].as_unit("ns")
     # pandas adds today's date to a time without a date; here it is counted from midnight.
-    of_day = is_time_of_day(column)
+    of_day = _TIME_OF_DAY.fullmatch(str(column.iloc[0])) is not None
     since = dates - (first.normalize() if of_day else first)
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
     if of_day:

@@ -182,6 +182,8 @@ def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
                 if key.startswith("__"):  # the header of a MAT file
                     continue
                 yield from _arrays(field, f"{name}.{key.strip()}" if name else key.strip())
+        case list() | np.ndarray(dtype=np.dtypes.ObjectDType()) if {*map(type, value)} == {str}:
+            yield name, np.asarray(value)  # a cell of dates
         case list() | np.ndarray(dtype=np.dtypes.ObjectDType()):
             for i, cell in enumerate(value):
                 yield from _arrays(cell, f"{name}[{i}]")

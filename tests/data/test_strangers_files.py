@@ -1,0 +1,140 @@
+"""Files by someone who did not write the reader: right, or refused with a remedy that works."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from splitband.data import read
+from splitband.data.reading import ReadingWarning
+from tests.data.support import message, text_file
+
+Y = np.sin(np.arange(40) / 3).round(3)
+HOURS = pd.date_range("2024-03-01 20:00", periods=40, freq="h")
+OFF: dict[str, Any] = {"time_column": "", "sampling_time": 1}
+
+
+def table(row: Callable[[int], str], head: str = "time,y\n") -> str:
+    return head + "".join(f"{row(i)},{Y[i]}\n" for i in range(40))
+
+
+def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **options: Any) -> None:
+    found = read(path, **options)
+    assert found.sampling_time == pytest.approx(step, rel=1e-9)
+    assert found.columns == columns
+    assert found.start == start
+    np.testing.assert_array_equal(found.y[:, -1], Y)
+
+
+@pytest.mark.parametrize(
+    ("text", "step", "start", "columns"),
+    [
+        (table(str, "time,y\nms,\n"), 1e-3, 0, ("y",)),  # a unit for the time alone
+        (table(lambda i: f"{i},{i}", "time,x,y\nms,1,1\n"), 1e-3, 0, ("x [1]", "y [1]")),
+        (table(str, "ms,C\ntime,y\n"), 1e-3, 0, ("y [C]",)),  # units above the names
+        (table(str, "time,y\n,\nms,\n"), 1e-3, 0, ("y",)),
+        (table(str, "Started 2024-01-05 10:00:00\ntime,y\nrun 3,\n"), 1, 0, ("y",)),
+        (table(str, "Probe,#7\n\nTime,y\nsec,°C\n"), 1, 0, ("y [°C]",)),
+        (table(lambda i: f"{HOURS[i]:%d.%m.%y,%H:%M:%S}", "Date,Time,y\n"), 3600, HOURS[0], ("y",)),
+        (table(lambda i: f"2024-03-01,10:00:{i:02d}Z", "Date,Time,y\n"), 1,
+         pd.Timestamp("2024-03-01 10:00Z"), ("y",)),
+        (table(lambda i: f"{HOURS[i]:%H.%M.%S}"), 3600, 72000, ("y",)),
+        (table(lambda i: f"{59 + i // 60}:{i % 60:02d}.25"), 1, 3540.25, ("y",)),
+        (table(lambda i: f"{i / 60:.2f}", "time [min],y\n"), 1, 0, ("y",)),
+        (table(lambda i: f"{i / 3600:.4f}", "time [h],y\n"), 1, 0, ("y",)),
+        (table(lambda i: f"10:{int(3.3 * i) // 60:02d}:{int(3.3 * i) % 60:02d}"), 3.3, 35999.6,
+         ("y",)),
+        (table(lambda i: f"{i / 120:.6f}"), 1 / 120, 0, ("y",)),  # a camera of 120 Hz
+    ],
+)  # fmt: skip
+def test_files_that_are_read(
+    tmp_path: Path, text: str, step: float, start: Any, columns: tuple[str, ...]
+) -> None:
+    path = text_file(tmp_path, text)
+    found = read(path)
+    assert found.sampling_time == pytest.approx(step, rel=1e-4)
+    assert found.columns == columns
+    assert found.start == (pytest.approx(start, abs=0.01) if np.isscalar(start) else start)
+    np.testing.assert_array_equal(found.y[:, -1], Y)
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "remedy", "step"),
+    [
+        ("time,y\nMon Jan 1 9:00:00 2024,Bad\n"
+         + table(lambda i: f"Mon Jan 1 10:00:{i:02d} 2024", ""), "line 2 holds 'Bad' where line 3",
+         {"skip_rows": 2, "header_row": 1}, 1),
+        (table(lambda i: f"{i} sec", "time,y\n-1 sec,Bad\n"), "line 2 holds 'Bad'", None, 0),
+        (table(lambda i: f'"2024-03-01 10:00:{i:02d}",{i / 4}', '"time","y"\n'),
+         "line 1 holds 2 names, line 2 3 cells", {"skip_rows": 1, "time_column": 0}, 1),
+        (table(str, "time,u,y\n"), "line 1 holds 3 names, line 2 2 cells",
+         {"skip_rows": 1, "time_column": 0}, 1),
+        (table(str, "time (ms),y\n").replace(",", " "), "line 1 holds 3 names, line 2 2 cells",
+         {"skip_rows": 1, "time_column": 0}, 1),
+        (table(lambda i: f"{i},5", "time,(ms),y\n"), "line 1 holds '(ms)' where a name is due",
+         {"header_row": 1, "columns": "y"}, 1),
+        (table(lambda i: f"{i + 0.5}", "0,1\n"), "line 1 may hold names or numbers: header_row=1",
+         {"header_row": 1, "time_column": "0"}, 1),
+        (table(lambda i: f"{i},{i / 2}", ",1,2\n"), "line 1 may hold names or numbers",
+         {"header_row": 1, "time_column": "1"}, 0.5),
+        ("Key,Value\n" * 450 + table(str), "no time column", {"header_row": 451}, 1),
+        (table(lambda i: f"2024-03-01,{100 * (i % 24)}", "Date,Time,y\n"), "as 09:30", OFF, 1),
+        (table(lambda i: f"{i * 30 // 60 + 10}:{i * 30 % 60:02d}"), "as minutes and seconds (30 s)",
+         {"sampling_time": 1800}, 1800),
+        (table(lambda i: f"10.10.{i + 10}"), "times of the day (1 s) or as dates",
+         {"sampling_time": 1}, 1),
+        (table(lambda i: f"{i / 24:.9f}"), "fractions of a day (3600 s)",
+         {"sampling_time": 3600}, 3600),
+        (table(lambda i: f"{2024 + i / 8784:.8f}"), "or as years", OFF, 1),
+        (table(lambda i: f"{202401 + i // 12 * 100 + i % 12}"), "dates from 2024-01-01", OFF, 1),
+        (table(str, "time,y\nmsec.,mm\n"), "no time column", OFF, 1),
+        (table(lambda i: str(i // 2)), "must increase: row 1 (0 s) follows 0 s (line 3)", OFF, 1),
+        (table(lambda i: f"{i}h0m"), "row 0 holds '0h0m' (line 2)", None, 0),
+    ],
+)  # fmt: skip
+@pytest.mark.filterwarnings("ignore::splitband.data.reading.ReadingWarning")
+def test_files_that_are_refused_with_what_to_do(
+    tmp_path: Path, text: str, words: str, remedy: dict[str, Any] | None, step: float
+) -> None:
+    path = text_file(tmp_path, text)
+    assert words in message(path)
+    if remedy is not None:
+        found = read(path, **remedy)
+        assert found.sampling_time == pytest.approx(step, rel=1e-6)
+        np.testing.assert_array_equal(found.y[:, -1], Y)
+
+
+def test_names_may_be_like_the_words_below(tmp_path: Path) -> None:
+    with pytest.warns(ReadingWarning, match="'mode 1'"):
+        check(text_file(tmp_path, table(lambda i: f"{i},mode {i}", "t,mode 1,y\n")), 1, 0, ("y",))
+
+
+def test_a_unit_that_is_not_known_is_refused(tmp_path: Path) -> None:
+    path = text_file(tmp_path, table(str, "Zeit [ticks],y\n"))
+    said = message(path, time_column="Zeit [ticks]")
+    assert "has a unit that is not known, 'ticks'" in said
+
+
+@pytest.mark.parametrize("word", ["-9999", "-9999.0"])
+def test_numbers_for_missing_values_among_words(tmp_path: Path, word: str) -> None:
+    path = text_file(tmp_path, "t,y\n0,1\n1,Bad\n2,-9999.00\n3,4\n")
+    found = read(path, missing=["Bad", word], gaps="mask")
+    np.testing.assert_array_equal(found.seen[:, 0], [1, np.nan, np.nan, 4])
+
+
+def test_structures_of_matlab(tmp_path: Path) -> None:
+    time, path = 0.01 * np.arange(40), tmp_path / "record.mat"
+    rows = np.array([(t, y) for t, y in zip(time, Y, strict=True)], [("t", "O"), ("y", "O")])
+    scipy.io.savemat(path, {"log": rows})
+    assert "'log[0].t', 'log[0].y', 'log[1].t'" in message(path)
+    stamps = np.array([f"2024-01-01 10:00:{i:02d}" for i in range(40)], dtype=object)
+    scipy.io.savemat(path, {"log": {"date": stamps, "y": Y}})
+    check(path, 1, pd.Timestamp("2024-01-01 10:00"), ("log.y",))
+    scipy.io.savemat(path, {"t": time, "log": {"time": 1000 * time, "y": Y}})
+    assert "'log.time' and 't' are different time stamps" in message(path)
+    with pytest.warns(ReadingWarning, match="left out"):
+        check(path, 0.01, 0, ("log.y",), time_column="t")
