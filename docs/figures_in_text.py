@@ -238,7 +238,7 @@ def split_training() -> dict[str, float]:
         record: statistics.geometric_mean(
             own / cut
             for forms in methods.values()
-            for own, cut in zip(forms["own warm-up"], forms["Eq. 10"], strict=True)
+            for own, cut in zip(forms["own warm-up"], forms["filtered record"], strict=True)
         )
         for record, methods in _read("benchmarks/split_training").items()
     }
