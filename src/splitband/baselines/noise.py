@@ -1,0 +1,167 @@
+"""Fit the noise model of a linear system: the gain of its Kalman filter, or all by prediction error.
+
+With the gain K the system is x' = A x + B u + K e, y = C x + D u + offset + e, where e is white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.modal import Run, blocks_of
+from splitband.baselines.refinement import Solution, linear_solution, refined
+from splitband.baselines.systems import kalman_gain, states
+from splitband.runtime.arrays import Array
+
+_FACTORS = (0.0, *np.geomspace(1e-4, 1.0, 9))
+"""Process noise that is tried, as a share of the states' standard deviations in the record.
+By eye."""
+_FREE = 24
+"""Most entries of the gain that are refined one by one. By eye."""
+_MARGIN = 1e-9
+"""Distance of the observer's poles from the unit circle, at least."""
+_ITERATIONS = 15
+"""Most iterations of a refinement by prediction error. By eye."""
+_FEEDBACK = 8.0
+"""Correlation of prediction errors with later inputs, in standard deviations, that shows a feedback.
+By eye."""
+_LAGS = 12
+"""Lags of this correlation. By eye."""
+
+
+class Noise(NamedTuple):
+    """Hold the gain K `(states, ny)` and the covariance of e `(ny, ny)`."""
+
+    gain: Array
+    covariance: Array
+
+
+def innovations(a: Array, c: Array, gain: Array, errors: Array) -> Array:
+    """Return the prediction errors `(time, ny)` of simulation errors `(time, ny)`."""
+    x = states(a - gain @ c, errors @ gain.T, np.zeros(len(a)))
+    return errors - x @ c.T
+
+
+def fitted_noise(
+    a: Array, c: Array, spread: Array, errors: Sequence[Array], seen: Sequence[npt.NDArray[np.bool_]]
+) -> Noise:
+    """Return the filter that predicts best, for the errors of a simulation.
+
+    The gains of a Riccati equation, with process noise in proportion to the states' covariance in
+    the record, are the start; a small gain is then refined entry by entry.
+
+    Parameters
+    ----------
+    a, c : Of the simulated system.
+    spread : Covariance of its states in the record, `(states, states)`.
+    errors, seen : Simulation errors of each record, 0 in gaps, and where outputs were measured,
+        `(time, ny)` each.
+    """
+    count = np.maximum(sum(s.sum(axis=0) for s in seen), 1)
+
+    def found(gain: Array) -> list[Array]:
+        with np.errstate(all="ignore"):
+            return [innovations(a, c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
+
+    def cost(gain: Array) -> float:
+        observer = a - gain @ c
+        if len(a) and abs(np.linalg.eigvals(observer)).max() > 1 - _MARGIN and gain.any():
+            return np.inf
+        power = sum((e**2).sum(axis=0) for e in found(gain)) / count
+        return float(np.log(np.maximum(power, 1e-24)).sum()) if np.isfinite(power).all() else np.inf
+
+    together = np.concatenate(errors)
+    r = np.cov(together.T).reshape(c.shape[0], -1) + 1e-18 * np.eye(len(c))
+    gains = [np.zeros((len(a), len(c)))]
+    for factor in _FACTORS[1:: 1 if len(a) <= 12 else 3]:  # noqa: PLR2004  a smaller grid is enough
+        try:
+            gains.append(kalman_gain(a, c, factor**2 * spread + 1e-18 * np.eye(len(a)), r))
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+    stable = len(a) == 0 or abs(np.linalg.eigvals(a)).max() <= 1
+    best = min(gains if stable else gains[1:] or gains, key=cost)
+    if best.any() and best.size <= _FREE:
+        best = _refined(best, cost)
+    left = np.concatenate(found(best))
+    return Noise(best, (left.T @ left) / count)
+
+
+def _refined(gain: Array, cost: object) -> Array:
+    """Return the gain after a local search."""
+    scale = abs(gain).max()
+    minimum = scipy.optimize.minimize(
+        lambda x: min(cost(scale * x.reshape(gain.shape)), 1e6),  # type: ignore[operator]
+        gain.ravel() / scale, method="L-BFGS-B", options={"maxiter": 15},
+    )  # fmt: skip
+    return np.asarray(scale * minimum.x.reshape(gain.shape))
+
+
+class Predicted(NamedTuple):
+    """Hold a system in innovations form that was fitted by prediction error.
+
+    `solution` has the blocks of the predictor, whose inputs are those of the record and its
+    outputs.
+    """
+
+    solution: Solution
+    runs: tuple[Run, ...]
+
+    def matrices(self, step: Array | None = None) -> tuple[Array, Array, Array, Array, Array]:
+        """Return A, B, C, D and K, after a step of the predictor's parameters."""
+        blocks = self.solution.blocks if step is None else self.solution.blocks.moved(step)
+        a, b, c, d = blocks.matrices()
+        nu = b.shape[1] - len(c)
+        gain, d = b[:, nu:], d[:, :nu]
+        return a + gain @ c, b[:, :nu] + gain @ d, c, d, gain
+
+
+def prediction_error(
+    a: Array,
+    c: Array,
+    gain: Array,
+    direct: Sequence[bool],
+    runs: Sequence[Run],
+    simulated: Sequence[Array],
+) -> Predicted:
+    """Return the system of this order with the least one-step prediction error.
+
+    Parameters
+    ----------
+    a, c, gain : From where it starts.
+    direct : Whether each input may act at once.
+    runs : The records.
+    simulated : Outputs in gaps, `(ny, time)` for each record.
+    """
+    filled = []
+    for run, y in zip(runs, simulated, strict=True):
+        whole = np.where(run.seen > 0, run.y, y)
+        filled.append(run._replace(u=np.vstack([run.u, whole])))
+    begin = linear_solution(blocks_of(a - gain @ c, c, [*direct, *[False] * len(c)]), filled)
+    at = refined(begin.blocks, filled, _ITERATIONS, begin.first, 1 - _MARGIN)
+    return Predicted(at, tuple(filled))
+
+
+def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
+    """Return whether prediction errors show in later inputs, and earlier inputs not in them.
+
+    `errors` `(ny, time)` and `inputs` `(nu, time)` are those of each record.
+    """
+    later, earlier = np.zeros(_LAGS), np.zeros(_LAGS)
+    ny, nu = len(errors[0]), len(inputs[0])
+    for k in range(ny):
+        for j in range(nu):
+            sums, energy = np.zeros((2, _LAGS)), 0.0
+            for e, u in zip(errors, inputs, strict=True):
+                x, z = e[k] - e[k].mean(), u[j] - u[j].mean()
+                if len(x) <= 2 * _LAGS:
+                    continue
+                energy += float((x**2).mean() * (z**2).sum())
+                sums[0] += [x[:-lag] @ z[lag:] for lag in range(1, _LAGS + 1)]
+                sums[1] += [x[lag:] @ z[: len(z) - lag] for lag in range(_LAGS)]
+            size = abs(sums) / np.sqrt(max(energy, 1e-300))
+            later, earlier = np.maximum(later, size[0]), np.maximum(earlier, size[1])
+    return bool(later.max() > max(_FEEDBACK, 4 * earlier.max()))
