@@ -177,7 +177,6 @@ LARGER = {
     "Blocks": "the parameters of a linear system, and which of them are free",
     "LinearModel": "a state-space model: its matrices, its filter, its states in training",
     "_Made": "the same before it has units",
-    "Search": "what an order is chosen from, and what was found of each",
     "Record": "the one data container: a field for each signal, and what it is called",
     "Prediction": "a field for each array that a frame and a picture show",
     "Run": "what one seed says under each of three protocols, and how the fit went",

@@ -314,7 +314,8 @@ class _Made:
         """Return mean and covariance of the states in the records."""
         x = np.concatenate(self.states())
         x = np.clip(np.nan_to_num(x), -1e150, 1e150)
-        return x.mean(axis=0), np.cov(x.T, bias=True).reshape(len(self.a), len(self.a))
+        middle = x.mean(axis=0)
+        return middle, (x - middle).T @ (x - middle) / len(x)
 
     def scaled(self) -> _Made:
         """Return the model with decorrelated states of standard deviation 1 in the records."""
@@ -388,10 +389,12 @@ def _by_prediction(
         (x @ made.c.T + run.u.T @ made.d.T + made.offset).T
         for run, x in zip(runs, made.states(), strict=True)
     ]
+    fed_back = feedback([e.T for e in made.errors()], [run.u for run in runs])
+    if fed_back:
+        # A controller that answers at once cannot be told from an input that acts at once: behind a
+        # controller there is taken to be no feedthrough.
+        direct = [False] * len(direct)
     found = prediction_error(made.a, made.c, made.noise.gain, direct, runs, simulated)
-    errors = found.solution.errors
-    better = found.solution.cost < _one_step_cost(made)
-    fed_back = better and feedback(errors, [run.u for run in runs])
     a, b, c, d, gain = found.matrices()
     own = chosen.solution.blocks.constant
     if not fed_back:
@@ -406,11 +409,6 @@ def _by_prediction(
     kept = np.stack([np.ones(len(blocks.a), bool), ~blocks.single], axis=1).ravel()
     of_gain = blocks_of(a, c, [False] * len(c), b=gain).b.reshape(-1, len(c))[kept]
     return _Made.of_simulation(at, runs, of_gain, "prediction error")
-
-
-def _one_step_cost(made: _Made) -> float:
-    """Return the cost of the model's one-step predictions, as `Solution.cost`."""
-    return 0.5 * float(np.log(np.maximum(np.diag(made.noise.covariance), 1e-20)).sum())
 
 
 def _simulating(found: Predicted, runs: Sequence[Run], step: Array | None = None) -> Solution:

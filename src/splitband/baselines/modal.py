@@ -289,9 +289,16 @@ def blocks_of(
             add_pair(pairs.pop(0))
         rows[-1], fixed[-1] = (2.0, -1.0), True
         integrators -= 2
-    for _ in range(min(integrators, len(real))):
-        add((1.0, 0.0), vectors[:, [real.pop(0)]].real)
-        fixed[-1] = True
+    while integrators > 0 and (real or pairs):
+        if real:
+            add((1.0, 0.0), vectors[:, [real.pop(0)]].real)
+            fixed[-1] = True
+        else:  # a pair becomes an integrator and another real pole
+            i = pairs.pop(0)
+            add((poles[i].real, 0.0), vectors[:, [i]].imag)
+            add((1.0, 0.0), vectors[:, [i]].real)
+            fixed[-1] = True
+        integrators -= 1
     for i in pairs:
         add_pair(i)
     while len(real) > 1:

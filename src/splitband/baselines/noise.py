@@ -26,11 +26,14 @@ _MARGIN = 1e-9
 """Distance of the observer's poles from the unit circle, at least."""
 _ITERATIONS = 15
 """Most iterations of a refinement by prediction error. By eye."""
-_FEEDBACK = 8.0
-"""Correlation of prediction errors with later inputs, in standard deviations, that shows a feedback.
-By eye."""
-_LAGS = 12
-"""Lags of this correlation. By eye."""
+_LAGS = 16
+"""Past samples from which an input is predicted. By eye."""
+_ROWS = 20_000
+"""Most samples of a record for this. By eye."""
+_SHARE = 0.02
+"""Share of an input's unpredicted power that past errors explain behind a controller. By eye."""
+_CHANCE = 1e-6
+"""Probability that errors without effect do so. By eye."""
 
 
 class Noise(NamedTuple):
@@ -75,7 +78,7 @@ def fitted_noise(
         return float(np.log(np.maximum(power, 1e-24)).sum()) if np.isfinite(power).all() else np.inf
 
     together = np.concatenate(errors)
-    r = np.cov(together.T).reshape(c.shape[0], -1) + 1e-18 * np.eye(len(c))
+    r = together.T @ together / len(together) + 1e-18 * np.eye(len(c))
     gains = [np.zeros((len(a), len(c)))]
     for factor in _FACTORS[1:: 1 if len(a) <= 12 else 3]:  # noqa: PLR2004  a smaller grid is enough
         try:
@@ -146,22 +149,36 @@ def prediction_error(
 
 
 def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
-    """Return whether prediction errors show in later inputs, and earlier inputs not in them.
+    """Return whether a controller acts on the inputs: past errors of a simulation predict an input.
 
-    `errors` `(ny, time)` and `inputs` `(nu, time)` are those of each record.
+    Beside its own past and that of the other inputs, that is (C. W. J. Granger, 1969). In an open
+    loop the errors are noise, which no input knows.
+
+    Parameters
+    ----------
+    errors, inputs : Of each record, `(ny, time)` and `(nu, time)`.
     """
-    later, earlier = np.zeros(_LAGS), np.zeros(_LAGS)
-    ny, nu = len(errors[0]), len(inputs[0])
-    for k in range(ny):
-        for j in range(nu):
-            sums, energy = np.zeros((2, _LAGS)), 0.0
-            for e, u in zip(errors, inputs, strict=True):
-                x, z = e[k] - e[k].mean(), u[j] - u[j].mean()
-                if len(x) <= 2 * _LAGS:
-                    continue
-                energy += float((x**2).mean() * (z**2).sum())
-                sums[0] += [x[:-lag] @ z[lag:] for lag in range(1, _LAGS + 1)]
-                sums[1] += [x[lag:] @ z[: len(z) - lag] for lag in range(_LAGS)]
-            size = abs(sums) / np.sqrt(max(energy, 1e-300))
-            later, earlier = np.maximum(later, size[0]), np.maximum(earlier, size[1])
-    return bool(later.max() > max(_FEEDBACK, 4 * earlier.max()))
+    rows = [
+        np.vstack([_lagged(u), _lagged(e), u[:, _LAGS:]]).T[:_ROWS]
+        for e, u in zip(errors, inputs, strict=True)
+        if u.shape[1] > 2 * _LAGS
+    ]
+    if not rows:
+        return False
+    data, nu, ny = np.concatenate(rows), len(inputs[0]), len(errors[0])
+    freedom = len(data) - data.shape[1]
+    if freedom < data.shape[1]:
+        return False
+    size = np.linalg.norm(data, axis=0)
+    r = np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r")
+    own, both = nu * _LAGS, (nu + ny) * _LAGS
+    explained = (r[own:both, both:] ** 2).sum(axis=0)
+    left = (np.triu(r[both:, both:]) ** 2).sum(axis=0) + 1e-18
+    least = max(_SHARE, scipy.stats.f.isf(_CHANCE, both - own, freedom) * (both - own) / freedom)
+    return bool((explained > least * left).any())
+
+
+def _lagged(x: Array) -> Array:
+    """Return the signals 1, 2, ... `_LAGS` samples late, `(signals * _LAGS, time - _LAGS)`."""
+    time = x.shape[1]
+    return np.concatenate([x[:, _LAGS - lag : time - lag] for lag in range(1, _LAGS + 1)])
