@@ -85,7 +85,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
             left = [_through(of_output, x) for x in outputs]
             # A slow output under noise loses an input's effect together with its slowness.
             lags = _first_lags(white, left, longest) or _first_lags(white, outputs, longest)
-            if lags and SHORTEST <= lags[0] and _acts_before(records, k, j, lags):
+            if lags and lags[0] >= SHORTEST and _acts_before(records, k, j, lags):
                 lags = [0]
             if lags:
                 found[k][j] = tuple(dict.fromkeys(lags)) if lags[0] >= SHORTEST else (0,)
@@ -132,7 +132,7 @@ def _acts_before(
     x = np.column_stack([x[:, count:], x[:, :count], target]) / np.where(
         np.append(np.roll(scale, -count), 1.0) > 0, np.append(np.roll(scale, -count), 1.0), 1.0
     )
-    r = np.linalg.qr(x, mode="r")[:, -1]
+    r = np.asarray(np.linalg.qr(x, mode="r"))[:, -1]
     power, left = float((r[-1 - count : -1] ** 2).sum()) / count, float(r[-1] ** 2) / freedom
     floor = (1e-9 * np.linalg.norm(target)) ** 2
     least = max(scipy.stats.f.isf(_CHANCE, count, freedom), _EFFECT * freedom / count)
@@ -148,8 +148,8 @@ def _filled(y: Array) -> Array:
 def _whitener(signals: Sequence[Array]) -> Array:
     """Return the coefficients of an autoregressive model, `(1 + _PAST,)`."""
     products = np.zeros(_PAST + 1)
-    for x in signals:
-        x = x - x.mean()
+    for signal in signals:
+        x = signal - signal.mean()
         products += [x[: len(x) - lag] @ x[lag:] for lag in range(_PAST + 1)]
     products[0] = products[0] * (1 + 1e-6) + 1e-300
     return np.append(1.0, -scipy.linalg.solve_toeplitz(products[:-1], products[1:]))

@@ -12,11 +12,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
+from splitband.baselines.accuracy import Accuracy, Matrices, accuracy_of, silent
 from splitband.baselines.delays import candidates, delayed
 from splitband.baselines.linear import LinearModel, assembled
 from splitband.baselines.modal import Run, blocks_of
@@ -108,7 +111,7 @@ def _mean(x: Array) -> Array:
 def identified(
     records: Sequence[tuple[Array, Array]],
     order: int | None = None,
-    delay: Array | None = None,
+    delay: npt.NDArray[np.int_] | None = None,
     integrators: int | None = None,
     most: int | None = None,
 ) -> LinearModel:
@@ -178,24 +181,41 @@ def _compared(
         if of_input in ((), (0,)):
             continue
 
-        def at(delay: int, j: int = j) -> list[int]:
-            return [*best[:j], delay, *best[j + 1 :]]
-
-        best = min((at(delay) for delay in (*of_input, 0)), key=cost)
-        for step in (8, 4, 2, 1):
-            while True:
-                near = [at(d) for d in (best[j] - step, best[j] + step) if 0 <= d <= longest]
-                closer = min(near, key=cost)
-                if cost(closer) >= cost(best) or current().over:
-                    break
-                best = closer
-        # Of delays that explain as much as the best, the longest is where the input acts first.
-        little = np.log(samples) / (2 * samples)
-        while best[j] < longest and cost(at(best[j] + 1)) < cost(best) + little:
-            best = at(best[j] + 1)
-        if cost(at(0)) < cost(best) + little:  # a delay explains more than a further parameter
-            best = at(0)
+        best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
     return best
+
+
+def _one_delay(
+    begin: list[int],
+    j: int,
+    of_input: Sequence[int],
+    cost: Callable[[Sequence[int]], float],
+    longest: int,
+    little: float,
+) -> list[int]:
+    """Return the delays with that of the input `j` where `cost` is least.
+
+    `of_input` are its first estimates, `longest` is the longest delay, and `little` the difference
+    that does not count.
+    """
+
+    def at(delay: int) -> list[int]:
+        return [*begin[:j], delay, *begin[j + 1 :]]
+
+    best = min((*of_input, 0), key=lambda d: cost(at(d)))
+    for step in (8, 4, 2, 1):
+        while not current().over:
+            near = [d for d in (best - step, best + step) if 0 <= d <= longest]
+            closer = min(near, key=lambda d: cost(at(d)))
+            if cost(at(closer)) >= cost(at(best)):
+                break
+            best = closer
+    # Of delays that explain as much as the best, the longest is where the input acts first.
+    least = cost(at(best))
+    while best < longest and cost(at(best + 1)) < least + little:
+        best += 1
+    # A delay explains more than a further parameter.
+    return at(0) if cost(at(0)) < least + little else at(best)
 
 
 def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
@@ -246,9 +266,34 @@ def _of_outputs(
     at = refined(at.blocks, fitted, _POLISHED, at.first, 1 - 1e-9, 1e-9)
     chosen = replace(chosen, solution=at)
     made = _Made.of_simulation(at, fitted)
+    if not current().over:
+        errors = accuracy_of(at, fitted, partial(_simulated_matrices, at))
+        late = _delay_errors(at, records, units, delays)
+        made = replace(made, accuracy=replace(errors, delay_errors=late + 0 * errors.gains[:, :1]))
     if at.scale.max() > _EXACT and not current().over:
         made = _by_prediction(made, chosen, runs, moving) or made
     return made.model(units, delays, search)
+
+
+def _delay_errors(
+    at: Solution, records: Sequence[tuple[Array, Array]], units: Units, delays: Sequence[int]
+) -> Array:
+    """Return the standard error of the delay of each input in samples, `(nu,)`; 0 without one.
+
+    It follows from the curvature of the likelihood over the neighbouring delays.
+    """
+    found = np.zeros(len(delays))
+    samples = sum(float((~np.isnan(y)).any(axis=1).sum()) for y, _ in records)
+    for j, delay in enumerate(delays):
+        if delay and not current().over:
+            costs = []
+            for moved in (delay - 1, delay + 1):
+                runs = [units.run(y, u, [*delays[:j], moved, *delays[j + 1 :]]) for y, u in records]
+                fitted = with_constant(runs) if at.blocks.constant else runs
+                costs.append(refined(at.blocks, fitted, 5, at.first, 1 - 1e-9).cost)
+            curvature = samples * (sum(costs) - 2 * at.cost)
+            found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +308,7 @@ class _Made:
     runs : The records.
     by : What was minimised.
     integrators : Number of poles at 1.
+    accuracy : Standard errors.
     """
 
     a: Array
@@ -276,6 +322,7 @@ class _Made:
     runs: Sequence[Run]
     by: str
     integrators: int
+    accuracy: Accuracy | None = None
 
     @classmethod
     def of_simulation(
@@ -353,7 +400,7 @@ class _Made:
         alike = pairs.sum(axis=0) / np.maximum(both.sum(axis=0), 1) / np.maximum(rms**2, 1e-300)
         alike = np.clip(alike, 0, _MOST_CORRELATED)
         centre, covariance = self.moments()
-        made = LinearModel(
+        return LinearModel(
             self.a,
             self.b / into,
             self.c * out[:, None],
@@ -377,8 +424,9 @@ class _Made:
             tuple(search.errors),
             np.array([*search.errors.values()]),
             search.values,
+            tuple(silent(np.linalg.eigvals(self.a).astype(np.complex128), self.runs)),
+            None if self.accuracy is None else self.accuracy.in_units(out, into),
         )
-        return made
 
 
 def _by_prediction(
@@ -395,7 +443,7 @@ def _by_prediction(
         # controller there is taken to be no feedthrough.
         direct = [False] * len(direct)
     found = prediction_error(made.a, made.c, made.noise.gain, direct, runs, simulated)
-    a, b, c, d, gain = found.matrices()
+    a, _, c, _, gain = found.matrices()
     own = chosen.solution.blocks.constant
     if not fed_back:
         if own or abs(np.linalg.eigvals(a)).max(initial=0) >= 1:
@@ -408,7 +456,22 @@ def _by_prediction(
     # The gain in the coordinates of the blocks.
     kept = np.stack([np.ones(len(blocks.a), bool), ~blocks.single], axis=1).ravel()
     of_gain = blocks_of(a, c, [False] * len(c), b=gain).b.reshape(-1, len(c))[kept]
-    return _Made.of_simulation(at, runs, of_gain, "prediction error")
+    new = _Made.of_simulation(at, runs, of_gain, "prediction error")
+    errors = accuracy_of(found.solution, found.runs, partial(_predicted_matrices, found))
+    late = errors if made.accuracy is None else made.accuracy
+    return replace(new, accuracy=replace(errors, delay_errors=late.delay_errors))
+
+
+def _simulated_matrices(at: Solution, step: Array | None) -> Matrices:
+    """Return A, B, C and D of blocks after a step of their values."""
+    blocks = at.blocks if step is None else at.blocks.moved(step)
+    a, b, c, d = blocks.matrices()
+    return (a, b[:, :-1], c, d[:, :-1]) if blocks.constant else (a, b, c, d)
+
+
+def _predicted_matrices(found: Predicted, step: Array | None) -> Matrices:
+    """Return A, B, C and D of the system of a predictor after a step of its values."""
+    return found.matrices(step)[:4]
 
 
 def _simulating(found: Predicted, runs: Sequence[Run], step: Array | None = None) -> Solution:
@@ -439,4 +502,3 @@ def _held_out(found: Predicted, runs: Sequence[Run]) -> Array:
         value = np.minimum(np.nan_to_num(value, nan=1e30, posinf=1e30), 1e30)
         power.append(np.where(seen > 0, value, np.nan))
     return np.array(power)
-

@@ -11,8 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
+from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import check_delays, delayed
 from splitband.baselines.states import EXACT, most_probable, responses
 from splitband.baselines.systems import states
@@ -49,6 +51,8 @@ class LinearModel:
     orders, held_out : Orders that were tried, and the held-out simulation error of each, as a share
         of the outputs' standard deviations.
     values : Singular values of the data.
+    silent : Angles, in radians per sample, of poles that no input excites.
+    accuracy : Standard errors; None after a deadline.
     """
 
     a: Array
@@ -74,6 +78,8 @@ class LinearModel:
     orders: tuple[int, ...] = ()
     held_out: Array = field(default_factory=lambda: np.zeros(0))
     values: Array = field(default_factory=lambda: np.zeros(0))
+    silent: tuple[float, ...] = ()
+    accuracy: Accuracy | None = None
 
     def __post_init__(self) -> None:
         """Check what may come from a file."""
@@ -194,7 +200,7 @@ class LinearModel:
             states in training.
         """
         since = u if before is None else np.concatenate([before, u])
-        expected, time = before is not None, len(u)
+        expected = before is not None
         tapped = self.tapped(since)
         known = 0 if before is None else len(before)
         x = self._run(tapped[:known], self.first)[1] if expected else self.centre
@@ -225,9 +231,7 @@ class LinearModel:
         x = states(a, forced, first)
         return left - x @ self.c.T, a @ x[-1] + forced[-1]
 
-    def _with_gaps(
-        self, tapped: Array, y: Array, seen: Array, x: Array
-    ) -> tuple[Array, Array]:
+    def _with_gaps(self, tapped: Array, y: Array, seen: Any, x: Array) -> tuple[Array, Array]:
         """Return `information` and `towards` of `most_probable`, sample by sample."""
         answers, white = self.root, self.whitener()
         information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
@@ -241,7 +245,7 @@ class LinearModel:
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
         return information, towards
 
-    def _followed(self, tapped: Array, y: Array, seen: Array, x: Array) -> tuple[Array, Array]:
+    def _followed(self, tapped: Array, y: Array, seen: Any, x: Array) -> tuple[Array, Array]:
         """Return predictions of all samples, observing the history from the state x."""
         if seen.all():
             errors, after = self._observed(tapped[: len(y)], y, x)
@@ -263,7 +267,11 @@ class LinearModel:
         longest = [max((d for i, d in self.taps if i == j), default=0) for j in range(self.nu)]
         a = scipy.linalg.block_diag(self.a, *(np.eye(late, k=-1) for late in longest))
         n = self.order
-        b, c, d = np.zeros((len(a), self.nu)), np.zeros((self.ny, len(a))), np.zeros((self.ny, self.nu))
+        b, c, d = (
+            np.zeros((len(a), self.nu)),
+            np.zeros((self.ny, len(a))),
+            np.zeros((self.ny, self.nu)),
+        )
         c[:, :n] = self.c
         begin = np.cumsum([n, *longest])
         for column, (i, late) in enumerate(self.taps):
@@ -295,7 +303,7 @@ class LinearModel:
         kept = int(np.argmax(b != 0))  # SciPy warns of leading zeros
         return b[kept:], np.append(a, np.zeros(longest))
 
-    def poles(self) -> Array:
+    def poles(self) -> npt.NDArray[np.complex128]:
         """Return the poles in the z plane, without those at 0 of delays, `(n,)` complex."""
         return np.asarray(np.linalg.eigvals(self.a), np.complex128)
 
@@ -320,6 +328,7 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
     def joined(name: str) -> Array:
         return np.concatenate([getattr(m, name) for m in models])
 
+    accuracies = [m.accuracy for m in models if m.accuracy is not None]
     least = min(models, key=lambda m: len(m.orders))
     return LinearModel(
         diagonal("a"),
@@ -345,4 +354,6 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         least.orders,
         least.held_out,
         least.values,
+        tuple(angle for m in models for angle in m.silent),
+        Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None,
     )

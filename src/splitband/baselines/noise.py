@@ -1,12 +1,12 @@
-"""Fit the noise model of a linear system: the gain of its Kalman filter, or all by prediction error.
+"""Fit the Kalman filter of a linear system, or the whole system by prediction error.
 
 With the gain K the system is x' = A x + B u + K e, y = C x + D u + offset + e, where e is white.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +50,11 @@ def innovations(a: Array, c: Array, gain: Array, errors: Array) -> Array:
 
 
 def fitted_noise(
-    a: Array, c: Array, spread: Array, errors: Sequence[Array], seen: Sequence[npt.NDArray[np.bool_]]
+    a: Array,
+    c: Array,
+    spread: Array,
+    errors: Sequence[Array],
+    seen: Sequence[npt.NDArray[np.bool_]],
 ) -> Noise:
     """Return the filter that predicts best, for the errors of a simulation.
 
@@ -80,7 +84,7 @@ def fitted_noise(
     together = np.concatenate(errors)
     r = together.T @ together / len(together) + 1e-18 * np.eye(len(c))
     gains = [np.zeros((len(a), len(c)))]
-    for factor in _FACTORS[1:: 1 if len(a) <= 12 else 3]:  # noqa: PLR2004  a smaller grid is enough
+    for factor in _FACTORS[1 :: 1 if len(a) <= 12 else 3]:
         try:
             gains.append(kalman_gain(a, c, factor**2 * spread + 1e-18 * np.eye(len(a)), r))
         except (np.linalg.LinAlgError, ValueError):
@@ -93,13 +97,17 @@ def fitted_noise(
     return Noise(best, (left.T @ left) / count)
 
 
-def _refined(gain: Array, cost: object) -> Array:
+def _refined(gain: Array, cost: Callable[[Array], float]) -> Array:
     """Return the gain after a local search."""
-    scale = abs(gain).max()
-    minimum = scipy.optimize.minimize(
-        lambda x: min(cost(scale * x.reshape(gain.shape)), 1e6),  # type: ignore[operator]
-        gain.ravel() / scale, method="L-BFGS-B", options={"maxiter": 15},
-    )  # fmt: skip
+    scale = float(abs(gain).max())
+
+    def bounded(x: Array) -> float:
+        return min(cost(scale * x.reshape(gain.shape)), 1e6)
+
+    start = gain.ravel() / scale
+    minimum: Any = scipy.optimize.minimize(
+        bounded, start, method="L-BFGS-B", options={"maxiter": 15}
+    )
     return np.asarray(scale * minimum.x.reshape(gain.shape))
 
 
@@ -170,7 +178,7 @@ def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     if freedom < data.shape[1]:
         return False
     size = np.linalg.norm(data, axis=0)
-    r = np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r")
+    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
     own, both = nu * _LAGS, (nu + ny) * _LAGS
     explained = (r[own:both, both:] ** 2).sum(axis=0)
     left = (np.triu(r[both:, both:]) ** 2).sum(axis=0) + 1e-18

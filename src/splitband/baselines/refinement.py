@@ -141,8 +141,8 @@ def _with_states(blocks: Blocks, shared: Sequence[Array], x: Array, poles: bool)
     through = blocks.through_states(x)
     rows = np.arange(len(blocks.a)) * each + 2 * nu
     found = []
-    for k, m in enumerate(shared):
-        m = m.copy()
+    for k, own in enumerate(shared):
+        m = own.copy()
         begin = blocks.a.size + blocks.b.size
         of_c = begin + (np.arange(len(blocks.a)) * ny + k) * 2
         for j in range(4):
@@ -169,9 +169,7 @@ def solved(
     return step, {i: both[:, -1] - both[:, :-1] @ step for i, both in inner.items()}
 
 
-def followed(
-    found: Equations, step: Array, damping: float, usual: Equations
-) -> dict[int, Array]:
+def followed(found: Equations, step: Array, damping: float, usual: Equations) -> dict[int, Array]:
     """Return the best steps of initial states after a given step of the parameters."""
     return {
         i: _solve(own, slope - cross @ step, damping, usual.states[i][1])

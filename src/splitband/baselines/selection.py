@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from splitband.baselines.modal import Blocks, Run, blocks_of
+from splitband.baselines.modal import Run, blocks_of
 from splitband.baselines.refinement import (
     Solution,
     by_segment,
@@ -224,7 +224,7 @@ class Search:
         return Candidate(at, held_out(at, self.runs))
 
     def _linear(self) -> Iterator[tuple[int, tuple[float, float]]]:
-        """Yield by order the Bayesian information criterion and the cost of the subspace's poles."""
+        """Yield by order the information criterion and the cost of the subspace's poles."""
         assert self.most is not None
         ny, least, misses = len(self.runs[0].y), np.inf, 0
         samples = sum(float(run.seen.sum()) for run in self.runs) / ny
@@ -300,15 +300,20 @@ def reductions(a: Array, c: Array, fewer: int) -> list[tuple[Array, Array]]:
     groups = [[i] for i in np.flatnonzero(poles.imag == 0)]
     pairs = [[i, j] for i in np.flatnonzero(poles.imag > 0)
              for j in np.flatnonzero(poles == poles[i].conj())[:1]]  # fmt: skip
-    if fewer == 2:  # noqa: PLR2004  a pair, or two real poles
+    if fewer == 2:
         pairs += [[i, j] for (i,), (j,) in itertools.combinations(groups, 2)]
     found = []
-    for dropped in groups if fewer == 1 else pairs if fewer == 2 else []:  # noqa: PLR2004
+    for dropped in groups if fewer == 1 else pairs if fewer == 2 else []:
         rest = np.delete(np.arange(len(poles)), dropped)
         upper = [i for i in rest if poles[i].imag >= 0]
-        basis = [x for i in upper for x in (vectors[:, i].real, vectors[:, i].imag)[: 1 + (poles[i].imag > 0)]]
+        basis = [
+            x
+            for i in upper
+            for x in (vectors[:, i].real, vectors[:, i].imag)[: 1 + (poles[i].imag > 0)]
+        ]
         columns = np.stack(basis, axis=1) if basis else np.zeros((len(a), 0))
-        found.append((np.linalg.lstsq(columns, a @ columns, rcond=None)[0], c @ columns))
+        own = np.asarray(np.linalg.lstsq(columns, a @ columns, rcond=None)[0], np.float64)
+        found.append((own, c @ columns))
     return found
 
 
@@ -320,7 +325,7 @@ def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:
         time = run.u.shape[1]
         count = max(round(SEGMENTS * time / total), 1)
         edges = np.linspace(0, time, count + 1).astype(int)
-        found += [(i, int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)
+        found += [(i, int(a), int(b)) for a, b in itertools.pairwise(edges)
                   if run.seen[:, a:b].any()]  # fmt: skip
     return found
 

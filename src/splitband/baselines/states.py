@@ -59,7 +59,9 @@ def most_probable(information: Array, towards: Array, usual: Array) -> Array:
     unlikely = size - (found * towards[None]).sum(axis=1)
     least = np.min(unlikely[1:], axis=0)
     first = np.arange(count) == 0
-    taken = np.where(least + SURPRISING > unlikely[0], first, (unlikely <= least) & np.logical_not(first))
+    taken = np.where(
+        least + SURPRISING > unlikely[0], first, (unlikely <= least) & np.logical_not(first)
+    )
     weights = np.where(taken, 1.0, 0.0)
     taken_state: Array = (weights[:, None] * found).sum(axis=0) / weights.sum()
     return taken_state

@@ -46,7 +46,9 @@ class Subspace:
     def matrices(self, order: int) -> tuple[Array, Array]:
         """Return A and C of this order, at the rate of the record."""
         gamma = self.vectors[:, :order]
-        a = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
+        a = np.asarray(
+            np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0], np.float64
+        )
         c = gamma[: self.ny]
         return (_root(a, self.stride) if self.stride > 1 else a), c
 
@@ -102,7 +104,7 @@ def subspace(
     i, j = nu * rows, (2 * nu + ny) * rows
     found, noise = lower[j:, i:j], lower[j:, j:]
     if weighting == "n4sid":
-        past_rows = lower[i:j, : j]
+        past_rows = lower[i:j, :j]
         outer, values, inner = np.linalg.svd(lower[i:j, i:j])
         keep = values > _RANK * max(values[0], 1e-300)
         back = (inner[keep].T / values[keep]) @ outer[:, keep].T

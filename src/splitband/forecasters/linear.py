@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import LONGEST_DELAY
 from splitband.baselines.identification import identified
-from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.known import Known
@@ -113,6 +113,16 @@ class Linear(Forecaster):
         new.model = replace(self.model.simulator, last=self.model.state_after(self.u))
         return new
 
+    def accuracy(self) -> Accuracy:
+        """Return poles, static gains, the frequency response and delays with standard errors.
+
+        Raises ValueError for a fit that a deadline ended.
+        """
+        self.require_fitted()
+        if self.model.accuracy is None:
+            raise ValueError("accuracy was not computed: the deadline of the fit came first")
+        return self.model.accuracy
+
     def part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""
         return Driven(self.model, self.u)
@@ -165,7 +175,7 @@ class Linear(Forecaster):
         return self.u[:begin] if 0 <= begin <= len(self.u) else None
 
     def _delays(self, record: Record) -> npt.NDArray[np.int_] | None:
-        """Return the given delays `(ny, nu)`; raises ValueError for others than the record needs."""
+        """Return the given delays `(ny, nu)`; raises ValueError for what is none."""
         if self.delay is None:
             return None
         try:
@@ -177,8 +187,8 @@ class Linear(Forecaster):
         if not (np.isfinite(rows).all() and (found == rows).all() and (found >= 0).all()
                 and (found <= limit).all()):  # fmt: skip
             raise ValueError(
-                f"delay must be whole numbers of samples from 0 to {limit}, one for all inputs, one "
-                f"for each of {record.nu}, or {record.ny} rows of these, got {self.delay!r}"
+                f"delay must be whole numbers of samples from 0 to {limit}: one for all inputs, "
+                f"one for each of {record.nu}, or {record.ny} rows of these, got {self.delay!r}"
             )
         return found
 
@@ -187,6 +197,9 @@ class Linear(Forecaster):
         names = records[0].inputs
         inputs = [r.u for r in records if r.u is not None]
         still = [name for j, name in enumerate(names) if max(np.ptp(u[:, j]) for u in inputs) == 0]
-        if not still:
-            return []
-        return [f"constant in training, effect unknown: {', '.join(still)}"]
+        said = [f"constant in training, effect unknown: {', '.join(still)}"] if still else []
+        if self.model.silent:
+            step = self.require_fitted().record.sampling_time
+            hertz = ", ".join(f"{a / (2 * np.pi * step):.4g}" for a in self.model.silent)
+            said.append(f"no input excites the poles at {hertz} Hz: they are uncertain")
+        return said
