@@ -3,8 +3,8 @@
     python -m benchmarks.linear                 all tables; `--table plants` one of them
     pip install --no-deps nfoursid              for the column of N4SID (its import needs no more)
 
-"field": stand-ins for records that were measured, a structure of 16 modes with a hardening joint and
-a drive that is started in one direction and in both; the public record of two tanks. "plants": fifteen plants, of orders 1 to 40, with delays to 1,000 samples. "errors": how often an
+"field": stand-ins for records that were measured, a structure of 16 modes with a hardening joint
+and a drive that is started in one direction and in both; the public record of two tanks. "plants": fifteen plants, of orders 1 to 40, with delays to 1,000 samples. "errors": how often an
 estimate lies within 1.96 standard errors. "loop": bias behind a controller. "filter": the error one
 step ahead as a multiple of the true Kalman filter's.
 

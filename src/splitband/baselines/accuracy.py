@@ -74,6 +74,7 @@ class Accuracy:
             rate = -np.log(size)
             return sampling_time / rate, sampling_time * self.pole_errors / (size * rate**2)
 
+    @np.errstate(all="ignore")
     def in_units(self, outputs: Array, inputs: Array) -> Accuracy:
         """Return it for signals in the record's units, given their standard deviations."""
         factor = outputs[:, None] / inputs
@@ -129,6 +130,7 @@ def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
     return np.asarray(root * np.sqrt(count / max(count - 1, 1)))
 
 
+@np.errstate(all="ignore")
 def accuracy_of(
     solution: Solution, runs: Sequence[Run], matrices: Callable[[Array | None], Matrices]
 ) -> Accuracy:
@@ -161,8 +163,7 @@ def accuracy_of(
         for j, direction in enumerate(root.T):
             step = np.zeros(len(free))
             step[free] = _STEP * direction
-            with np.errstate(all="ignore"):
-                change[:, j] = (found(step) - found(-step)) / (2 * _STEP)
+            change[:, j] = (found(step) - found(-step)) / (2 * _STEP)
         spread = np.sqrt((change**2).sum(axis=1))
     n, gains = len(poles), c.shape[0] * b.shape[1]
     shape = c.shape[0], b.shape[1]

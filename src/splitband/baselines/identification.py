@@ -269,9 +269,14 @@ def _of_outputs(
     if not current().over:
         errors = accuracy_of(at, fitted, partial(_simulated_matrices, at))
         late = _delay_errors(at, records, units, delays)
-        made = replace(made, accuracy=replace(errors, delay_errors=late + 0 * errors.gains[:, :1]))
+        made = replace(
+            made, accuracy=replace(errors, delay_errors=np.tile(late, (len(errors.gains), 1)))
+        )
     if at.scale.max() > _EXACT and not current().over:
-        made = _by_prediction(made, chosen, runs, moving) or made
+        controlled = not integrators and feedback(
+            [e.T for e in made.errors()], [u.T for _, u in records]
+        )
+        made = _by_prediction(made, chosen, runs, moving, controlled) or made
     return made.model(units, delays, search)
 
 
@@ -430,22 +435,28 @@ class _Made:
 
 
 def _by_prediction(
-    made: _Made, chosen: Candidate, runs: Sequence[Run], direct: Sequence[bool]
+    made: _Made,
+    chosen: Candidate,
+    runs: Sequence[Run],
+    direct: Sequence[bool],
+    controlled: bool,
 ) -> _Made | None:
-    """Return the model by prediction error, if it is to be taken."""
+    """Return the model by prediction error, if it is to be taken.
+
+    It is where a controller acts on the inputs (`controlled`), or where it simulates better.
+    """
     simulated = [
         (x @ made.c.T + run.u.T @ made.d.T + made.offset).T
         for run, x in zip(runs, made.states(), strict=True)
     ]
-    fed_back = feedback([e.T for e in made.errors()], [run.u for run in runs])
-    if fed_back:
+    if controlled:
         # A controller that answers at once cannot be told from an input that acts at once: behind a
         # controller there is taken to be no feedthrough.
         direct = [False] * len(direct)
     found = prediction_error(made.a, made.c, made.noise.gain, direct, runs, simulated)
     a, _, c, _, gain = found.matrices()
     own = chosen.solution.blocks.constant
-    if not fed_back:
+    if not controlled:
         if own or abs(np.linalg.eigvals(a)).max(initial=0) >= 1:
             return None
         other = replace(chosen, power=_held_out(found, runs))
