@@ -57,7 +57,7 @@ class Linear(Forecaster):
     needs = frozenset({"inputs"})
 
     slow_part = "linear model"
-    words = "linear state-space model of the inputs"
+    words = "linear model of the inputs, in state space"
 
     def __init__(
         self,
