@@ -44,8 +44,8 @@ class Accuracy:
 
     Attributes
     ----------
-    parts, pole_errors : Real and imaginary part of each pole in the z plane, `(n, 2)`, and its
-        error, `(n,)`.
+    parts, pole_errors : Real and imaginary part of each pole in the z plane, `(n, 2)`; errors of
+        these two and of its absolute value, `(n, 3)`.
     gains, gain_errors : Static gains, `(ny, nu)`; infinite where there is an integrator.
     angles : Frequencies in radians per sample, `(frequencies,)`.
     response, response_errors : Absolute value of the response there, `(frequencies, ny, nu)`, and
@@ -72,7 +72,7 @@ class Accuracy:
         size = abs(self.poles)
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = -np.log(size)
-            return sampling_time / rate, sampling_time * self.pole_errors / (size * rate**2)
+            return sampling_time / rate, sampling_time * self.pole_errors[:, 2] / (size * rate**2)
 
     @np.errstate(all="ignore")
     def in_units(self, outputs: Array, inputs: Array) -> Accuracy:
@@ -152,7 +152,9 @@ def accuracy_of(
         own = own[place]
         response = _response(one, two, three, four, angles)
         gains = _response(one, two, three, four, np.zeros(1))[0].real
-        return np.concatenate([own.real, own.imag, gains.ravel(), abs(response).ravel()])
+        return np.concatenate(
+            [own.real, own.imag, np.abs(own), gains.ravel(), np.abs(response).ravel()]
+        )
 
     base = found(None)
     spread = np.full(len(base), np.nan)
@@ -168,15 +170,15 @@ def accuracy_of(
     n, gains = len(poles), c.shape[0] * b.shape[1]
     shape = c.shape[0], b.shape[1]
     near = abs(poles - 1).min(initial=np.inf) < 1e-12
-    value = np.where(near, np.inf, base[2 * n : 2 * n + gains]).reshape(shape)
+    value = np.where(near, np.inf, base[3 * n : 3 * n + gains]).reshape(shape)
     return Accuracy(
         np.stack([poles.real, poles.imag], axis=1),
-        np.hypot(spread[:n], spread[n : 2 * n]),
+        spread[: 3 * n].reshape(3, n).T,
         value,
-        spread[2 * n : 2 * n + gains].reshape(shape),
+        spread[3 * n : 3 * n + gains].reshape(shape),
         angles,
         np.abs(_response(a, b, c, d, angles)),
-        spread[2 * n + gains :].reshape(-1, *shape),
+        spread[3 * n + gains :].reshape(-1, *shape),
         np.zeros(shape),
     )
 
