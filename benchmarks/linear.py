@@ -38,15 +38,9 @@ WARMUP = 0.2
 
 
 class Plant(NamedTuple):
-    """Hold a linear system with delays, and how it is measured.
+    """Hold A, B, C and D, the delays `(ny, nu)`, and the training records.
 
-    Attributes
-    ----------
-    system : A, B, C and D in discrete time.
-    delay : Of each input at each output, `(ny, nu)`.
-    samples, runs : Length and number of the training records.
-    hold : Samples for which the input is held; 1 is white.
-    noise : Standard deviation of white noise, as a share of the output's.
+    An input is held for `hold` samples, 1 is white; `noise` is a share of the output's deviation.
     """
 
     system: tuple[Any, ...]
@@ -95,17 +89,7 @@ def modes(count: int, nu: int, ny: int, seed: int = 0, damping: float = 0.02) ->
     return scipy.signal.cont2discrete(continuous, 1.0)[:4]
 
 
-def beside(*systems: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return systems with inputs and outputs of their own."""
-    return tuple(scipy.linalg.block_diag(*parts) for parts in zip(*systems, strict=True))
-
-
-def with_outputs(system: tuple[Any, ...], count: int) -> tuple[Any, ...]:
-    """Return a system whose first output is measured several times."""
-    a, b, c, d = system
-    return a, b, np.repeat(c[:1], count, axis=0), np.repeat(d[:1], count, axis=0)
-
-
+_BOTH = tuple(scipy.linalg.block_diag(*x) for x in zip(first(1.0), first(0.9), strict=True))
 PLANTS = {
     "first order, 300 samples": Plant(first(0.9), samples=300),
     "first order, slow": Plant(first(0.999), samples=8000, hold=200),
@@ -115,8 +99,10 @@ PLANTS = {
     "second order, slow, held": Plant(second(0.98, 0.05), samples=6000, hold=20),
     "second order, 100,000 samples": Plant(second(0.95, 0.2), samples=100_000, noise=0.5),
     "integrator": Plant(first(1.0), samples=2000, hold=30),
-    "integrator and lag, 3 runs": Plant(beside(first(1.0), first(0.9)), samples=800, runs=3),
-    "two outputs, delays 0 and 250": Plant(with_outputs(first(0.9), 2), [[0], [250]], hold=10),
+    "integrator and lag, 3 runs": Plant(_BOTH, samples=800, runs=3),
+    "two outputs, delays 0 and 250": Plant(
+        (*first(0.9)[:2], np.ones((2, 1)), np.zeros((2, 1))), [[0], [250]], hold=10
+    ),
     "five inputs, two outputs": Plant(modes(2, 5, 2, damping=0.2), runs=2),
     "four modes": Plant(modes(4, 1, 1)),
     "two inputs, delays 3 and 60": Plant(modes(1, 2, 1, damping=0.3), [[3, 60]]),
