@@ -21,6 +21,7 @@ import warnings
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
@@ -266,10 +267,8 @@ def loop(seeds: int) -> None:
         model = identified([record], 1, integrators=0)
         taken += model.by == "prediction error"
         poles.append(model.poles()[0].real)
-        patched = import_module("splitband.baselines.identification")
-        kept, patched._by_prediction = patched._by_prediction, lambda *_: None
-        plain.append(identified([record], 1, integrators=0).poles()[0].real)
-        patched._by_prediction = kept
+        with patch("splitband.baselines.identification._by_prediction", return_value=None):
+            plain.append(identified([record], 1, integrators=0).poles()[0].real)
     for what, found in (("chosen", poles), ("output error alone", plain)):
         print(f"pole 0.9, {what}: {np.mean(found):.4f} +- {np.std(found):.4f}, {seeds} seeds")
     print(f"the controller was noticed in {taken} of them")

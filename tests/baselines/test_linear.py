@@ -12,6 +12,7 @@ from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.metrics import fit_percent
 from splitband.runtime.deadlines import Deadline, within
+from tests.support import untyped
 
 Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
@@ -93,7 +94,7 @@ def test_lightly_damped_modes_are_found_all_at_once() -> None:
     """Six modes, two inputs and outputs, noise of 1 %: a subspace method has more than 99.5 %."""
     rng = np.random.default_rng(4)
     w = 2 * np.pi * np.sort(rng.uniform(0.02, 0.4, 6))
-    a = scipy.linalg.block_diag(*([[0, x], [-x, -0.02 * x]] for x in w))
+    a = scipy.linalg.block_diag(*(np.array([[0, x], [-x, -0.02 * x]]) for x in w))
     b, c = np.zeros((12, 2)), np.zeros((2, 12))
     b[1::2], c[:, ::2] = rng.standard_normal((6, 2)), rng.standard_normal((2, 6))
     system = scipy.signal.cont2discrete((a, b, c, np.zeros((2, 2))), 1.0)
@@ -228,7 +229,7 @@ def test_order_delay_and_integrators_can_be_given() -> None:
         (lambda r: sb.Linear(order=0), "order must be between 1 and 200, got 0"),
         (lambda r: sb.Linear(integrators=-1), "integrators must be between 0 and 200, got -1"),
         (lambda r: sb.Linear(delay=[1, 2, 3]).fit(r), "delay must be whole numbers of samples"),
-        (lambda r: sb.Linear(delay=1.5).fit(r), "delay must be whole numbers of samples"),
+        (lambda r: sb.Linear(delay=untyped(1.5)).fit(r), "delay must be whole numbers of samples"),
         (lambda r: sb.Linear(order=50).fit(r[:40]), "order must suit the record, got 50"),
     ],
 )
