@@ -1,5 +1,7 @@
 """The linear model, against linear systems of SciPy."""
 
+from typing import Any, cast
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -12,7 +14,6 @@ from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.metrics import fit_percent
 from splitband.runtime.deadlines import Deadline, within
-from tests.support import untyped
 
 Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
@@ -229,7 +230,10 @@ def test_order_delay_and_integrators_can_be_given() -> None:
         (lambda r: sb.Linear(order=0), "order must be between 1 and 200, got 0"),
         (lambda r: sb.Linear(integrators=-1), "integrators must be between 0 and 200, got -1"),
         (lambda r: sb.Linear(delay=[1, 2, 3]).fit(r), "delay must be whole numbers of samples"),
-        (lambda r: sb.Linear(delay=untyped(1.5)).fit(r), "delay must be whole numbers of samples"),
+        (
+            lambda r: sb.Linear(delay=cast(Any, 1.5)).fit(r),
+            "delay must be whole numbers of samples",
+        ),
         (lambda r: sb.Linear(order=50).fit(r[:40]), "order must suit the record, got 50"),
     ],
 )
