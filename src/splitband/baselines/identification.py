@@ -41,7 +41,14 @@ from splitband.baselines.refinement import (
     stepped,
     total,
 )
-from splitband.baselines.selection import Candidate, Search, segments, stable, with_constant
+from splitband.baselines.selection import (
+    Candidate,
+    Search,
+    held_out_parts,
+    segments,
+    stable,
+    with_constant,
+)
 from splitband.baselines.subspace import subspace
 from splitband.baselines.systems import root_of, states
 from splitband.runtime.arrays import Array
@@ -263,7 +270,7 @@ def _of_outputs(
         chosen = given if integrators is not None else search.integrating(given, order)
     fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
     at = chosen.solution
-    at = refined(at.blocks, fitted, _POLISHED, at.first, 1 - 1e-9, 1e-9)
+    at = refined(at.blocks, fitted, _POLISHED, at.first, search.limit, 1e-9)
     chosen = replace(chosen, solution=at)
     made = _Made.of_simulation(at, fitted)
     if not current().over:
@@ -498,18 +505,21 @@ def _simulating(found: Predicted, runs: Sequence[Run], step: Array | None = None
 
 
 def _held_out(found: Predicted, runs: Sequence[Run]) -> Array:
-    """Return the held-out simulation error of a model by prediction error, `(segments, ny)`."""
-    blocks = found.solution.blocks
-    free, parts = blocks.free, segments(runs)
-    each = [*by_segment(found.solution, found.runs, free, parts)]
+    """Return the held-out simulation error of a model by prediction error, as `held_out` does."""
+    free, cut = found.solution.blocks.free, segments(runs)
+    each = [*by_segment(found.solution, found.runs, free, cut)]
     whole, power = total(each), []
-    for (record, begin, end), own in zip(parts, each, strict=True):
+    for part in held_out_parts(len(cut)):
         step = np.zeros(len(free))
+        own = total([each[i] for i in part])
         step[free] = solved(whole.plus(own, -1.0), 1e-6, whole)[0]
+        value, seen = np.zeros(len(runs[0].y)), np.zeros(len(runs[0].y))
         with np.errstate(all="ignore"):
-            left = _simulating(found, runs, step).errors[record][:, begin:end]
-            seen = runs[record].seen[:, begin:end].sum(axis=1)
-            value = (left**2).sum(axis=1) / np.maximum(seen, 1)
+            errors = _simulating(found, runs, step).errors
+            for record, begin, end in (cut[i] for i in part):
+                value += (errors[record][:, begin:end] ** 2).sum(axis=1)
+                seen += runs[record].seen[:, begin:end].sum(axis=1)
+            value = value / np.maximum(seen, 1)
         value = np.minimum(np.nan_to_num(value, nan=1e30, posinf=1e30), 1e30)
         power.append(np.where(seen > 0, value, np.nan))
     return np.array(power)

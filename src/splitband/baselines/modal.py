@@ -22,6 +22,8 @@ from splitband.runtime.arrays import Array
 
 Flags = npt.NDArray[np.bool_]
 
+_RADIUS = 1 - 1e-9
+"""Largest absolute value of a free pole; 1 is an integrator."""
 _SPLIT = 1e-9
 """Two poles of a block that are nearer are moved apart by so much, as a diagonal block with equal
 poles has no companion form."""
@@ -112,10 +114,12 @@ class Blocks:
         return replace(self, a=a, b=b, c=c, d=d, offset=offset)
 
     def stable(self, limit: float = 1.0) -> bool:
-        """Return whether all free poles have an absolute value below `limit`."""
+        """Return whether all free poles are stable, and complex ones smaller than `limit`."""
         free = ~self.fixed
-        first, second = self.a[free, 0] / limit, self.a[free, 1] / limit**2
-        return bool(((abs(second) < 1) & (abs(first) < 1 - second)).all())
+        first, second = self.a[free, 0] / _RADIUS, self.a[free, 1] / _RADIUS**2
+        complex_ = self.a[free, 0] ** 2 + 4 * self.a[free, 1] < 0
+        inside = (abs(second) < 1) & (abs(first) < 1 - second)
+        return bool((inside & (~complex_ | (-self.a[free, 1] < limit**2))).all())
 
     def poles(self) -> npt.NDArray[np.complex128]:
         """Return all poles."""

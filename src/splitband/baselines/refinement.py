@@ -211,7 +211,7 @@ def refined(
     limit: float = 1.0,
     converged: float = _CONVERGED,
 ) -> Solution:
-    """Return the locally best system with poles below `limit` in absolute value.
+    """Return the locally best system, with complex poles below `limit` in absolute value.
 
     Without `first`, B, D, offset and initial states are solved for first.
     """

@@ -1,10 +1,10 @@
 """Choose the order of a linear model and its integrators by held-out simulation error.
 
-The records are cut into segments. A model without a segment follows from the model of all samples
-by one step of its normal equations without the segment's share. It simulates the records from its
-own initial states, and its error in the segment is held out. Of the orders whose error is at most
-one standard error above the least, the smallest is taken (L. Breiman et al., Classification and
-Regression Trees, 1984, Sec. 3.4).
+The records are cut into segments. A model without a segment, or without all later ones, follows
+from the model of all samples by one step of the normal equations without their share. It simulates
+the records from its own initial states, and its error in what it lacks is held out. Of the orders
+whose error is at most one standard error above the least, the smallest is taken (L. Breiman et al.,
+Classification and Regression Trees, 1984, Sec. 3.4).
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ _MISSES = 4
 """Number of orders in a row without a gain after which no larger one is tried. By eye."""
 _MOST_REDUCED = 8
 """Largest order that is reduced by leaving out each of its poles. By eye."""
+_ALWAYS = 3
+"""Orders up to this one are always tried: of a nonlinear system they go on best. By eye."""
 _TOO_SMALL = 2
 """Number of orders in a row that are too small after which no smaller one is tried. By eye."""
 _HOPELESS = 4.0
@@ -64,8 +66,9 @@ _DAMPED = 1e-6
 _SLOW = 15.0
 """A pole whose time constant exceeds the longest record divided by this may be an integrator.
 By eye."""
-_RADIUS = 1 - 1e-9
-"""Largest absolute value of a pole that is fitted to the simulation; 1 is an integrator."""
+_DECAYED = 3.0
+"""A vibration decays over the longest record by at least exp(-3): what decays more slowly cannot be
+told from what lasts, and would answer to whatever comes later. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +142,11 @@ class Search:
         if self._subspaces:
             self.values = self._subspaces[0].values
 
+    @property
+    def limit(self) -> float:
+        """Return the largest absolute value of a complex pole."""
+        return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
+
     def of_order(self, order: int, larger: Candidate | None = None) -> Candidate | None:
         """Return the refined model of this order; it may begin as a `larger` one, reduced."""
         if self.integrators:
@@ -147,7 +155,7 @@ class Search:
         if begin is None:
             return None
         iterations = _ITERATIONS if order <= _MOST_AVERAGED else _ITERATIONS // 2
-        at = refined(begin.blocks, self.runs, iterations, begin.first, _RADIUS)
+        at = refined(begin.blocks, self.runs, iterations, begin.first, self.limit)
         return Candidate(at, held_out(at, self.runs))
 
     def best(self) -> Candidate:
@@ -168,7 +176,8 @@ class Search:
 
         hopeless = grid[order][1] + len(self.runs[0].y) * np.log(_HOPELESS)
         orders = [n for n in grid if n <= order and grid[n][1] <= hopeless]
-        for n in (order, *[n for n in grid if n > order][:1]):
+        small = [n for n in grid if n <= min(order, _ALWAYS)]
+        for n in (order, *[n for n in grid if n > order][:1], *small[::-1]):
             tried(n)
         # As a rule all orders from some one on are as good: it is found by bisection.
         low, high = 0, len(orders) - 1
@@ -248,7 +257,8 @@ class Search:
             a, _, c, _ = larger.solution.blocks.matrices()
             tried += reductions(a, c, larger.order - order)
         starts = [
-            linear_solution(blocks_of(stable(a), c, self.direct), self.runs) for a, c in tried
+            linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
+            for a, c in tried
         ]
         return min(starts, key=lambda at: at.cost, default=None)
 
@@ -268,13 +278,15 @@ class Search:
         for a, c in self._matrices(order):
             for chain in (False, True):
                 if (not chain and count <= len(c)) or (chain and 1 < count <= len(c) + 1):
-                    blocks = replace(blocks_of(stable(a), c, direct, count, chain), constant=True)
+                    blocks = replace(
+                        blocks_of(stable(a, self.limit), c, direct, count, chain), constant=True
+                    )
                     if blocks.fixed.any():
                         starts.append(linear_solution(blocks, runs))
         begin = min(starts, key=lambda at: at.cost, default=None)
         if begin is None:
             return None
-        at = refined(begin.blocks, runs, _ITERATIONS, begin.first, _RADIUS)
+        at = refined(begin.blocks, runs, _ITERATIONS, begin.first, self.limit)
         return Candidate(at, held_out(at, runs), count)
 
 
@@ -283,13 +295,14 @@ def with_constant(runs: Sequence[Run]) -> list[Run]:
     return [run._replace(u=np.vstack([run.u, np.ones((1, run.u.shape[1]))])) for run in runs]
 
 
-def stable(a: Array, radius: float = 1 - 1e-6) -> Array:
-    """Return A with poles outside of the unit circle reflected into it."""
+def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
+    """Return A with poles outside of the unit circle reflected, and complex ones below `limit`."""
     poles, vectors = np.linalg.eig(a)
     size = abs(poles)
-    if (size < radius).all():
+    most = np.where(poles.imag == 0, 1 - 1e-6, limit * (1 - 1e-6))
+    if (size < most).all():
         return a
-    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), radius)
+    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
     moved = poles * inside / np.maximum(size, 1e-300)
     return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
 
@@ -330,32 +343,50 @@ def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:
     return found
 
 
-def held_out(solution: Solution, runs: Sequence[Run], linear: bool = False) -> Array:
-    """Return the mean squared error in each segment `(segments, ny)` of the model without it."""
+def held_out_parts(count: int) -> list[list[int]]:
+    """Return the segments of each part that is held out, of so many segments."""
+    later = [[*range(i, count)] for i in range((count + 1) // 2, count - 1)]
+    return [[i] for i in range(count)] + later
+
+
+def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
+    """Return the mean squared error of each part that is held out, `(parts, ny)`.
+
+    A part is a segment, or all that follows one of the later segments: the first shows what a
+    model knows, the second whether it can go on.
+    """
     blocks = solution.blocks
-    free = blocks.linear if linear else blocks.free
-    parts = segments(runs)
-    each = [*by_segment(solution, runs, free, parts)]
-    whole, found = total(each), []
-    for (record, begin, end), own in zip(parts, each, strict=True):
-        step, states = solved(whole.plus(own, -1.0), _DAMPED, whole)
-        if begin == 0:  # the initial state shows in this segment alone
-            states = followed(own, step, _DAMPED, whole)
-        move, start = np.zeros(len(free)), states[record].reshape(-1, 2)
+    free, cut = blocks.free, segments(runs)
+    each = [*by_segment(solution, runs, free, cut)]
+    whole, count = total(each), len(cut)
+    found = []
+    for part in held_out_parts(count):
+        step, states = solved(whole.plus(total([each[i] for i in part]), -1.0), _DAMPED, whole)
+        records = dict.fromkeys(cut[i][0] for i in part)
+        for record in records:
+            own = [i for i in part if cut[i][0] == record]
+            if cut[own[0]][1] == 0:  # the initial state shows in this segment alone
+                shown = total([each[i] for i in own])
+                states |= followed(shown, step, _DAMPED, whole)
+        move = np.zeros(len(free))
         move[free] = step
         for _ in range(6):
             moved = blocks.moved(move)
-            if linear or moved.stable():
+            if moved.stable():
                 break
-            move, start = move / 2, start / 2
-        run = Run(*(signal[:, :end] for signal in runs[record]))
-        with np.errstate(over="ignore", invalid="ignore"):
-            left = run.y - moved.simulate(run, solution.first[record] + start)
-            seen = run.seen[:, begin:]
-            count = seen.sum(axis=1)
-            power = ((left[:, begin:] * seen) ** 2).sum(axis=1) / np.maximum(count, 1)
-        power = np.nan_to_num(power, nan=_DIVERGED, posinf=_DIVERGED)
-        found.append(np.where(count > 0, np.minimum(power, _DIVERGED), np.nan))
+            move, states = move / 2, {record: x / 2 for record, x in states.items()}
+        power, seen = np.zeros(len(blocks.offset)), np.zeros(len(blocks.offset))
+        for record in records:
+            own = [i for i in part if cut[i][0] == record]
+            begin, end = cut[own[0]][1], cut[own[-1]][2]
+            run = Run(*(signal[:, :end] for signal in runs[record]))
+            with np.errstate(over="ignore", invalid="ignore"):
+                start = solution.first[record] + states[record].reshape(-1, 2)
+                left = (run.y - moved.simulate(run, start)) * run.seen
+                power += (left[:, begin:] ** 2).sum(axis=1)
+            seen += run.seen[:, begin:].sum(axis=1)
+        power = np.nan_to_num(power / np.maximum(seen, 1), nan=_DIVERGED, posinf=_DIVERGED)
+        found.append(np.where(seen > 0, np.minimum(power, _DIVERGED), np.nan))
     return np.array(found)
 
 
