@@ -176,7 +176,7 @@ class LinearModel:
         return replace(self, gain=gain, noise=noise)
 
     @property
-    def simulator(self) -> LinearModel:
+    def without_filter(self) -> LinearModel:
         """Return the same system whose states are those of a simulation, with K = 0."""
         return self.observer(np.zeros_like(self.gain), self.spread)
 

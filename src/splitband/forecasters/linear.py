@@ -105,12 +105,12 @@ class Linear(Forecaster):
         """
         assert known.u is not None
         y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
-        return self.model.simulator.continued(known.u, y, self._before(known))[0]
+        return self.model.without_filter.continued(known.u, y, self._before(known))[0]
 
     def as_simulator(self) -> Self:
         """Return it without its Kalman filter, for the slow component of a hybrid."""
         new = copy(self)
-        new.model = replace(self.model.simulator, last=self.model.state_after(self.u))
+        new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
         return new
 
     def accuracy(self) -> Accuracy:
