@@ -66,6 +66,9 @@ _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
 _POLISHED = 40
 """Most iterations of the final refinement. By eye."""
+_MOST_PREDICTED = 100
+"""Most parameters of a model that is compared with one by prediction error where no controller is
+noticed: bounds the time. By eye."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. By eye."""
 
@@ -452,6 +455,8 @@ def _by_prediction(
 
     It is where a controller acts on the inputs (`controlled`), or where it simulates better.
     """
+    if not controlled and chosen.order * (len(made.c) + len(direct)) > _MOST_PREDICTED:
+        return None
     simulated = [
         (x @ made.c.T + run.u.T @ made.d.T + made.offset).T
         for run, x in zip(runs, made.states(), strict=True)
