@@ -174,6 +174,9 @@ def test_only_the_command_line_prints() -> None:
 
 MOST_PARAMETERS, MOST_FIELDS = 6, 8
 LARGER = {
+    "Blocks": "the parameters of a linear system, and which of them are free",
+    "LinearModel": "a state-space model: its matrices, its filter, its states in training",
+    "_Made": "the same before it has units",
     "Record": "the one data container: a field for each signal, and what it is called",
     "Prediction": "a field for each array that a frame and a picture show",
     "Run": "what one seed says under each of three protocols, and how the fit went",
@@ -184,6 +187,7 @@ LARGER = {
     "Isolated": "a task of another process, as the options of a command say it",
 }
 LONGER = {
+    "blocks_of": "the matrices of a system, and which of its poles are given",
     "plan": "all that a user may say of a comparison, each by its name",
     "read": "all that a file may leave open of a record",
     "try_out": "a trial of a few methods of a search that has not ended",

@@ -35,7 +35,6 @@ from splitband.forecasters.bands import Bands as Bands
 from splitband.forecasters.base import Forecaster as Forecaster
 from splitband.forecasters.closed_form import (
     Harmonic as Harmonic,
-    Linear as Linear,
     Mean as Mean,
     Periodic as Periodic,
     Persistence as Persistence,
@@ -56,6 +55,7 @@ from splitband.forecasters.learned import (
     Single as Single,
     Split as Split,
 )
+from splitband.forecasters.linear import Linear as Linear
 from splitband.forecasters.prediction import Prediction as Prediction
 from splitband.forecasters.saving import load as load
 from splitband.forecasters.simulation import (

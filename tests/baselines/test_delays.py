@@ -10,7 +10,8 @@ import scipy.signal
 import splitband as sb
 from benchmarks import inputs as records
 from splitband import Record, Settings
-from splitband.baselines.delays import candidates, delayed
+from splitband.baselines.delays import delayed
+from splitband.baselines.identification import input_delays
 from splitband.metrics import rmse
 
 Array = npt.NDArray[np.float64]
@@ -65,7 +66,8 @@ def test_each_input_has_a_delay_of_its_own() -> None:
 def test_a_record_without_dead_time_has_none(make: object) -> None:
     assert callable(make)
     record = make(np.random.default_rng(0))[:1200]
-    assert candidates([(record.seen, record.u)]) == (0,)
+    assert record.u is not None
+    assert input_delays([(record.seen, record.u)]) == (0,)
 
 
 def test_a_delay_is_found_from_several_records_and_beside_gaps() -> None:
@@ -74,7 +76,7 @@ def test_a_delay_is_found_from_several_records_and_beside_gaps() -> None:
     seen[50:80] = np.nan
     assert one.u is not None
     assert other.u is not None
-    assert candidates([(one.seen, one.u), (seen, other.u)]) == (15,)
+    assert input_delays([(one.seen, one.u), (seen, other.u)]) == (15,)
 
 
 @pytest.mark.parametrize("samples", [2, 5, 30])

@@ -8,7 +8,7 @@ import scipy.signal
 
 import splitband as sb
 from splitband import Bands, Record, Settings, Setup
-from splitband.baselines.linear import OutputError
+from splitband.baselines.identification import identified
 from splitband.evaluation.candidates import candidates
 from splitband.metrics import ExtrapolationWarning, rmse
 
@@ -65,7 +65,7 @@ def test_records_of_one_run_say_what_the_whole_of_it_says() -> None:
     """Each part has an initial state of its own."""
     u = np.random.default_rng(0).standard_normal((600, 1))
     y = scipy.signal.lfilter([0.3, 0.1], [1, -1.5, 0.7], u, axis=0)
-    found = OutputError.fit(y[:200], u[:200], [(y[200:400], u[200:400]), (y[400:], u[400:])])
+    found = identified([(y[:200], u[:200]), (y[200:400], u[200:400]), (y[400:], u[400:])])
     np.testing.assert_allclose(found.simulate(u), y, atol=1e-6)
 
 

@@ -123,7 +123,10 @@ def test_delays_that_no_fit_finds_are_refused(delays: list[int], tmp_path: Path)
     for place in ("forecaster", "model"):
         description = json.loads(whole)
         part = description["forecaster"]["fields"]
-        (part if place == "forecaster" else part["model"]["fields"])["delays"] = {"tuple": delays}
+        if place == "forecaster":
+            part["delays"] = {"tuple": delays}
+        else:
+            part["model"]["fields"]["late"] = {"tuple": delays}
         path.write_text(json.dumps(description))
         with pytest.raises(ValueError, match="delays must be"):
             sb.load(tmp_path)
@@ -133,8 +136,7 @@ def test_a_number_in_place_of_an_array_is_refused(tmp_path: Path) -> None:
     sb.Linear().fit(sb.Record(np.sin(TIME), DT, u=np.cos(TIME))).save(tmp_path)
     path = tmp_path / "forecaster.json"
     description = json.loads(path.read_text())
-    channel = description["forecaster"]["fields"]["model"]["fields"]["channels"]["tuple"][0]
-    channel["fields"]["states"]["fields"]["root"] = 0
+    description["forecaster"]["fields"]["model"]["fields"]["root"] = 0
     path.write_text(json.dumps(description))
     with pytest.raises(ValueError, match="root must be an array, got '0'"):
         sb.load(tmp_path)

@@ -1,7 +1,9 @@
-"""Estimate the dead time of inputs in samples.
+"""Estimate the dead time of each input at each output, in samples.
 
-For an input that acts only after many samples, a linear model needs as many parameters and a
-network as long a memory. Shifting the input by its delay avoids both.
+A delay of many samples would cost a linear model as many states and a network as long a memory.
+Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
+cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); the linear
+model then moves it to where its error is least (`baselines.linear`).
 """
 
 from __future__ import annotations
@@ -11,22 +13,32 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from splitband.baselines.common import recent
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 
-SHORTEST = 4
-"""Shortest delay in samples; the model's coefficients account for shorter ones. By eye."""
-LONGEST_DELAY = 200
-"""Longest delay in samples. By eye."""
-_COEFFICIENTS = 400
-"""Most coefficients of the ARX model that delays are read from, to limit the time. By eye."""
-_SAMPLES_EACH = 5
-"""Fewest samples per coefficient. By eye."""
-_PAST = 4
-"""Past outputs in the ARX model. By eye."""
-_CHANCE = 1e-3
-"""Probability of a false detection for an input without effect. By eye."""
+LONGEST_DELAY = 100_000
+"""Longest delay in samples that a file may ask for: bounds the memory of a stream."""
+_PAST = 12
+"""Order of the models that whiten the signals. By eye."""
+_SIGNIFICANT = 5.5
+"""Correlation of an input with effect, in standard deviations of those without. By eye."""
+_OF_LARGEST = (0.35, 0.7, 1.0)
+"""A candidate is the first lag with this share of the largest correlation: as levels that are held
+for some samples are correlated by chance, the first significant one may be early. By eye."""
+_ARX_PAST = 30
+"""Past samples of each signal in the ARX model that tests earlier lags. By eye."""
+_ARX_ROWS = 8000
+"""Most samples of a record in it. By eye."""
+_CHANCE = 1e-6
+"""Probability that earlier lags without effect are significant. By eye."""
+_EFFECT = 0.03
+"""Share of the residual's power that they explain at least, as the model is but nearly right.
+By eye."""
+_SHARE = 0.4
+"""Longest delay that is searched, as a share of the longest record. By eye."""
+SHORTEST = 2
+"""Shortest first estimate, in samples, that is not taken to be 0: many systems answer one sample
+late. By eye."""
 
 
 def check_delays(delays: Sequence[int], inputs: int) -> None:
@@ -45,64 +57,121 @@ def delayed(u: Array, delays: Sequence[int]) -> Array:
     return np.asarray(np.take_along_axis(u, np.maximum(rows, 0), axis=0))
 
 
-def candidates(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
-    """Return for each input the first delay at which it has a significant effect.
+def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, ...]]]:
+    """Return candidates of the delay of each input at each output, `[output][input]`.
 
-    This is the lag of the input's first significant coefficient in an ARX model: a regression of
-    the output on the lagged inputs and on its own past, which whitens the errors. The delay is 0
-    for an input without a significant effect, for one that acts after fewer than `SHORTEST`
-    samples, and for records with too few samples.
+    They are (0,) for an input that acts after fewer than `SHORTEST` samples, and empty for one
+    without a significant effect.
 
     Parameters
     ----------
     records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
     """
+    ny, nu = records[0][0].shape[1], records[0][1].shape[1]
+    found: list[list[tuple[int, ...]]] = [[()] * nu for _ in range(ny)]
+    longest = int(_SHARE * max(len(y) for y, _ in records))
+    records = [(y, u) for y, u in records if len(y) > 4 * _PAST]
+    if longest < 2 * _PAST or not records:
+        return found
+    for j in range(nu):
+        inputs = [u[:, j] for _, u in records]
+        if max(map(np.ptp, inputs)) == 0:
+            continue
+        of_input = _whitener(inputs)
+        white = [_through(of_input, x) for x in inputs]
+        for k in range(ny):
+            outputs = [_through(of_input, _filled(y[:, k])) for y, _ in records]
+            of_output = _whitener(outputs)
+            left = [_through(of_output, x) for x in outputs]
+            # A slow output under noise loses an input's effect together with its slowness.
+            lags = _first_lags(white, left, longest) or _first_lags(white, outputs, longest)
+            if lags and lags[0] >= SHORTEST and _acts_before(records, k, j, lags):
+                lags = [0]
+            if lags:
+                found[k][j] = tuple(dict.fromkeys(lags)) if lags[0] >= SHORTEST else (0,)
+    return found
+
+
+def _acts_before(
+    records: Sequence[tuple[Array, Array]], output: int, input_: int, lags: Sequence[int]
+) -> bool:
+    """Return whether an input has an effect at much earlier lags, beside all that is past.
+
+    This is the F test of a long ARX model. Lightly damped systems correlate most after many
+    samples, although they act at once.
+    """
+    rows, wanted = [], []
     nu = records[0][1].shape[1]
-    ends = [recent(y)[0] for y, _ in records]
-    records = [(y[begin:], u[begin:]) for (y, u), begin in zip(records, ends, strict=True)]
     samples = sum(len(y) for y, _ in records)
-    shortest = min(len(y) for y, _ in records)
-    lags = min(LONGEST_DELAY, _COEFFICIENTS // nu, (samples // _SAMPLES_EACH - _PAST) // nu,
-               shortest // 2) - 1  # fmt: skip
-    if lags < SHORTEST:
-        return (0,) * nu
-    found = [
-        _significant([(y[:, i], u) for y, u in records], lags)
-        for i in range(records[0][0].shape[1])
-    ]
-    first = [min(of_input) for of_input in zip(*found, strict=True)]
-    return tuple(lag if SHORTEST <= lag <= lags else 0 for lag in first)
-
-
-def _significant(records: Sequence[tuple[Array, Array]], lags: int) -> list[int]:
-    """Return the first significant lag of each input; `lags + 1` if there is none."""
-    nu = records[0][1].shape[1]
-    rows = [_regressors(y, u, lags) for y, u in records]
-    x, y = np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows])
-    freedom = len(y) - x.shape[1]
+    past = min(_ARX_PAST, samples // (10 * (nu + 1)))
+    lag = max(2, (min(lags) + 1) // 2)  # the first estimate is late by some samples
+    # Lags that are tested, evenly over all that are much earlier, and those that may act.
+    tested = np.unique(np.linspace(0, lag - 1, min(lag, _ARX_PAST)).astype(int))
+    near = np.arange(-_ARX_PAST // 4, past + 1)
+    later = np.unique(np.concatenate([each + near for each in lags]))
+    later = later[later >= lag]
+    for y, u in records:
+        begin = max(past, int(later.max(initial=0)))
+        if len(y) <= begin + 1:
+            continue
+        index = np.arange(begin, len(y))[:, None]
+        others = [u[index - np.arange(past + 1), i] for i in range(nu) if i != input_]
+        seen = [y[index - np.arange(1, past + 1), i] for i in range(y.shape[1])]
+        own = [u[index - tested, input_], u[index - later, input_]]
+        row = np.hstack([*own, *others, *seen, np.ones((len(index), 1))])
+        whole = ~np.isnan(row).any(axis=1) & ~np.isnan(y[begin:, output])
+        rows.append(row[whole][:_ARX_ROWS])
+        wanted.append(y[begin:, output][whole][:_ARX_ROWS])
+    if not rows:
+        return False
+    x, target = np.concatenate(rows), np.concatenate(wanted)
+    count, freedom = len(tested), len(x) - x.shape[1]
     if freedom < x.shape[1]:
-        return [lags + 1] * nu
+        return False
     scale = np.linalg.norm(x, axis=0)
-    used = scale > 0
-    outer, size, inner = np.linalg.svd(x[:, used] / scale[used], full_matrices=False)
-    kept = size > 1e-8 * size[0]
-    outer, size, inner = outer[:, kept], size[kept], inner[kept]
-    projected = outer.T @ y
-    error = float(np.sum((y - outer @ projected) ** 2)) / freedom
-    deviation = np.sqrt(error * np.sum((inner / size[:, None]) ** 2, axis=0))
-    t = np.zeros(x.shape[1])
-    t[used] = (inner.T @ (projected / size)) / np.maximum(deviation, np.finfo(float).tiny)
-    limit = scipy.stats.t.isf(_CHANCE / (2 * nu * (lags + 1)), freedom)
-    late = (abs(t[: nu * (lags + 1)]) > limit).reshape(nu, lags + 1)
-    return [int(of_input.argmax()) if of_input.any() else lags + 1 for of_input in late]
+    x = np.column_stack([x[:, count:], x[:, :count], target]) / np.where(
+        np.append(np.roll(scale, -count), 1.0) > 0, np.append(np.roll(scale, -count), 1.0), 1.0
+    )
+    r = np.asarray(np.linalg.qr(x, mode="r"))[:, -1]
+    power, left = float((r[-1 - count : -1] ** 2).sum()) / count, float(r[-1] ** 2) / freedom
+    floor = (1e-9 * np.linalg.norm(target)) ** 2
+    least = max(scipy.stats.f.isf(_CHANCE, count, freedom), _EFFECT * freedom / count)
+    return bool(power > least * max(left, floor))
 
 
-def _regressors(y: Array, u: Array, lags: int) -> tuple[Array, Array]:
-    """Return the ARX regressors (lagged inputs, past outputs, 1) and the outputs, without gaps."""
-    begin = max(lags, _PAST)
-    index = np.arange(begin, len(y))[:, None]
-    inputs = [x[index - np.arange(lags + 1)] for x in u.T]
-    past = y[index - np.arange(1, _PAST + 1)]
-    x = np.hstack([*inputs, past, np.ones((len(index), 1))])
-    measured = ~np.isnan(y[begin:]) & ~np.isnan(past).any(axis=1)
-    return x[measured], y[begin:][measured]
+def _filled(y: Array) -> Array:
+    """Fill gaps by linear interpolation."""
+    rows = np.flatnonzero(~np.isnan(y))
+    return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
+
+
+def _whitener(signals: Sequence[Array]) -> Array:
+    """Return the coefficients of an autoregressive model, `(1 + _PAST,)`."""
+    products = np.zeros(_PAST + 1)
+    for signal in signals:
+        x = signal - signal.mean()
+        products += [x[: len(x) - lag] @ x[lag:] for lag in range(_PAST + 1)]
+    products[0] = products[0] * (1 + 1e-6) + 1e-300
+    return np.append(1.0, -scipy.linalg.solve_toeplitz(products[:-1], products[1:]))
+
+
+def _through(whitener: Array, x: Array) -> Array:
+    """Return the whitened signal; its first samples, which lack a past, are 0."""
+    white = scipy.signal.lfilter(whitener, [1.0], x - x.mean())
+    white[:_PAST] = 0.0
+    return np.asarray(white)
+
+
+def _first_lags(inputs: Sequence[Array], outputs: Sequence[Array], longest: int) -> list[int]:
+    """Return the first lags from 0 on with significant correlations; none without one."""
+    total = np.zeros(2 * longest + 1)
+    lags = np.arange(-longest, longest + 1)
+    for u, y in zip(inputs, outputs, strict=True):
+        whole = scipy.signal.correlate(y, u, method="fft")
+        within = abs(lags) < len(u)
+        total[within] += whole[len(u) - 1 + lags[within]] / np.sqrt(len(u) - abs(lags[within]))
+    usual, size = np.median(abs(total)) / 0.6745, abs(total[longest:])
+    if size.max() <= max(_SIGNIFICANT * usual, 1e-300):
+        return []
+    least = [max(share * size.max(), _SIGNIFICANT * usual) for share in _OF_LARGEST]
+    return [int(np.argmax(size >= each)) for each in least]

@@ -1,195 +1,359 @@
-"""Fit a linear output-error model from the known inputs to the measured channels.
+"""Hold a linear state-space model in innovations form; `baselines.identification` fits it.
 
-A baseline (see `baselines.common`) for records with inputs; for a linear system with white
-measurement noise it is the optimal model structure. The initial state of a history is estimated
-from that history. See L. Ljung, System Identification, 2nd ed., Sec. 4.2.
+A baseline (see `baselines.common`) for records with inputs. See L. Ljung, System Identification,
+2nd ed., Sec. 4.3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
-from splitband.baselines.channel import Channel, fit_channels, initial_state
-from splitband.baselines.delays import candidates, check_delays, delayed
-from splitband.metrics import spread
+from splitband.baselines.accuracy import Accuracy
+from splitband.baselines.delays import check_delays, delayed
+from splitband.baselines.states import EXACT, most_probable, responses
+from splitband.baselines.systems import states
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import current
 from splitband.runtime.options import saved
 
 
 @saved
 @dataclass(frozen=True, eq=False)
-class OutputError:
-    """Model each channel by y = (B u + C δ) / A + offset; use `fit`.
+class LinearModel:
+    """Model outputs by x' = A x + B (u - mean) + drift + K e, y = C x + D (u - mean) + offset + e.
 
-    A, B and C are polynomials of the delay operator, δ is the unit impulse at index 0: C δ / A is
-    the response to the initial state.
+    u are the inputs after their delays, one column for each entry of `taps`; e is white noise.
 
     Attributes
     ----------
-    channels : The model of each channel.
-    mean, scale : Mean and standard deviation of the inputs, for their normalisation, `(nu,)`.
-    delays : Dead time of each input in samples, `nu` of them.
+    a, b, c, d : A `(n, n)`, B `(n, taps)`, C `(ny, n)` and D `(ny, taps)`, in the record's units.
+    offset : `(ny,)`.
+    drift : Constant flow into integrators, `(n,)`.
+    gain : K, `(n, ny)`.
+    noise : Covariance of e, `(ny, ny)`.
+    mean : Mean of each input, `(nu,)`.
+    taps : Input and delay in samples of each column of B and D.
+    late : Longest delay that acts on each output, `ny` of them.
+    first : State at the first sample of the first record, `(n,)`.
+    last : State after the last sample of it, by the Kalman filter, `(n,)`.
+    centre, root : Mean of the states in training, and a root R of their covariance R R', `(n, n)`.
+    error : RMS error of the simulation of the training records, `(ny,)`.
+    spread : Covariance of these errors that counts for a state that is estimated with K = 0: it is
+        larger the more successive errors are correlated, `(ny, ny)`.
+    scale : Standard deviation of each output in training, `(ny,)`.
+    integrators : Number of poles that are fixed at 1.
+    by : What was minimised, "output error" or "prediction error".
+    orders, held_out : Orders that were tried, and the held-out simulation error of each, as a share
+        of the outputs' standard deviations.
+    values : Singular values of the data.
+    silent : Angles, in radians per sample, of poles that no input excites.
+    accuracy : Standard errors; None after a deadline.
     """
 
-    channels: tuple[Channel, ...]
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    offset: Array
+    drift: Array
+    gain: Array
+    noise: Array
     mean: Array
+    taps: tuple[tuple[int, int], ...]
+    late: tuple[int, ...]
+    first: Array
+    last: Array
+    centre: Array
+    root: Array
+    error: Array
+    spread: Array
     scale: Array
-    delays: tuple[int, ...]
+    integrators: int = 0
+    by: str = "output error"
+    orders: tuple[int, ...] = ()
+    held_out: Array = field(default_factory=lambda: np.zeros(0))
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    silent: tuple[float, ...] = ()
+    accuracy: Accuracy | None = None
 
     def __post_init__(self) -> None:
-        """Check values that may come from a file."""
-        check_delays(self.delays, len(self.mean))
+        """Check what may come from a file."""
+        n, ny, taps = len(self.a), len(self.c), len(self.taps)
+        shapes = {
+            "a": (n, n), "b": (n, taps), "c": (ny, n), "d": (ny, taps), "offset": (ny,),
+            "drift": (n,), "gain": (n, ny), "noise": (ny, ny), "first": (n,), "last": (n,),
+            "centre": (n,), "root": (n, n), "error": (ny,), "spread": (ny, ny), "scale": (ny,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise ValueError(f"{name} must be {shape}, got {np.shape(getattr(self, name))}")
+        check_delays([delay for _, delay in self.taps], taps)
+        check_delays(self.late, ny)
+        if any(not 0 <= i < len(self.mean) for i, _ in self.taps):
+            raise ValueError(f"taps must name one of {len(self.mean)} inputs, got {self.taps}")
 
-    @classmethod
-    def fit(
-        cls,
-        y: Array,
+    @property
+    def ny(self) -> int:
+        """Return the number of outputs."""
+        return len(self.c)
+
+    @property
+    def nu(self) -> int:
+        """Return the number of inputs."""
+        return len(self.mean)
+
+    @property
+    def order(self) -> int:
+        """Return the number of states, without those of delays."""
+        return len(self.a)
+
+    def delay(self, output: int, input_: int) -> int:
+        """Return the delay from an input to an output in samples, the least of several."""
+        acts = self._acts(output)
+        found = [d for (i, d), on in zip(self.taps, acts, strict=True) if i == input_ and on]
+        return min(found, default=0)
+
+    @property
+    def delays(self) -> tuple[int, ...]:
+        """Return the least delay of each input, `nu` of them."""
+        return tuple(min(d for i, d in self.taps if i == j) for j in range(self.nu))
+
+    def _acts(self, output: int) -> Any:
+        """Return whether each tap acts on an output."""
+        reached = abs(self.c[output]) > 0
+        for _ in range(self.order):
+            reached = reached | (abs(self.a[reached]) > 0).any(axis=0)
+        return (abs(self.b[reached]) > 0).any(axis=0) | (abs(self.d[output]) > 0)
+
+    def tapped(self, u: Array) -> Array:
+        """Return the delayed inputs minus their means, `(time, taps)`."""
+        inputs = [i for i, _ in self.taps]
+        return delayed(u[:, inputs], [d for _, d in self.taps]) - self.mean[inputs]
+
+    def simulate(
+        self,
         u: Array,
-        others: Sequence[tuple[Array, Array]] = (),
-        most: int | None = None,
-    ) -> OutputError:
-        """Fit to the first samples of a record, by least squares of the simulation error.
-
-        Each channel has its own model with stable poles, whose number is chosen on held-out samples
-        (`baselines.origins`). The last samples of a long record are fitted, see `common.recent`. If
-        an input acts with a delay, a model with that delay is fitted as well, and the Bayesian
-        information criterion chooses between them. After the deadline of `runtime.deadlines` no
-        more orders and no delays are tried.
+        state: Array | None = None,
+        before: Array | None = None,
+        begin: int = 0,
+    ) -> Array:
+        """Simulate from a state on, by default from the first training sample, `(time, ny)`.
 
         Parameters
         ----------
-        y : `(train, ny)`, NaN in gaps.
-        u : Inputs of the same samples, `(train, nu)`.
-        others : `y` and `u` of further records of the same system, each with its own initial
-            state. The limit `common.LONGEST` on fitted samples is divided between them.
-        most : Most poles of each channel; delays are then not tried.
+        u : Inputs, `(time, nu)`.
+        state : At the row `begin` of `u`.
+        before : Earlier inputs, which act with a delay.
+        begin : Where the simulation begins.
         """
-        together = np.concatenate([u, *(inputs for _, inputs in others)])
-        mean, scale = together.mean(axis=0), spread(together)
-        records = [(seen, (inputs - mean) / scale) for seen, inputs in ((y, u), *others)]
-        at_once = cls(fit_channels(records, most), mean, scale, (0,) * len(mean))
-        if most is not None or current().over:
-            return at_once
-        delays = candidates(records)
-        begin, shifted = max(delays), [(seen, delayed(x, delays)) for seen, x in records]
-        # Fit from the first sample whose delayed inputs are known, with an initial state there.
-        acted = [(seen[begin:], x[begin:]) for seen, x in shifted]
-        if not begin or np.isnan(acted[0][0]).all(axis=0).any():
-            return at_once
-        channels = fit_channels(acted)
-        first, x = _after(shifted[0][0], begin), shifted[0][1]
-        begun = [
-            c._replace(c=initial_state(c, part, x))
-            for c, part in zip(channels, first.T, strict=True)
-        ]
-        late = cls(tuple(begun), mean, scale, delays)
-        samples = sum(np.count_nonzero(~np.isnan(seen)) for seen, _ in acted) / y.shape[1]
-        return min(at_once, late, key=lambda model: model.criterion(samples))
+        since = u if before is None else np.concatenate([before, u])
+        tapped = self.tapped(since)[len(since) - len(u) + begin :]
+        return self._run(tapped, self.first if state is None else state)[0]
 
-    def simulate(self, u: Array) -> Array:
-        """Simulate the training record from its first sample on, `(time, ny)`.
+    def state_after(self, u: Array) -> Array:
+        """Return the state after these inputs, from the first training sample on, `(n,)`."""
+        return self._run(self.tapped(u), self.first)[1]
 
-        `u` are its inputs, `(time, nu)`, for as many samples as wanted.
-        """
-        scaled = self._scaled(u)
-        return np.stack([channel.simulate(scaled) for channel in self.channels], axis=1)
+    def _run(self, tapped: Array, first: Array) -> tuple[Array, Array]:
+        """Return the outputs of a simulation, and the state after it."""
+        if not len(tapped):
+            return np.zeros((0, self.ny)), first
+        forced = tapped @ self.b.T + self.drift
+        x = states(self.a, forced, first)
+        return x @ self.c.T + tapped @ self.d.T + self.offset, self.a @ x[-1] + forced[-1]
 
-    def continued(self, u: Array, y: Array, before: Array | None = None) -> Array:
-        """Simulate a record from a state that is estimated from its first samples, `(time, ny)`.
+    def observed(self, u: Array, y: Array) -> Array:
+        """Return the state after the first training record, by the Kalman filter, `(n,)`."""
+        return self.continued(u, y, u[:0])[1]
+
+    def observer(self, gain: Array, noise: Array) -> LinearModel:
+        """Return the same system with another filter."""
+        return replace(self, gain=gain, noise=noise)
+
+    @property
+    def without_filter(self) -> LinearModel:
+        """Return the same system whose states are those of a simulation, with K = 0."""
+        return self.observer(np.zeros_like(self.gain), self.spread)
+
+    def whitener(self) -> Array:
+        """Return W with W'W the inverse of the covariance of e, with a lower limit, `(ny, ny)`."""
+        floor = np.diag((EXACT * np.maximum(self.scale, 1e-150)) ** 2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise + floor)))
+
+    def continued(self, u: Array, y: Array, before: Array | None = None) -> tuple[Array, Array]:
+        """Return predictions of each sample `(time, ny)`, and where the first forecast is.
+
+        Up to the end of `y` a sample is predicted from those before it; then they are simulated.
 
         Parameters
         ----------
         u : Inputs from the first sample on, `(time, nu)`.
         y : The first samples, `(any time, ny)`, NaN in gaps.
         before : If the record continues the training record, the inputs from the first training
-            sample to its beginning, `(any time, nu)`; empty if both begin together. The simulated
-            state is then corrected as far as `y` contradicts it. None: the prior of the state is
-            the distribution of the states in training.
+            sample to its beginning, `(any time, nu)`; empty if both begin together. The state that
+            they lead to is then expected. None: the prior of the state is the distribution of the
+            states in training.
         """
         since = u if before is None else np.concatenate([before, u])
-        scaled, late = self._scaled(since), max(self.delays)
-        if before is not None:
-            y = _after(y, late - len(before))  # before these samples the inputs are not known
-        elif len(y) >= 2 * late:
-            y = _after(y, late)
-        found = []
-        for channel, seen in zip(self.channels, y.T, strict=True):
-            states, expected = channel.states, before is not None
-            begun = channel if expected else channel._replace(c=states.mean)
-            y_sim = begun.simulate(scaled)[len(since) - len(u) :]
-            left = seen - y_sim[: len(seen)]
-            found.append(y_sim + states.correction(left, len(u), channel.a, expected))
-        return np.stack(found, axis=1)
+        expected = before is not None
+        tapped = self.tapped(since)
+        known = 0 if before is None else len(before)
+        x = self._run(tapped[:known], self.first)[1] if expected else self.centre
+        tapped = tapped[known:]
+        ages = np.arange(len(y))[:, None] + known
+        seen = ~np.isnan(y) & (ages >= np.asarray(self.late))
+        if not seen.any():
+            return self._run(tapped, x)[0], x
+        usual = np.array(0.0 if expected else 1.0)
+        whole = bool(seen.all())
+        if whole:
+            answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
+            errors, _ = self._observed(tapped[: len(y)], y, x)
+            white = self.whitener()
+            rows = np.einsum("ij,tjn->tin", white, answers).reshape(-1, self.order)
+            left = (errors[: len(answers)] @ white.T).ravel()
+            information, towards = rows.T @ rows, rows.T @ left
+        else:
+            information, towards = self._with_gaps(tapped, y, seen, x)
+        x = x + self.root @ most_probable(information, towards, usual)
+        return self._followed(tapped, y, seen, x)
+
+    def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
+        """Return prediction errors `(time, ny)` and the state after a history without gaps."""
+        left = y - tapped @ self.d.T - self.offset
+        forced = tapped @ self.b.T + self.drift + left @ self.gain.T
+        a = self.a - self.gain @ self.c
+        x = states(a, forced, first)
+        return left - x @ self.c.T, a @ x[-1] + forced[-1]
+
+    def _with_gaps(self, tapped: Array, y: Array, seen: Any, x: Array) -> tuple[Array, Array]:
+        """Return `information` and `towards` of `most_probable`, sample by sample."""
+        answers, white = self.root, self.whitener()
+        information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
+        for row, value, known in zip(tapped[: len(y)], y, seen, strict=True):
+            response = self.c @ answers
+            left = np.where(known, value - self.c @ x - self.d @ row - self.offset, 0.0)
+            counted = white @ (response * known[:, None])
+            information += counted.T @ counted
+            towards += counted.T @ (white @ left)
+            answers = self.a @ answers - self.gain @ (response * known[:, None])
+            x = self.a @ x + self.b @ row + self.drift + self.gain @ left
+        return information, towards
+
+    def _followed(self, tapped: Array, y: Array, seen: Any, x: Array) -> tuple[Array, Array]:
+        """Return predictions of all samples, observing the history from the state x."""
+        if seen.all():
+            errors, after = self._observed(tapped[: len(y)], y, x)
+            ahead = self._run(tapped[len(y) :], after)[0]
+            return np.concatenate([y - errors, ahead]), after
+        found = np.empty((len(y), self.ny))
+        for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, seen, strict=True)):
+            found[n] = self.c @ x + self.d @ row + self.offset
+            left = np.where(known, value - found[n], 0.0)
+            x = self.a @ x + self.b @ row + self.drift + self.gain @ left
+        ahead = self._run(tapped[len(y) :], x)[0]
+        return np.concatenate([found, ahead]), x
+
+    def state_space(self) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D with delays, for deviations from `mean` and the offsets.
+
+        The states are those of the model, then the delayed inputs.
+        """
+        longest = [max((d for i, d in self.taps if i == j), default=0) for j in range(self.nu)]
+        a = scipy.linalg.block_diag(self.a, *(np.eye(late, k=-1) for late in longest))
+        n = self.order
+        b, c, d = (
+            np.zeros((len(a), self.nu)),
+            np.zeros((self.ny, len(a))),
+            np.zeros((self.ny, self.nu)),
+        )
+        c[:, :n] = self.c
+        begin = np.cumsum([n, *longest])
+        for column, (i, late) in enumerate(self.taps):
+            if late:
+                a[:n, begin[i] + late - 1] += self.b[:, column]
+                c[:, begin[i] + late - 1] += self.d[:, column]
+            else:
+                b[:n, i] += self.b[:, column]
+                d[:, i] += self.d[:, column]
+        for i, late in enumerate(longest):
+            if late:
+                b[begin[i], i] = 1.0
+        return a, b, c, d
 
     def transfer_function(self, output: int, input_: int) -> tuple[Array, Array]:
         """Return numerator and denominator from an input to an output, in powers of z."""
-        channel, late = self.channels[output], self.delays[input_]
-        b = channel.b[input_] / self.scale[input_]
-        return b, np.append(channel.a, np.zeros(late))
+        columns = [t for t, (i, _) in enumerate(self.taps) if i == input_]
+        acts = self._acts(output)
+        columns = [t for t in columns if acts[t]] or columns[:1]
+        longest = max(self.taps[t][1] for t in columns)
+        a = np.poly(self.a) if self.order else np.ones(1)
+        b = np.zeros(len(a) + longest)
+        for t in columns:
+            # B(z) = det(zI - A + B C) + (D - 1) det(zI - A)
+            own = np.poly(self.a - np.outer(self.b[:, t], self.c[output])) if self.order else a
+            own = own + (self.d[output, t] - 1) * a
+            late = longest - self.taps[t][1]
+            b[longest - late : longest - late + len(own)] += own
+        kept = int(np.argmax(b != 0))  # SciPy warns of leading zeros
+        return b[kept:], np.append(a, np.zeros(longest))
 
-    def state_space(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D, including delays, for deviations from `mean` and the offsets.
-
-        The states are those of each channel in observer form, then the delayed inputs.
-        """
-        own, driven, seen, direct = self.without_delays()
-        driven, direct = driven / self.scale, direct / self.scale
-        a = scipy.linalg.block_diag(own, *(np.eye(late, k=-1) for late in self.delays))
-        b, c, d = np.zeros((len(a), len(self.mean))), np.zeros((len(seen), len(a))), 0 * direct
-        c[:, : len(own)] = seen
-        first = len(own)
-        for j, late in enumerate(self.delays):
-            # The channels are driven by the input, or by the last of its delayed values.
-            into, out, column = (a, c, first + late - 1) if late else (b, d, j)
-            into[: len(own), column], out[:, column] = driven[:, j], direct[:, j]
-            if late:
-                b[first, j] = 1.0
-            first += late
-        return a, b, c, d
-
-    def without_delays(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D of all channels in observer form, for scaled and delayed inputs."""
-        parts = [channel.canonical() for channel in self.channels]
-        a, c = (scipy.linalg.block_diag(*(part[i] for part in parts)) for i in (0, 2))
-        b, d = (np.concatenate([part[i] for part in parts]) for i in (1, 3))
-        return a, b, c, d
-
-    def criterion(self, samples: float) -> float:
-        """Return the Bayesian information criterion of a fit to `samples` samples per channel."""
-        tiny = np.finfo(np.float64).tiny
-        return sum(
-            2 * samples * np.log(max(channel.states.error, tiny))
-            + (channel.a.size + channel.b.size + channel.c.size) * np.log(samples)
-            for channel in self.channels
-        )
-
-    def _scaled(self, u: Array) -> Array:
-        """Return the delayed and normalised inputs."""
-        return (delayed(u, self.delays) - self.mean) / self.scale
+    def poles(self) -> npt.NDArray[np.complex128]:
+        """Return the poles in the z plane, without those at 0 of delays, `(n,)` complex."""
+        return np.asarray(np.linalg.eigvals(self.a), np.complex128)
 
     def __str__(self) -> str:
-        orders = "+".join(str(len(channel.a) - 1) for channel in self.channels)
-        poles = f"{orders} pole{'s' * (orders != '1')}"
-        inputs = f"{len(self.mean)} input{'s' * (len(self.mean) != 1)}"
-        return f"{poles}, {inputs} and an offset"
+        poles = f"{self.order} pole{'s' * (self.order != 1)}"
+        held = f", {self.integrators} of them at 1" if self.integrators else ""
+        inputs = f"{self.nu} input{'s' * (self.nu != 1)}"
+        return f"{poles}{held}, {inputs} and an offset; by {self.by}"
 
 
-def _after(y: Array, begin: int) -> Array:
-    """Replace the samples before the index `begin` by NaN."""
-    return np.where(np.arange(len(y))[:, None] < begin, np.nan, y)
+def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> LinearModel:
+    """Return one model of all outputs; each part models some of them, from the same inputs."""
+    if len(parts) == 1:
+        return parts[0][0]
+    models = [model for model, _ in parts]
+    outputs = np.concatenate([[*of_part] for _, of_part in parts]).astype(int)
+    back = np.argsort(outputs)
 
+    def diagonal(name: str) -> Array:
+        return np.asarray(scipy.linalg.block_diag(*(getattr(m, name) for m in models)))
 
-def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
-    """Return the dead time of each input in samples, as estimated by the linear model.
+    def joined(name: str) -> Array:
+        return np.concatenate([getattr(m, name) for m in models])
 
-    `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
-    """
-    first, *others = records
-    if not any(candidates(records)):
-        return (0,) * first[1].shape[1]
-    return OutputError.fit(*first, others).delays
+    accuracies = [m.accuracy for m in models if m.accuracy is not None]
+    least = min(models, key=lambda m: len(m.orders))
+    return LinearModel(
+        diagonal("a"),
+        diagonal("b"),
+        diagonal("c")[back],
+        diagonal("d")[back],
+        joined("offset")[back],
+        joined("drift"),
+        diagonal("gain")[:, back],
+        diagonal("noise")[np.ix_(back, back)],
+        models[0].mean,
+        tuple(tap for m in models for tap in m.taps),
+        tuple(np.concatenate([m.late for m in models])[back].tolist()),
+        joined("first"),
+        joined("last"),
+        joined("centre"),
+        diagonal("root"),
+        joined("error")[back],
+        diagonal("spread")[np.ix_(back, back)],
+        joined("scale")[back],
+        sum(m.integrators for m in models),
+        " and ".join(dict.fromkeys(m.by for m in models)),
+        least.orders,
+        least.held_out,
+        least.values,
+        tuple(angle for m in models for angle in m.silent),
+        Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None,
+    )

@@ -136,6 +136,10 @@ class Forecaster(Configurable):
         known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
         return replace(record, y_sim=self.trajectory(known), beyond=None)
 
+    def as_simulator(self) -> Self:
+        """Return the fitted forecaster as the slow component of a hybrid, which only simulates."""
+        return self
+
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return the signals before its filters by name; empty for a forecaster without filters."""
         return {}

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, ClassVar, final
 
 import numpy as np
-import numpy.typing as npt
-import scipy
 
 from splitband.baselines.common import ByTime
 from splitband.baselines.harmonic import HarmonicRegression
-from splitband.baselines.linear import OutputError
 from splitband.baselines.periodic import PeriodicRegression
 from splitband.baselines.seasonal import LastPeriod
 from splitband.data import Record
@@ -22,9 +18,7 @@ from splitband.forecasters.fitted import first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
-from splitband.forecasters.stepping_linear import Driven
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import current
 
 DISAGREEMENT_RATIO = 3.0
 """A function of time disagrees with a history if its error exceeds this multiple of the training
@@ -170,90 +164,6 @@ class Periodic(_ByTime):
     slow_part = "periodic waveform"
     words = "periodic waveform, fitted"
     fits = PeriodicRegression
-
-
-@final
-class Linear(Forecaster):
-    """Fit an output-error model of the known inputs (`baselines.linear`).
-
-    Several records are fitted together, each with its own initial state.
-    """
-
-    name = "linear"
-    affine = True
-    needs = frozenset({"inputs"})
-
-    slow_part = "linear model"
-    words = "linear model of the inputs (output error)"
-
-    def learn(self, records: Sequence[Record], **_: Any) -> None:
-        """Fit the model to all records."""
-        first, *others = [(r.seen, r.u) for r in records if r.u is not None]  # all: see `check`
-        self.u = first[1]
-        self.model = OutputError.fit(*first, others)
-        self.delays = self.model.delays
-        fitted = self.require_fitted()
-        self.fitted = replace(fitted, report=replace(fitted.report, cut=current().over))
-
-    def extrapolate(self, known: Known) -> Array:
-        """Return the output of the model after the history."""
-        return self.trajectory(known)[len(known.y) :]
-
-    def trajectory(self, known: Known) -> Array:
-        """Return its output over history and forecast, from a state estimated on the history.
-
-        Where all inputs since the first sample of the training record are known, the prior of this
-        state is simulated; else it is the distribution of states in training.
-        """
-        begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
-        before = self.u[:begin] if 0 <= begin <= len(self.u) else None
-        y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
-        assert known.u is not None
-        return self.model.continued(known.u, y, before)
-
-    def part(self, outside: bool = False) -> Part:
-        """Return the model's recursion."""
-        return Driven(self.model, self.u)
-
-    def state_space(self) -> scipy.signal.StateSpace:
-        """Return the fitted model as a discrete-time system, delays included.
-
-        Its inputs and outputs are deviations from `operating_point`.
-        """
-        self.require_fitted()
-        matrices = self.model.state_space()
-        return scipy.signal.StateSpace(*matrices, dt=self.require_fitted().record.sampling_time)
-
-    def operating_point(self) -> tuple[Array, Array]:
-        """Return the inputs `(nu,)` and outputs `(ny,)` at the operating point."""
-        self.require_fitted()
-        return self.model.mean, np.array([channel.offset for channel in self.model.channels])
-
-    def poles(self) -> npt.NDArray[np.complex128]:
-        """Return the poles in the z plane, including those at 0 of delayed inputs."""
-        return np.asarray(np.linalg.eigvals(self.state_space().A), np.complex128)
-
-    def transfer_function(self, output: int = 0, input_: int = 0) -> scipy.signal.TransferFunction:
-        """Return the fitted transfer function from an input to an output, by index from 0.
-
-        The input's delay is a factor z^-delay, whose poles are at 0.
-        """
-        step = self.require_fitted().record.sampling_time
-        b, a = self.model.transfer_function(output, input_)
-        return scipy.signal.TransferFunction(b, a, dt=step)
-
-    def to_control(self) -> Any:
-        """Return `state_space` as a `control.StateSpace` (the extra `control`), with its names."""
-        control, record = import_module("control"), self.require_fitted().record
-        return control.ss(
-            *self.model.state_space(), record.sampling_time,
-            inputs=[*record.inputs], outputs=[*record.columns],
-        )  # fmt: skip
-
-    def describe(self) -> str:
-        """Return the chosen orders, and the delays of the inputs."""
-        late = self.require_fitted().late_inputs(self.delays)
-        return "; ".join(filter(None, [str(self.model), late]))
 
 
 def _rmse_of_channels(errors: Array) -> Array:

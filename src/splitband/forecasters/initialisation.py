@@ -13,7 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from torch import Tensor
 
-from splitband.baselines.linear import OutputError
+from splitband.baselines.identification import identified
+from splitband.baselines.linear import LinearModel
 from splitband.baselines.realisation import Realisation, realised, state_estimator
 from splitband.data import Record
 from splitband.forecasters.caching import Cached
@@ -65,8 +66,9 @@ class Earlier:
             begin_as_linear(model, records, settings.normalize, seed)
 
 
-def _fitted(most: int, first: tuple[Array, Array], *others: tuple[Array, Array]) -> OutputError:
-    return OutputError.fit(*first, others, most)
+def _fitted(most: int, *records: tuple[Array, Array]) -> LinearModel:
+    delay = np.zeros((records[0][0].shape[1], records[0][1].shape[1]), int)
+    return identified(records, delay=delay, most=most)
 
 
 FITTED: Cached[Any] = Cached(_fitted)
@@ -76,7 +78,7 @@ FITTED: Cached[Any] = Cached(_fitted)
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
     """Set the linear parts of a model's networks to linear models, in place.
 
-    They then simulate like `baselines.linear`, with at most `states // ny` poles a channel.
+    They then simulate like `baselines.linear`, with at most as many poles as they have states.
     Networks without a linear part, of a down-sampled band, or of records without inputs do not
     change.
 
@@ -114,7 +116,7 @@ def _set(
     seed: int,
 ) -> None:
     """Set the linear part of one network, which predicts `targets`."""
-    linear = FITTED(max(1, cell.states // cell.ny), *zip(targets, inputs, strict=True))
+    linear = FITTED(cell.states, *zip(targets, inputs, strict=True))
     found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
     nu = inputs[0].shape[1]
     # A row of the network's inputs is [u of this sample, u of the next one, other inputs].

@@ -14,7 +14,6 @@ import torch
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.closed_form import (
     Harmonic,
-    Linear,
     Mean,
     Periodic,
     Persistence,
@@ -24,6 +23,7 @@ from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.learned import Single, Split
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.networks import GRU, EulerMLP, StateSpace
 from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole

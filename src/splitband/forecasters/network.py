@@ -17,7 +17,7 @@ import torch
 from torch import nn
 
 from splitband.baselines.delays import delayed
-from splitband.baselines.linear import input_delays
+from splitband.baselines.identification import input_delays
 from splitband.data import Record
 from splitband.data.gaps import first_after
 from splitband.forecasters.bands import OPEN, Bands
@@ -337,7 +337,7 @@ class Network(Forecaster):
         """
         seen = [*records]
         if self.base is not None:
-            base = self.fitted_base = self.base.clone().fit(*records, seed=seed)
+            base = self.fitted_base = self.base.clone().fit(*records, seed=seed).as_simulator()
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:

@@ -29,7 +29,7 @@ from splitband.runtime.files import replacing, to_json
 from splitband.simulators import Simulator
 from splitband.simulators.absent import Absent
 
-FORMAT = 4
+FORMAT = 5
 """Version of the folder's format, which changes with the results of `to_dict`."""
 FILE, WEIGHTS = outputs.DESCRIPTION, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28

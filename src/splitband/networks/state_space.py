@@ -164,6 +164,7 @@ class StateSpace(WithRepr, nn.Module):
         with torch.no_grad():
             for layer, weight in zip(layers, kept, strict=True):
                 layer.weight[:, units] = weight
+            self.transition.bias.copy_(torch.from_numpy(model.drift))
             self.observation.bias.copy_(torch.from_numpy(model.offset))
             if first is not None:
                 self.first.copy_(torch.from_numpy(first[0]))

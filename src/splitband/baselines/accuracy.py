@@ -1,0 +1,216 @@
+"""Estimate how accurate a fitted linear model is: standard errors, and what no input excites.
+
+The covariance of the parameters is that of least squares, N^-1 S N^-1, where N are the normal
+equations and S is the sum of squares of their right-hand sides over parts of the records. It holds
+for correlated noise, too (P. J. Huber, 1967; W. K. Newey and K. D. West, 1987).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.modal import Run
+from splitband.baselines.refinement import Solution, by_segment, total
+from splitband.runtime.arrays import Array
+from splitband.runtime.options import saved
+
+FREQUENCIES = 100
+"""Number of frequencies at which the response has a band. By eye."""
+_PARTS = 40
+"""Parts of the records, over which right-hand sides are summed. By eye."""
+_FREE = 1e-9
+"""Directions of the parameters below this share of the largest do not change the model."""
+_STEP = 1e-4
+"""Step of the numerical derivatives, in standard errors of a parameter. By eye."""
+_MOST = 250
+"""Most parameters for which standard errors are computed: bounds the time. By eye."""
+_SILENT = 1e-5
+"""Share of an input's mean power density below which it does not excite a pole. By eye."""
+
+Complex = npt.NDArray[np.complex128]
+Matrices = tuple[Array, Array, Array, Array]
+
+
+@saved
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Hold estimates and their standard errors; an error is NaN where it was not computed.
+
+    Attributes
+    ----------
+    parts, pole_errors : Real and imaginary part of each pole in the z plane, `(n, 2)`; errors of
+        these two and of its absolute value, `(n, 3)`.
+    gains, gain_errors : Static gains, `(ny, nu)`; infinite where there is an integrator.
+    angles : Frequencies in radians per sample, `(frequencies,)`.
+    response, response_errors : Absolute value of the response there, `(frequencies, ny, nu)`, and
+        its error.
+    delay_errors : Of the delay of each input at each output in samples, `(ny, nu)`; 0 without one.
+    """
+
+    parts: Array
+    pole_errors: Array
+    gains: Array
+    gain_errors: Array
+    angles: Array
+    response: Array
+    response_errors: Array
+    delay_errors: Array
+
+    @property
+    def poles(self) -> Complex:
+        """Return the poles, `(n,)`."""
+        return np.asarray(self.parts[:, 0] + 1j * self.parts[:, 1], np.complex128)
+
+    def time_constants(self, sampling_time: float) -> tuple[Array, Array]:
+        """Return the time constant of each pole in seconds and its error, `(n,)` each."""
+        size = abs(self.poles)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rate = -np.log(size)
+            return sampling_time / rate, sampling_time * self.pole_errors[:, 2] / (size * rate**2)
+
+    @np.errstate(all="ignore")
+    def in_units(self, outputs: Array, inputs: Array) -> Accuracy:
+        """Return it for signals in the record's units, given their standard deviations."""
+        factor = outputs[:, None] / inputs
+        return replace(
+            self,
+            gains=self.gains * factor,
+            gain_errors=self.gain_errors * factor,
+            response=self.response * factor,
+            response_errors=self.response_errors * factor,
+        )
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[Accuracy], back: npt.NDArray[np.int_]) -> Accuracy:
+        """Return that of models of some outputs each, in the order `back`."""
+
+        def joined(name: str, axis: int = 0) -> Array:
+            return np.concatenate([getattr(part, name) for part in parts], axis=axis)
+
+        return cls(
+            joined("parts"),
+            joined("pole_errors"),
+            joined("gains")[back],
+            joined("gain_errors")[back],
+            parts[0].angles,
+            joined("response", 1)[:, back],
+            joined("response_errors", 1)[:, back],
+            joined("delay_errors")[back],
+        )
+
+
+def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
+    """Return a root R of the covariance R R' of the free values, `(free, parts)`."""
+    time = sum(run.u.shape[1] for run in runs)
+    edges = []
+    for i, run in enumerate(runs):
+        count = max(round(_PARTS * run.u.shape[1] / time), 1)
+        cuts = np.linspace(0, run.u.shape[1], count + 1).astype(int)
+        edges += [(i, int(a), int(b)) for a, b in itertools.pairwise(cuts) if b > a]
+    parts = [*by_segment(solution, runs, solution.blocks.free, edges)]
+    whole = total(parts)
+    n, through = whole.n.copy(), dict[int, Array]()
+    for i, (cross, own, _) in whole.states.items():
+        ridge = 1e-10 * np.diag(own).max(initial=0.0) + 1e-300
+        through[i] = np.linalg.solve(own + ridge * np.eye(len(own)), cross).T
+        n -= through[i] @ cross
+    size = np.sqrt(np.maximum(np.diag(whole.n), 1e-300))
+    power, axes = np.linalg.eigh(n / size / size[:, None])
+    kept = power > _FREE * power[-1]
+    inverse = (axes[:, kept] / power[kept]) @ axes[:, kept].T / size / size[:, None]
+    slopes = [p.g - through[i] @ p.states[i][2] for p, (i, _, _) in zip(parts, edges, strict=True)]
+    count = len(slopes)
+    root = inverse @ np.stack(slopes, axis=1)
+    return np.asarray(root * np.sqrt(count / max(count - 1, 1)))
+
+
+@np.errstate(all="ignore")
+def accuracy_of(
+    solution: Solution, runs: Sequence[Run], matrices: Callable[[Array | None], Matrices]
+) -> Accuracy:
+    """Return the accuracy of a model in normalised units.
+
+    `matrices` returns A, B, C and D after a step of the values of `solution`.
+    """
+    a, b, c, d = matrices(None)
+    order = np.argsort(-abs(np.linalg.eigvals(a)))
+    poles = np.linalg.eigvals(a)[order].astype(np.complex128)
+    angles = np.geomspace(np.pi / max(run.u.shape[1] for run in runs), np.pi, FREQUENCIES)
+
+    def found(step: Array | None) -> Array:
+        """Return poles, gains and responses in one row, of real numbers."""
+        one, two, three, four = matrices(step)
+        own = np.linalg.eigvals(one)
+        # Each pole keeps its place, by the nearest one of the fitted model.
+        _, place = scipy.optimize.linear_sum_assignment(abs(poles[:, None] - own[None]))
+        own = own[place]
+        response = _response(one, two, three, four, angles)
+        gains = _response(one, two, three, four, np.zeros(1))[0].real
+        return np.concatenate(
+            [own.real, own.imag, np.abs(own), gains.ravel(), np.abs(response).ravel()]
+        )
+
+    base = found(None)
+    spread = np.full(len(base), np.nan)
+    free = solution.blocks.free
+    if free.sum() <= _MOST:
+        root = covariance_root(solution, runs)
+        change = np.zeros((len(base), root.shape[1]))
+        for j, direction in enumerate(root.T):
+            step = np.zeros(len(free))
+            step[free] = _STEP * direction
+            change[:, j] = (found(step) - found(-step)) / (2 * _STEP)
+        spread = np.sqrt((change**2).sum(axis=1))
+    n, gains = len(poles), c.shape[0] * b.shape[1]
+    shape = c.shape[0], b.shape[1]
+    near = abs(poles - 1).min(initial=np.inf) < 1e-12
+    value = np.where(near, np.inf, base[3 * n : 3 * n + gains]).reshape(shape)
+    return Accuracy(
+        np.stack([poles.real, poles.imag], axis=1),
+        spread[: 3 * n].reshape(3, n).T,
+        value,
+        spread[3 * n : 3 * n + gains].reshape(shape),
+        angles,
+        np.abs(_response(a, b, c, d, angles)),
+        spread[3 * n + gains :].reshape(-1, *shape),
+        np.zeros(shape),
+    )
+
+
+def _response(a: Array, b: Array, c: Array, d: Array, angles: Array) -> Complex:
+    """Return the frequency response `(frequencies, ny, nu)`."""
+    z = np.exp(1j * angles)[:, None, None]
+    with np.errstate(all="ignore"):
+        try:
+            inner = np.linalg.solve(
+                z * np.eye(len(a)) - a, np.broadcast_to(b, (len(angles), *b.shape))
+            )
+        except np.linalg.LinAlgError:
+            return np.full((len(angles), len(c), b.shape[1]), np.inf, np.complex128)
+    return np.asarray(c @ inner + d, np.complex128)
+
+
+def silent(poles: Complex, runs: Sequence[Run]) -> list[float]:
+    """Return the angles of poles at whose frequencies no input has power."""
+    found = []
+    for pole in poles[poles.imag >= 0]:
+        angle, excited = float(abs(np.angle(pole))), False
+        for run in runs:
+            time = run.u.shape[1]
+            frequencies = 2 * np.pi * np.fft.rfftfreq(time)
+            width = max(2 * abs(1 - abs(pole)), 6 * np.pi / time)
+            near = abs(frequencies - angle) <= width
+            power = abs(np.fft.rfft(run.u, axis=1)) ** 2
+            mean = power.mean(axis=1)
+            excited |= bool(
+                (power[:, near].max(axis=1, initial=0) > _SILENT * mean)[mean > 0].any()
+            )
+        if not excited:
+            found.append(angle)
+    return found

@@ -1,0 +1,530 @@
+"""Identify a linear state-space model: delays, subspace, order, refinement, noise.
+
+1. The delay of each input at each output is estimated (`baselines.delays`); outputs with the same
+   delays are modelled together, the others beside each other.
+2. A subspace method gives poles and C of every order, least squares the rest. The order is chosen
+   by held-out simulation error (`baselines.selection`), and each candidate is refined to the least
+   output error.
+3. A Kalman filter is fitted to what the simulation leaves. The model is refined once more, by
+   prediction error; it is taken if its simulation holds out better, or if the errors show that a
+   controller feeds the outputs back to the inputs, where output error is biased (Ljung, Ch. 13).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.baselines.accuracy import Accuracy, Matrices, accuracy_of, silent
+from splitband.baselines.delays import candidates, delayed
+from splitband.baselines.linear import LinearModel, assembled
+from splitband.baselines.modal import Run, blocks_of
+from splitband.baselines.noise import (
+    Noise,
+    Predicted,
+    feedback,
+    fitted_noise,
+    innovations,
+    prediction_error,
+)
+from splitband.baselines.refinement import (
+    Solution,
+    by_segment,
+    equations,
+    evaluated,
+    refined,
+    solved,
+    stepped,
+    total,
+)
+from splitband.baselines.selection import (
+    Candidate,
+    Search,
+    held_out_parts,
+    segments,
+    stable,
+    with_constant,
+)
+from splitband.baselines.subspace import subspace
+from splitband.baselines.systems import root_of, states
+from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
+
+_SEARCHED = 20_000
+"""Most samples on which delays are compared. By eye."""
+_ROWS = 10
+"""Block rows of the subspace models that compare delays. By eye."""
+_DELAY_ORDERS = (1, 2, 4)
+"""Orders of the models that compare delays. By eye."""
+_ALIKE = 2
+"""Outputs whose delays differ by at most so many samples are modelled together. By eye."""
+_EXACT = 1e-7
+"""RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
+_POLISHED = 40
+"""Most iterations of the final refinement. By eye."""
+_MOST_PREDICTED = 100
+"""Most parameters of a model that is compared with one by prediction error where no controller is
+noticed: bounds the time. By eye."""
+_MOST_CORRELATED = 0.999
+"""Upper limit of the correlation of successive errors. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Hold mean and standard deviation of the signals in all records."""
+
+    y_mean: Array
+    y_scale: Array
+    u_mean: Array
+    u_scale: Array
+
+    @classmethod
+    def of(cls, records: Sequence[tuple[Array, Array]]) -> Units:
+        """Return those of records; the scale of a constant signal is 1."""
+        y = np.concatenate([y for y, _ in records])
+        u = np.concatenate([u for _, u in records])
+
+        def scale(x: Array) -> Array:
+            flat = np.nanmax(x, axis=0) == np.nanmin(x, axis=0)
+            return np.where(flat, 1.0, np.where(flat, 1.0, np.nanstd(x, axis=0)))
+
+        return cls(_mean(y), scale(y), _mean(u), scale(u))
+
+    def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
+        """Return a record with delayed inputs for a fit."""
+        outputs = ((y - self.y_mean) / self.y_scale).T
+        inputs = (delayed(u, delays) - self.u_mean) / self.u_scale
+        seen = (~np.isnan(outputs)).astype(np.float64)
+        if 0 < (late := max(delays, default=0)) < len(y) // 2:
+            seen[:, :late] = 0.0  # the inputs that act here are not known
+        return Run(np.ascontiguousarray(inputs.T), np.where(seen > 0, outputs, 0.0), seen)
+
+    def output(self, k: int) -> Units:
+        """Return the units of one output."""
+        return replace(self, y_mean=self.y_mean[[k]], y_scale=self.y_scale[[k]])
+
+    def outputs(self, some: Sequence[int]) -> Units:
+        """Return the units of some outputs."""
+        return replace(self, y_mean=self.y_mean[[*some]], y_scale=self.y_scale[[*some]])
+
+
+def _mean(x: Array) -> Array:
+    """Return the mean of each signal, exactly that of a constant one."""
+    low, high = np.nanmin(x, axis=0), np.nanmax(x, axis=0)
+    return np.asarray(np.where(low == high, low, np.nanmean(x, axis=0)))
+
+
+def identified(
+    records: Sequence[tuple[Array, Array]],
+    order: int | None = None,
+    delay: npt.NDArray[np.int_] | None = None,
+    integrators: int | None = None,
+    most: int | None = None,
+) -> LinearModel:
+    """Return the linear model of records.
+
+    Parameters
+    ----------
+    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each; each has its own initial
+        state.
+    order : Number of poles; by default chosen. Outputs with different delays have so many each.
+    delay : Delay of each input at each output, `(ny, nu)` in samples; by default estimated.
+    integrators : Number of poles at 1; by default chosen.
+    most : Largest order that may be chosen.
+    """
+    units = Units.of(records)
+    ny = records[0][0].shape[1]
+    found = delays_of(records, units) if delay is None else np.asarray(delay, int)
+    parts = []
+    for outputs in _groups(found):
+        some = [(y[:, outputs], u) for y, u in records]
+        late = found[outputs].min(axis=0)
+        model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
+        parts.append((model, outputs))
+    model, (y, u) = assembled(parts, ny), records[0]
+    return replace(model, last=model.observed(u, y))
+
+
+def delays_of(records: Sequence[tuple[Array, Array]], units: Units | None = None) -> Array:
+    """Return the delay of each input at each output in samples, `(ny, nu)`."""
+    units = Units.of(records) if units is None else units
+    found = candidates(records)
+    chosen = np.zeros((len(found), len(found[0])), int)
+    for k, of_inputs in enumerate(found):
+        if any(lags not in ((), (0,)) for lags in of_inputs) and not current().over:
+            chosen[k] = _compared([(y[:, [k]], u) for y, u in records], units.output(k), of_inputs)
+    acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
+    # Where an input shows no effect, its delay is that at the other outputs.
+    least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)
+    return np.where(acts, chosen, np.where(acts.any(axis=0), least, 0))
+
+
+def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
+    """Return the least delay of each input in samples.
+
+    `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
+    """
+    return tuple(delays_of(records).min(axis=0).tolist())
+
+
+def _compared(
+    records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
+) -> list[int]:
+    """Return the delays of the inputs of one output with which low orders fit best."""
+    records = [(y[:_SEARCHED], u[:_SEARCHED]) for y, u in records]
+    samples = sum(int((~np.isnan(y)).sum()) for y, _ in records)
+    known: dict[tuple[int, ...], float] = {}
+    longest = max(len(y) for y, _ in records) // 2
+
+    def cost(delays: Sequence[int]) -> float:
+        key = tuple(delays)
+        if key not in known:
+            known[key] = _low_order_cost([units.run(y, u, delays) for y, u in records], samples)
+        return known[key]
+
+    best = [of_input[-1] if of_input else 0 for of_input in lags]
+    for j, of_input in enumerate(lags):
+        if of_input in ((), (0,)):
+            continue
+
+        best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
+    return best
+
+
+def _one_delay(
+    begin: list[int],
+    j: int,
+    of_input: Sequence[int],
+    cost: Callable[[Sequence[int]], float],
+    longest: int,
+    little: float,
+) -> list[int]:
+    """Return the delays with that of the input `j` where `cost` is least.
+
+    `of_input` are its first estimates, `longest` is the longest delay, and `little` the difference
+    that does not count.
+    """
+
+    def at(delay: int) -> list[int]:
+        return [*begin[:j], delay, *begin[j + 1 :]]
+
+    best = min((*of_input, 0), key=lambda d: cost(at(d)))
+    for step in (8, 4, 2, 1):
+        while not current().over:
+            near = [d for d in (best - step, best + step) if 0 <= d <= longest]
+            closer = min(near, key=lambda d: cost(at(d)))
+            if cost(at(closer)) >= cost(at(best)):
+                break
+            best = closer
+    # Of delays that explain as much as the best, the longest is where the input acts first.
+    least = cost(at(best))
+    while best < longest and cost(at(best + 1)) < least + little:
+        best += 1
+    # A delay explains more than a further parameter.
+    return at(0) if cost(at(0)) < least + little else at(best)
+
+
+def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
+    """Return the information criterion of the best model of a low order, per sample."""
+    found = subspace([(np.where(r.seen > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
+    costs = []
+    for order in _DELAY_ORDERS if found is not None else ():
+        assert found is not None
+        a, c = found.matrices(order)
+        at = refined(blocks_of(stable(a), c, [True] * len(runs[0].u)), runs, 3)
+        costs.append(at.cost + order * (1 + len(runs[0].u)) * np.log(samples) / (2 * samples))
+    return min(costs, default=np.inf)
+
+
+def _groups(delays: Array) -> list[list[int]]:
+    """Return the outputs that are modelled together."""
+    left, found = [*range(len(delays))], []
+    while left:
+        like = delays[left[0]]
+        found.append([k for k in left if abs(delays[k] - like).max(initial=0) <= _ALIKE])
+        left = [k for k in left if k not in found[-1]]
+    return found
+
+
+def _of_outputs(
+    records: Sequence[tuple[Array, Array]],
+    units: Units,
+    delays: Sequence[int],
+    order: int | None,
+    integrators: int | None,
+    most: int | None,
+) -> LinearModel:
+    """Return the model of outputs that have the same delays."""
+    runs = [units.run(y, u, delays) for y, u in records]
+    moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
+    search = Search(runs, moving, integrators, most)
+    if order is None:
+        chosen = search.best()
+    else:
+        given = search.of_order(order)
+        if given is None:
+            raise ValueError(
+                f"order must suit the record, got {order}: it has too few samples for so many poles"
+            )
+        chosen = given if integrators is not None else search.integrating(given, order)
+    fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
+    at = chosen.solution
+    at = refined(at.blocks, fitted, _POLISHED, at.first, search.limit, 1e-9)
+    chosen = replace(chosen, solution=at)
+    made = _Made.of_simulation(at, fitted)
+    if not current().over:
+        errors = accuracy_of(at, fitted, partial(_simulated_matrices, at))
+        late = _delay_errors(at, records, units, delays)
+        made = replace(
+            made, accuracy=replace(errors, delay_errors=np.tile(late, (len(errors.gains), 1)))
+        )
+    if at.scale.max() > _EXACT and not current().over:
+        controlled = not integrators and feedback(
+            [e.T for e in made.errors()], [u.T for _, u in records]
+        )
+        made = _by_prediction(made, chosen, runs, moving, controlled) or made
+    return made.model(units, delays, search)
+
+
+def _delay_errors(
+    at: Solution, records: Sequence[tuple[Array, Array]], units: Units, delays: Sequence[int]
+) -> Array:
+    """Return the standard error of the delay of each input in samples, `(nu,)`; 0 without one.
+
+    It follows from the curvature of the likelihood over the neighbouring delays.
+    """
+    found = np.zeros(len(delays))
+    samples = sum(float((~np.isnan(y)).any(axis=1).sum()) for y, _ in records)
+    for j, delay in enumerate(delays):
+        if delay and not current().over:
+            costs = []
+            for moved in (delay - 1, delay + 1):
+                runs = [units.run(y, u, [*delays[:j], moved, *delays[j + 1 :]]) for y, u in records]
+                fitted = with_constant(runs) if at.blocks.constant else runs
+                costs.append(refined(at.blocks, fitted, 5, at.first, 1 - 1e-9).cost)
+            curvature = samples * (sum(costs) - 2 * at.cost)
+            found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """Hold a model in normalised units.
+
+    Attributes
+    ----------
+    a, b, c, d, offset, drift : The system.
+    noise : Its filter.
+    first : Initial states of each record, `(n,)` each.
+    runs : The records.
+    by : What was minimised.
+    integrators : Number of poles at 1.
+    accuracy : Standard errors.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    offset: Array
+    drift: Array
+    noise: Noise
+    first: tuple[Array, ...]
+    runs: Sequence[Run]
+    by: str
+    integrators: int
+    accuracy: Accuracy | None = None
+
+    @classmethod
+    def of_simulation(
+        cls, at: Solution, runs: Sequence[Run], gain: Array | None = None, by: str = "output error"
+    ) -> _Made:
+        """Return the model of blocks; without a `gain` its filter is fitted to the errors."""
+        blocks = at.blocks
+        a, b, c, d = blocks.matrices()
+        kept = np.stack([np.ones(len(blocks.a), bool), ~blocks.single], axis=1).ravel()
+        first = tuple(x.ravel()[kept] for x in at.first)
+        drift = np.zeros(len(a))
+        if blocks.constant:
+            drift, b, d = b[:, -1], b[:, :-1], d[:, :-1]
+            runs = [run._replace(u=run.u[:-1]) for run in runs]
+        held = int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum())
+        none = np.zeros((len(a), len(c)))
+        noise = Noise(none if gain is None else gain, np.zeros((len(c), len(c))))
+        made = cls(a, b, c, d, blocks.offset, drift, noise, first, runs, by, held).scaled()
+        return replace(made, noise=made.filter(None if gain is None else made.noise.gain))
+
+    def states(self) -> list[Array]:
+        """Return the states of the simulation of each record."""
+        return [
+            states(self.a, run.u.T @ self.b.T + self.drift, x)
+            for run, x in zip(self.runs, self.first, strict=True)
+        ]
+
+    def errors(self) -> list[Array]:
+        """Return the errors of the simulation of each record, `(time, ny)`, 0 in gaps."""
+        return [
+            (run.y.T - x @ self.c.T - run.u.T @ self.d.T - self.offset) * run.seen.T
+            for run, x in zip(self.runs, self.states(), strict=True)
+        ]
+
+    def moments(self) -> tuple[Array, Array]:
+        """Return mean and covariance of the states in the records."""
+        x = np.concatenate(self.states())
+        x = np.clip(np.nan_to_num(x), -1e150, 1e150)
+        middle = x.mean(axis=0)
+        return middle, (x - middle).T @ (x - middle) / len(x)
+
+    def scaled(self) -> _Made:
+        """Return the model with decorrelated states of standard deviation 1 in the records."""
+        n = len(self.a)
+        x = np.concatenate(self.states())
+        power, axes = np.linalg.eigh(x.T @ x / len(x)) if np.isfinite(x).all() else (
+            np.ones(n), np.eye(n))  # fmt: skip
+        size = np.sqrt(np.maximum(power, 1e-12 * max(power[-1], 1e-300))) if n else power
+        into, out = axes.T / size[:, None], axes * size
+        return replace(
+            self, a=into @ self.a @ out, b=into @ self.b, c=self.c @ out, drift=into @ self.drift,
+            first=tuple(into @ x for x in self.first),
+            noise=self.noise._replace(gain=into @ self.noise.gain),
+        )  # fmt: skip
+
+    def filter(self, gain: Array | None) -> Noise:
+        """Return the filter of the simulation's errors, with the `gain` or one that is fitted."""
+        errors, seen = self.errors(), [run.seen.T > 0 for run in self.runs]
+        if gain is None:
+            return fitted_noise(self.a, self.c, self.moments()[1], errors, seen)
+        left = np.concatenate(
+            [innovations(self.a, self.c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
+        )
+        return Noise(gain, left.T @ left / np.maximum(np.concatenate(seen).sum(axis=0), 1))
+
+    def model(self, units: Units, delays: Sequence[int], search: Search) -> LinearModel:
+        """Return the model in the records' units."""
+        out, into = units.y_scale, units.u_scale
+        errors = self.errors()
+        seen = np.concatenate([run.seen.T for run in self.runs])
+        left = np.concatenate(errors)
+        rms = np.sqrt((left**2).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+        pairs = np.concatenate([e[1:] * e[:-1] for e in errors])
+        both = np.concatenate([run.seen.T[1:] * run.seen.T[:-1] for run in self.runs])
+        alike = pairs.sum(axis=0) / np.maximum(both.sum(axis=0), 1) / np.maximum(rms**2, 1e-300)
+        alike = np.clip(alike, 0, _MOST_CORRELATED)
+        centre, covariance = self.moments()
+        return LinearModel(
+            self.a,
+            self.b / into,
+            self.c * out[:, None],
+            self.d * out[:, None] / into,
+            units.y_mean + out * self.offset,
+            self.drift,
+            self.noise.gain / out,
+            self.noise.covariance * np.outer(out, out),
+            units.u_mean,
+            tuple((j, int(delay)) for j, delay in enumerate(delays)),
+            (max(delays, default=0),) * len(out),
+            self.first[0],
+            self.first[0],
+            centre,
+            root_of(covariance),
+            rms * out,
+            np.diag((rms * out) ** 2 * (1 + alike) / (1 - alike)),
+            out,
+            self.integrators,
+            self.by,
+            tuple(search.errors),
+            np.array([*search.errors.values()]),
+            search.values,
+            tuple(silent(np.linalg.eigvals(self.a).astype(np.complex128), self.runs)),
+            None if self.accuracy is None else self.accuracy.in_units(out, into),
+        )
+
+
+def _by_prediction(
+    made: _Made,
+    chosen: Candidate,
+    runs: Sequence[Run],
+    direct: Sequence[bool],
+    controlled: bool,
+) -> _Made | None:
+    """Return the model by prediction error, if it is to be taken.
+
+    It is where a controller acts on the inputs (`controlled`), or where it simulates better.
+    """
+    if not controlled and chosen.order * (len(made.c) + len(direct)) > _MOST_PREDICTED:
+        return None
+    simulated = [
+        (x @ made.c.T + run.u.T @ made.d.T + made.offset).T
+        for run, x in zip(runs, made.states(), strict=True)
+    ]
+    if controlled:
+        # A controller that answers at once cannot be told from an input that acts at once: behind a
+        # controller there is taken to be no feedthrough.
+        direct = [False] * len(direct)
+    found = prediction_error(made.a, made.c, made.noise.gain, direct, runs, simulated)
+    a, _, c, _, gain = found.matrices()
+    own = chosen.solution.blocks.constant
+    if not controlled:
+        if own or abs(np.linalg.eigvals(a)).max(initial=0) >= 1:
+            return None
+        other = replace(chosen, power=_held_out(found, runs))
+        if not other.error < chosen.error or chosen.as_good_as(other):
+            return None
+    at = _simulating(found, runs)
+    blocks = at.blocks
+    # The gain in the coordinates of the blocks.
+    kept = np.stack([np.ones(len(blocks.a), bool), ~blocks.single], axis=1).ravel()
+    of_gain = blocks_of(a, c, [False] * len(c), b=gain).b.reshape(-1, len(c))[kept]
+    new = _Made.of_simulation(at, runs, of_gain, "prediction error")
+    errors = accuracy_of(found.solution, found.runs, partial(_predicted_matrices, found))
+    late = errors if made.accuracy is None else made.accuracy
+    return replace(new, accuracy=replace(errors, delay_errors=late.delay_errors))
+
+
+def _simulated_matrices(at: Solution, step: Array | None) -> Matrices:
+    """Return A, B, C and D of blocks after a step of their values."""
+    blocks = at.blocks if step is None else at.blocks.moved(step)
+    a, b, c, d = blocks.matrices()
+    return (a, b[:, :-1], c, d[:, :-1]) if blocks.constant else (a, b, c, d)
+
+
+def _predicted_matrices(found: Predicted, step: Array | None) -> Matrices:
+    """Return A, B, C and D of the system of a predictor after a step of its values."""
+    return found.matrices(step)[:4]
+
+
+def _simulating(found: Predicted, runs: Sequence[Run], step: Array | None = None) -> Solution:
+    """Return the simulation of a predictor's system, from the best states with the best offset."""
+    a, b, c, d, _ = found.matrices(step)
+    nu = len(runs[0].u)
+    blocks = blocks_of(a, c, [True] * nu, b=b, d=d)
+    zero = [np.zeros((len(blocks.a), 2)) for _ in runs]
+    at = evaluated(blocks, runs, zero)
+    free = np.zeros(len(blocks.values), bool)
+    free[-len(c) :] = True
+    return stepped(at, runs, free, equations(at, runs, free), 0.0)
+
+
+def _held_out(found: Predicted, runs: Sequence[Run]) -> Array:
+    """Return the held-out simulation error of a model by prediction error, as `held_out` does."""
+    free, cut = found.solution.blocks.free, segments(runs)
+    each = [*by_segment(found.solution, found.runs, free, cut)]
+    whole, power = total(each), []
+    for part in held_out_parts(len(cut)):
+        step = np.zeros(len(free))
+        own = total([each[i] for i in part])
+        step[free] = solved(whole.plus(own, -1.0), 1e-6, whole)[0]
+        value, seen = np.zeros(len(runs[0].y)), np.zeros(len(runs[0].y))
+        with np.errstate(all="ignore"):
+            errors = _simulating(found, runs, step).errors
+            for record, begin, end in (cut[i] for i in part):
+                value += (errors[record][:, begin:end] ** 2).sum(axis=1)
+                seen += runs[record].seen[:, begin:end].sum(axis=1)
+            value = value / np.maximum(seen, 1)
+        value = np.minimum(np.nan_to_num(value, nan=1e30, posinf=1e30), 1e30)
+        power.append(np.where(seen > 0, value, np.nan))
+    return np.array(power)

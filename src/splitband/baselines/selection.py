@@ -1,0 +1,419 @@
+"""Choose the order of a linear model and its integrators by held-out simulation error.
+
+The records are cut into segments. A model without a segment, or without all later ones, follows
+from the model of all samples by one step of the normal equations without their share. It simulates
+the records from its own initial states, and its error in what it lacks is held out. Of the orders
+whose error is at most one standard error above the least, the smallest is taken (L. Breiman et al.,
+Classification and Regression Trees, 1984, Sec. 3.4).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from splitband.baselines.modal import Run, blocks_of
+from splitband.baselines.refinement import (
+    Solution,
+    by_segment,
+    followed,
+    linear_solution,
+    refined,
+    solved,
+    total,
+)
+from splitband.baselines.subspace import Subspace, subspace
+from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
+
+SEGMENTS = 10
+"""Number of segments, over all records. By eye."""
+_MOST = 40
+"""Largest order for one output; 60 for several. The largest published benchmark needs 44."""
+_MOST_FOR_SEVERAL = 60
+_SAMPLES_EACH = 6
+"""Fewest samples per parameter. By eye."""
+_STRIDES = (1, 4, 16, 64)
+"""Samples that are averaged for subspace estimates of slow systems. By eye."""
+_ITERATIONS = 12
+"""Most iterations of a candidate's refinement. By eye."""
+_MISSES = 4
+"""Number of orders in a row without a gain after which no larger one is tried. By eye."""
+_MOST_REDUCED = 8
+"""Largest order that is reduced by leaving out each of its poles. By eye."""
+_ALWAYS = 3
+"""Orders up to this one are always tried: of a nonlinear system they go on best. By eye."""
+_TOO_SMALL = 2
+"""Number of orders in a row that are too small after which no smaller one is tried. By eye."""
+_HOPELESS = 4.0
+"""An order is not refined if the error of the subspace's poles exceeds that of the order with the
+best information criterion by this factor. By eye."""
+_ORDERS = (*range(1, 9), *range(10, 26, 2), 28, 32, 36, 40, 44, 48, 54, 60)
+"""Orders that are tried."""
+_MOST_AVERAGED = 8
+"""Largest order that is taken from averaged samples, which serve for slow systems. By eye."""
+_TOLERANCE = 0.01
+"""Difference of the logarithms of held-out errors that never decides. By eye."""
+_NEGLIGIBLE = 1e-6
+"""Held-out RMS error, in standard deviations of the output, below which it is rounding. By eye."""
+_DIVERGED = 1e30
+"""Largest mean squared error, which stands for all larger ones."""
+_DAMPED = 1e-6
+"""Damping of the step to the model without a segment. By eye."""
+_SLOW = 15.0
+"""A pole whose time constant exceeds the longest record divided by this may be an integrator.
+By eye."""
+_DECAYED = 3.0
+"""A vibration decays over the longest record by at least exp(-3): what decays more slowly cannot be
+told from what lasts, and would answer to whatever comes later. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Hold a fitted model.
+
+    Attributes
+    ----------
+    solution : The model.
+    power : Its held-out mean squared error by segment and output, NaN where nothing was measured.
+    integrators : Number of poles that are fixed at 1.
+    """
+
+    solution: Solution
+    power: Array
+    integrators: int = 0
+
+    @property
+    def order(self) -> int:
+        """Return the number of poles."""
+        return self.solution.blocks.order
+
+    @property
+    def error(self) -> float:
+        """Return the held-out RMS error, a geometric mean over the outputs."""
+        power = np.nanmean(self.power, axis=0) + _NEGLIGIBLE**2
+        return float(np.exp(0.5 * np.log(power).mean()))
+
+    def as_good_as(self, other: Candidate) -> bool:
+        """Return whether it is worse by at most one standard error of the difference.
+
+        Logarithms are compared, so that each output counts the same, and the segments of little
+        error hardly.
+        """
+        floor = 0.1 * np.nanmean(other.power, axis=0) + _NEGLIGIBLE**2
+        worse = 0.5 * np.nanmean(np.log((self.power + floor) / (other.power + floor)), axis=1)
+        error = float(worse.std(ddof=1)) / np.sqrt(len(worse)) if len(worse) > 1 else 0.0
+        return bool(worse.mean() <= max(error, _TOLERANCE))
+
+
+@dataclass(eq=False)
+class Search:
+    """Search the order of a model of some outputs.
+
+    Attributes
+    ----------
+    runs : The records, normalised.
+    direct : Whether each input may act at once.
+    integrators : Their number, or None to choose it.
+    most : Largest order.
+    values : Singular values of the data, once computed.
+    errors : Held-out RMS error by order.
+    """
+
+    runs: Sequence[Run]
+    direct: Sequence[bool]
+    integrators: int | None = None
+    most: int | None = None
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    errors: dict[int, float] = field(default_factory=dict)
+    _subspaces: list[Subspace] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Compute the subspaces."""
+        ny, nu = len(self.runs[0].y), len(self.runs[0].u)
+        samples = sum(float(run.seen.sum()) for run in self.runs) / ny
+        largest = int((samples / _SAMPLES_EACH - nu - 1) * ny / (nu + ny))
+        largest = max(min(largest, _MOST if ny == 1 else _MOST_FOR_SEVERAL), 1)
+        self.most = largest if self.most is None else min(self.most, largest)
+        self._subspaces = [*_subspaces(self.runs, self.most)]
+        if self._subspaces:
+            self.values = self._subspaces[0].values
+
+    @property
+    def limit(self) -> float:
+        """Return the largest absolute value of a complex pole."""
+        return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
+
+    def of_order(self, order: int, larger: Candidate | None = None) -> Candidate | None:
+        """Return the refined model of this order; it may begin as a `larger` one, reduced."""
+        if self.integrators:
+            return self._with_integrators(order, self.integrators)
+        begin = self._start(order, larger)
+        if begin is None:
+            return None
+        iterations = _ITERATIONS if order <= _MOST_AVERAGED else _ITERATIONS // 2
+        at = refined(begin.blocks, self.runs, iterations, begin.first, self.limit)
+        return Candidate(at, held_out(at, self.runs))
+
+    def best(self) -> Candidate:
+        """Return the model of the chosen order."""
+        grid = dict(self._linear())
+        first = self.of_order(max(self.integrators or 0, 1))
+        if not grid or first is None:
+            return first or self._constant()
+        found, order = {first.order: first}, min(grid, key=lambda n: grid[n][0])
+
+        def tried(n: int) -> Candidate | None:
+            if n not in found and not current().over:
+                larger = min((m for m in found if m > n), default=None)
+                new = self.of_order(n, None if larger is None else found[larger])
+                if new is not None:
+                    found[n] = new
+            return found.get(n)
+
+        hopeless = grid[order][1] + len(self.runs[0].y) * np.log(_HOPELESS)
+        orders = [n for n in grid if n <= order and grid[n][1] <= hopeless]
+        small = [n for n in grid if n <= min(order, _ALWAYS)]
+        for n in (order, *[n for n in grid if n > order][:1], *small[::-1]):
+            tried(n)
+        # As a rule all orders from some one on are as good: it is found by bisection.
+        low, high = 0, len(orders) - 1
+        while low < high:
+            middle = (low + high) // 2
+            candidate = tried(orders[middle])
+            least = min(found.values(), key=lambda c: c.error)
+            if candidate is not None and candidate.as_good_as(least):
+                high = middle
+            else:
+                low = middle + 1
+        best, misses = self._smallest(found), 0
+        for n in reversed([n for n in grid if n < best.order]):
+            tried(n)
+            best = self._smallest(found)
+            misses = 0 if best.order == n else misses + 1
+            if misses == _TOO_SMALL:
+                break
+        if self.integrators is None:
+            best = self.integrating(best)
+        self.errors = {n: found[n].error for n in sorted(found)}
+        return best
+
+    def _smallest(self, found: Mapping[int, Candidate]) -> Candidate:
+        """Return the model of the smallest order that is as good as the best."""
+        least = min(found.values(), key=lambda c: c.error)
+        return found[min(n for n, c in found.items() if c.as_good_as(least))]
+
+    def integrating(self, free: Candidate, given: int | None = None) -> Candidate:
+        """Return the model with integrators in place of its slowest poles if it holds out as well.
+
+        It may then need fewer poles, but for a `given` order.
+        """
+        longest = max(run.u.shape[1] for run in self.runs)
+        slow = int((abs(1 - free.solution.blocks.poles()) < _SLOW / longest).sum())
+        found = [free]
+        for count in range(1, min(slow, len(self.runs[0].y) + 1) + 1):
+            orders = range(count, min(free.order, _MOST_AVERAGED) + 1)
+            for order in orders if given is None else [n for n in [given] if n >= count]:
+                more = None if current().over else self._with_integrators(order, count)
+                if more is not None:
+                    found.append(more)
+                    if more.as_good_as(min(found, key=lambda c: c.error)):
+                        break
+        least = min(found, key=lambda c: c.error)
+        good = [c for c in found if c.as_good_as(least)]
+        return min(good, key=lambda c: (c.order, -c.integrators))
+
+    def _constant(self) -> Candidate:
+        """Return a model of one pole without a subspace, for records with few samples."""
+        ny = len(self.runs[0].y)
+        at = linear_solution(blocks_of(np.array([[0.5]]), np.ones((ny, 1)), self.direct), self.runs)
+        return Candidate(at, held_out(at, self.runs))
+
+    def _linear(self) -> Iterator[tuple[int, tuple[float, float]]]:
+        """Yield by order the information criterion and the cost of the subspace's poles."""
+        assert self.most is not None
+        ny, least, misses = len(self.runs[0].y), np.inf, 0
+        samples = sum(float(run.seen.sum()) for run in self.runs) / ny
+        for order in (n for n in _ORDERS if n <= self.most):
+            if current().over or (start := self._start(order)) is None:
+                return
+            scale = np.maximum(start.scale, _NEGLIGIBLE)
+            parameters = order * (ny + len(self.direct))
+            fitted = float(np.log(scale).sum())
+            criterion = 2 * samples * fitted + parameters * np.log(samples)
+            yield order, (criterion, fitted)
+            misses = 0 if criterion < least else misses + 1
+            least = min(least, criterion)
+            if misses >= _MISSES:
+                return
+
+    def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:
+        """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
+        tried = [*self._matrices(order)]
+        if larger is not None and larger.order <= _MOST_REDUCED:
+            a, _, c, _ = larger.solution.blocks.matrices()
+            tried += reductions(a, c, larger.order - order)
+        starts = [
+            linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
+            for a, c in tried
+        ]
+        return min(starts, key=lambda at: at.cost, default=None)
+
+    def _matrices(self, order: int) -> Iterator[tuple[Array, Array]]:
+        """Yield A and C of this order; those of averaged samples for small orders."""
+        for each in self._subspaces:
+            if order <= each.largest and (each.stride == 1 or order <= _MOST_AVERAGED):
+                yield each.matrices(order)
+
+    def _with_integrators(self, order: int, count: int) -> Candidate | None:
+        """Return the refined model with so many poles at 1 and a constant flow into them.
+
+        Two of them are a chain, or side by side, where there are several outputs.
+        """
+        runs, direct = with_constant(self.runs), [*self.direct, False]
+        starts = []
+        for a, c in self._matrices(order):
+            for chain in (False, True):
+                if (not chain and count <= len(c)) or (chain and 1 < count <= len(c) + 1):
+                    blocks = replace(
+                        blocks_of(stable(a, self.limit), c, direct, count, chain), constant=True
+                    )
+                    if blocks.fixed.any():
+                        starts.append(linear_solution(blocks, runs))
+        begin = min(starts, key=lambda at: at.cost, default=None)
+        if begin is None:
+            return None
+        at = refined(begin.blocks, runs, _ITERATIONS, begin.first, self.limit)
+        return Candidate(at, held_out(at, runs), count)
+
+
+def with_constant(runs: Sequence[Run]) -> list[Run]:
+    """Return the records with 1 as a further input."""
+    return [run._replace(u=np.vstack([run.u, np.ones((1, run.u.shape[1]))])) for run in runs]
+
+
+def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
+    """Return A with poles outside of the unit circle reflected, and complex ones below `limit`."""
+    poles, vectors = np.linalg.eig(a)
+    size = abs(poles)
+    most = np.where(poles.imag == 0, 1 - 1e-6, limit * (1 - 1e-6))
+    if (size < most).all():
+        return a
+    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
+    moved = poles * inside / np.maximum(size, 1e-300)
+    return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
+
+
+def reductions(a: Array, c: Array, fewer: int) -> list[tuple[Array, Array]]:
+    """Return A and C without a real pole, or without a pair of poles, for each that there is."""
+    poles, vectors = np.linalg.eig(a)
+    groups = [[i] for i in np.flatnonzero(poles.imag == 0)]
+    pairs = [[i, j] for i in np.flatnonzero(poles.imag > 0)
+             for j in np.flatnonzero(poles == poles[i].conj())[:1]]  # fmt: skip
+    if fewer == 2:
+        pairs += [[i, j] for (i,), (j,) in itertools.combinations(groups, 2)]
+    found = []
+    for dropped in groups if fewer == 1 else pairs if fewer == 2 else []:
+        rest = np.delete(np.arange(len(poles)), dropped)
+        upper = [i for i in rest if poles[i].imag >= 0]
+        basis = [
+            x
+            for i in upper
+            for x in (vectors[:, i].real, vectors[:, i].imag)[: 1 + (poles[i].imag > 0)]
+        ]
+        columns = np.stack(basis, axis=1) if basis else np.zeros((len(a), 0))
+        own = np.asarray(np.linalg.lstsq(columns, a @ columns, rcond=None)[0], np.float64)
+        found.append((own, c @ columns))
+    return found
+
+
+def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:
+    """Return record, first and last sample + 1 of each segment."""
+    total = sum(run.u.shape[1] for run in runs)
+    found = []
+    for i, run in enumerate(runs):
+        time = run.u.shape[1]
+        count = max(round(SEGMENTS * time / total), 1)
+        edges = np.linspace(0, time, count + 1).astype(int)
+        found += [(i, int(a), int(b)) for a, b in itertools.pairwise(edges)
+                  if run.seen[:, a:b].any()]  # fmt: skip
+    return found
+
+
+def held_out_parts(count: int) -> list[list[int]]:
+    """Return the segments of each part that is held out, of so many segments."""
+    later = [[*range(i, count)] for i in range((count + 1) // 2, count - 1)]
+    return [[i] for i in range(count)] + later
+
+
+def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
+    """Return the mean squared error of each part that is held out, `(parts, ny)`.
+
+    A part is a segment, or all that follows one of the later segments: the first shows what a
+    model knows, the second whether it can go on.
+    """
+    blocks = solution.blocks
+    free, cut = blocks.free, segments(runs)
+    each = [*by_segment(solution, runs, free, cut)]
+    whole, count = total(each), len(cut)
+    found = []
+    for part in held_out_parts(count):
+        step, states = solved(whole.plus(total([each[i] for i in part]), -1.0), _DAMPED, whole)
+        records = dict.fromkeys(cut[i][0] for i in part)
+        for record in records:
+            own = [i for i in part if cut[i][0] == record]
+            if cut[own[0]][1] == 0:  # the initial state shows in this segment alone
+                shown = total([each[i] for i in own])
+                states |= followed(shown, step, _DAMPED, whole)
+        move = np.zeros(len(free))
+        move[free] = step
+        for _ in range(6):
+            moved = blocks.moved(move)
+            if moved.stable():
+                break
+            move, states = move / 2, {record: x / 2 for record, x in states.items()}
+        power, seen = np.zeros(len(blocks.offset)), np.zeros(len(blocks.offset))
+        for record in records:
+            own = [i for i in part if cut[i][0] == record]
+            begin, end = cut[own[0]][1], cut[own[-1]][2]
+            run = Run(*(signal[:, :end] for signal in runs[record]))
+            with np.errstate(over="ignore", invalid="ignore"):
+                start = solution.first[record] + states[record].reshape(-1, 2)
+                left = (run.y - moved.simulate(run, start)) * run.seen
+                power += (left[:, begin:] ** 2).sum(axis=1)
+            seen += run.seen[:, begin:].sum(axis=1)
+        power = np.nan_to_num(power / np.maximum(seen, 1), nan=_DIVERGED, posinf=_DIVERGED)
+        found.append(np.where(seen > 0, np.minimum(power, _DIVERGED), np.nan))
+    return np.array(found)
+
+
+def _subspaces(runs: Sequence[Run], most: int) -> Iterator[Subspace]:
+    """Yield the subspaces of the records at several rates."""
+    ny, nu = len(runs[0].y), len(runs[0].u)
+    records = [(np.where(run.seen > 0, run.y, np.nan).T, run.u.T) for run in runs]
+    samples = sum(run.u.shape[1] for run in runs)
+    for stride in _STRIDES:
+        fits = samples // stride // (3 * (ny + nu))
+        rows = min(most // ny + 2, 42) if stride == 1 else 12
+        rows = min(max(rows, 10), fits, 60)
+        if rows < 2 or (stride > 1 and rows < 8):
+            return
+        found = subspace(records, rows, stride)
+        if found is None and stride == 1:
+            filled = [(_interpolated(y), u) for y, u in records]
+            found = subspace(filled, rows, stride)
+        if found is not None:
+            yield found
+
+
+def _interpolated(y: Array) -> Array:
+    """Fill gaps by linear interpolation; a channel without a sample is 0."""
+    found = np.zeros_like(y)
+    for k, channel in enumerate(y.T):
+        rows = np.flatnonzero(~np.isnan(channel))
+        if len(rows):
+            found[:, k] = np.interp(np.arange(len(y)), rows, channel[rows])
+    return found

@@ -1,0 +1,120 @@
+"""Estimate A and C of a linear system by a subspace method.
+
+Past inputs and outputs are the instruments: P. Van Overschee and B. De Moor, Subspace
+Identification for Linear Systems, 1996; M. Verhaegen, Automatica 30, 1994 (PO-MOESP).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from splitband.runtime.arrays import Array
+
+_WORK = 3e9
+"""Most operations of the triangular factor of the data: of more windows, some are left out at even
+distances. Bounds the time to about a second."""
+_RANK = 1e-9
+"""Directions of the data below this share of the largest one are rounding. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subspace:
+    """Hold the range of the observability matrix, for all orders.
+
+    Attributes
+    ----------
+    vectors : Its directions, `(rows * ny, directions)`, the most important first.
+    values : Their singular values.
+    ny : Number of outputs.
+    stride : Samples from one block row to the next.
+    """
+
+    vectors: Array
+    values: Array
+    ny: int
+    stride: int = 1
+
+    @property
+    def largest(self) -> int:
+        """Return the largest order that can be taken from it."""
+        return min(len(self.vectors) - self.ny, len(self.values))
+
+    def matrices(self, order: int) -> tuple[Array, Array]:
+        """Return A and C of this order, at the rate of the record."""
+        gamma = self.vectors[:, :order]
+        a = np.asarray(
+            np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0], np.float64
+        )
+        c = gamma[: self.ny]
+        return (_root(a, self.stride) if self.stride > 1 else a), c
+
+
+def _root(a: Array, stride: int) -> Array:
+    """Return the matrix whose power `stride` is `a`, by its poles; negative ones are turned."""
+    poles, vectors = np.linalg.eig(a)
+    small = np.maximum(abs(poles), 1e-12)
+    turned = small ** (1 / stride) * np.exp(1j * np.angle(poles) / stride)
+    turned = np.where((poles.imag == 0) & (poles.real < 0), small ** (1 / stride), turned)
+    return np.asarray(np.real(vectors @ np.diag(turned) @ np.linalg.pinv(vectors)))
+
+
+def subspace(
+    records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1, weighting: str = "cva"
+) -> Subspace | None:
+    """Return the subspace of records; None where too few windows have no gap.
+
+    Parameters
+    ----------
+    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each, without an offset.
+    rows : Block rows of past and of future.
+    stride : Average so many samples each, for slow systems.
+    weighting : "cva", "moesp" or "n4sid".
+    """
+    ny, nu = records[0][0].shape[1], records[0][1].shape[1]
+    width = 2 * rows * (ny + nu)
+    seen = []
+    for y, u in records:
+        both = np.hstack([u, y])
+        if stride > 1:
+            kept = len(both) // stride * stride
+            both = both[:kept].reshape(-1, stride, ny + nu).mean(axis=1)
+        if len(both) < 2 * rows:
+            continue
+        views = np.lib.stride_tricks.sliding_window_view(both, 2 * rows, axis=0)
+        seen.append(views[~np.isnan(views).any(axis=(1, 2))])
+    windows = np.concatenate(seen) if seen else np.zeros((0, nu + ny, 2 * rows))
+    if len(windows) < 1.2 * width:
+        return None
+    thin = int(np.ceil(2 * len(windows) * width**2 / _WORK))
+    windows = windows[::thin] if len(windows) // thin >= 2 * width else windows
+    n = len(windows)
+    # (samples, signals, time) -> columns [future u, past u and y, future y]
+    future_u = windows[:, :nu, rows:].transpose(0, 2, 1).reshape(n, -1)
+    past = windows[:, :, :rows].transpose(0, 2, 1).reshape(n, -1)
+    future_y = windows[:, nu:, rows:].transpose(0, 2, 1).reshape(n, -1)
+    data = np.hstack([future_u, past, future_y])
+    size = np.linalg.norm(data, axis=0)
+    data /= np.where(size > 0, size, 1.0)
+    r = scipy.linalg.qr(data, mode="r", overwrite_a=True, check_finite=False)[0][:width]
+    lower = (r * size).T
+    i, j = nu * rows, (2 * nu + ny) * rows
+    found, noise = lower[j:, i:j], lower[j:, j:]
+    if weighting == "n4sid":
+        past_rows = lower[i:j, :j]
+        outer, values, inner = np.linalg.svd(lower[i:j, i:j])
+        keep = values > _RANK * max(values[0], 1e-300)
+        back = (inner[keep].T / values[keep]) @ outer[:, keep].T
+        found = found @ back @ past_rows
+    root = np.eye(len(found))
+    if weighting == "cva":
+        # The square root of the covariance of future outputs, given future inputs.
+        spread, axes = np.linalg.eigh(found @ found.T + noise @ noise.T)
+        spread = np.sqrt(np.maximum(spread, _RANK**2 * max(spread[-1], 1e-300)))
+        found = (axes / spread) @ axes.T @ found
+        root = (axes * spread) @ axes.T
+    outer, values, _ = np.linalg.svd(found, full_matrices=False)
+    return Subspace(root @ outer, values, ny, stride)

@@ -1,0 +1,205 @@
+"""Forecast with a linear state-space model of the known inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, Literal, Self, final
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.baselines.accuracy import Accuracy
+from splitband.baselines.delays import LONGEST_DELAY
+from splitband.baselines.identification import identified
+from splitband.data import Record
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.known import Known
+from splitband.forecasters.stepping import Part
+from splitband.forecasters.stepping_linear import Driven
+from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
+
+MOST_POLES = 200
+"""Largest order that may be asked for: bounds the time. By eye."""
+
+
+@final
+class Linear(Forecaster):
+    """Fit a linear state-space model with a Kalman filter (`baselines.identification`).
+
+    x' = A x + B u + K e, y = C x + D u + offset + e. Poles and delays come from a subspace method,
+    refined to the least simulation error, or to the least prediction error where that simulates
+    better or a controller acts on the inputs. Several records are fitted together, each with its
+    own initial state. Forecasts begin with the state that the Kalman filter finds in the history.
+
+    Parameters
+    ----------
+    order : Number of poles; by default chosen by held-out simulation error.
+    delay : Delay of the inputs in samples: a number for all, one for each input, or `(ny, nu)` for
+        each input at each output; by default estimated.
+    integrators : Number of poles at 1, as of a tank or a position; "auto" chooses.
+
+    Examples
+    --------
+    >>> u = np.sign(np.sin(0.05 * np.arange(400)))
+    >>> y = scipy.signal.lfilter([0, 0.1], [1, -0.9], u)
+    >>> sb.Linear().fit(sb.Record(y, 0.1, u=u)).poles().round(6)
+    array([0.9+0.j])
+    """
+
+    name = "linear"
+    affine = True
+    needs = frozenset({"inputs"})
+
+    slow_part = "linear model"
+    words = "linear model of the inputs, in state space"
+
+    def __init__(
+        self,
+        order: int | None = None,
+        delay: int | Sequence[int] | Sequence[Sequence[int]] | None = None,
+        integrators: int | Literal["auto"] = "auto",
+    ) -> None:
+        self.order = None if order is None else whole("order", order, 1, MOST_POLES)
+        self.delay = delay
+        self.integrators = integrators
+        if integrators != "auto":
+            whole("integrators", integrators, 0, self.order or MOST_POLES)
+
+    def check(self, *records: Record) -> None:
+        """Raise ValueError for records that do not fit, and for delays that do not fit them."""
+        super().check(*records)
+        self._delays(records[0])
+
+    def learn(self, records: Sequence[Record], **_: Any) -> None:
+        """Fit the model to all records."""
+        seen = [(r.seen, r.u) for r in records if r.u is not None]  # all: see `check`
+        self.u = seen[0][1]
+        integrators = None if self.integrators == "auto" else self.integrators
+        self.model = identified(seen, self.order, self._delays(records[0]), integrators)
+        self.delays = self.model.delays
+        fitted = self.require_fitted()
+        stable = bool((abs(self.model.poles()) < 1).all())
+        report = replace(fitted.report, cut=current().over, notes=tuple(self._notes(records)),
+                         stable=stable)  # fmt: skip
+        self.fitted = replace(fitted, report=report)
+
+    def extrapolate(self, known: Known) -> Array:
+        """Return the simulation after the history, from the state at its end."""
+        assert known.u is not None
+        time, before = len(known.y), self._before(known)
+        if not known.own or before is None:
+            return self.model.continued(known.u, known.y, before)[0][time:]
+        return self.model.simulate(known.u, self.model.last, before, time)
+
+    def trajectory(self, known: Known) -> Array:
+        """Return its simulation over history and forecast, from a state estimated on the history.
+
+        Where all inputs since the first sample of the training record are known, the prior of this
+        state is simulated; else it is the distribution of states in training.
+        """
+        assert known.u is not None
+        y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
+        return self.model.without_filter.continued(known.u, y, self._before(known))[0]
+
+    def as_simulator(self) -> Self:
+        """Return it without its Kalman filter, for the slow component of a hybrid."""
+        new = copy(self)
+        new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
+        return new
+
+    def accuracy(self) -> Accuracy:
+        """Return poles, static gains, the frequency response and delays with standard errors.
+
+        Raises ValueError for a fit that a deadline ended.
+        """
+        self.require_fitted()
+        if self.model.accuracy is None:
+            raise ValueError("accuracy was not computed: the deadline of the fit came first")
+        return self.model.accuracy
+
+    def part(self, outside: bool = False) -> Part:
+        """Return the model's recursion."""
+        return Driven(self.model, self.u)
+
+    def state_space(self) -> scipy.signal.StateSpace:
+        """Return the fitted model as a discrete-time system, delays included.
+
+        Its inputs and outputs are deviations from `operating_point`.
+        """
+        self.require_fitted()
+        matrices = self.model.state_space()
+        return scipy.signal.StateSpace(*matrices, dt=self.require_fitted().record.sampling_time)
+
+    def operating_point(self) -> tuple[Array, Array]:
+        """Return the inputs `(nu,)` and outputs `(ny,)` at the operating point."""
+        self.require_fitted()
+        return self.model.mean, self.model.offset
+
+    def poles(self) -> npt.NDArray[np.complex128]:
+        """Return the poles in the z plane, without those at 0 of delayed inputs."""
+        self.require_fitted()
+        return self.model.poles()
+
+    def transfer_function(self, output: int = 0, input_: int = 0) -> scipy.signal.TransferFunction:
+        """Return the fitted transfer function from an input to an output, by index from 0.
+
+        The input's delay is a factor z^-delay, whose poles are at 0.
+        """
+        fitted = self.require_fitted()
+        b, a = self.model.transfer_function(output, input_)
+        return scipy.signal.TransferFunction(b, a, dt=fitted.record.sampling_time)
+
+    def to_control(self) -> Any:
+        """Return `state_space` as a `control.StateSpace` (the extra `control`), with its names."""
+        control, record = import_module("control"), self.require_fitted().record
+        return control.ss(
+            *self.model.state_space(), record.sampling_time,
+            inputs=[*record.inputs], outputs=[*record.columns],
+        )  # fmt: skip
+
+    def describe(self) -> str:
+        """Return the chosen order, the delays of the inputs, and remarks."""
+        fitted = self.require_fitted()
+        late = fitted.late_inputs(self.delays)
+        return "; ".join(filter(None, [str(self.model), late, *fitted.report.notes]))
+
+    def _before(self, known: Known) -> Array | None:
+        """Return the inputs from the first training sample to the history; None if unknown."""
+        begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
+        return self.u[:begin] if 0 <= begin <= len(self.u) else None
+
+    def _delays(self, record: Record) -> npt.NDArray[np.int_] | None:
+        """Return the given delays `(ny, nu)`; raises ValueError for what is none."""
+        if self.delay is None:
+            return None
+        try:
+            rows = np.asarray(self.delay, dtype=np.float64)
+            found = np.broadcast_to(rows, (record.ny, record.nu)).astype(int)
+        except (TypeError, ValueError):
+            rows, found = np.array(np.nan), np.zeros((record.ny, record.nu), int)
+        limit = min(LONGEST_DELAY, len(record) - 1)
+        if not (np.isfinite(rows).all() and (found == rows).all() and (found >= 0).all()
+                and (found <= limit).all()):  # fmt: skip
+            raise ValueError(
+                f"delay must be whole numbers of samples from 0 to {limit}: one for all inputs, "
+                f"one for each of {record.nu}, or {record.ny} rows of these, got {self.delay!r}"
+            )
+        return found
+
+    def _notes(self, records: Sequence[Record]) -> list[str]:
+        """Return remarks on inputs that tell nothing."""
+        names = records[0].inputs
+        inputs = [r.u for r in records if r.u is not None]
+        still = [name for j, name in enumerate(names) if max(np.ptp(u[:, j]) for u in inputs) == 0]
+        said = [f"constant in training, effect unknown: {', '.join(still)}"] if still else []
+        if self.model.silent:
+            step = self.require_fitted().record.sampling_time
+            hertz = ", ".join(f"{a / (2 * np.pi * step):.4g}" for a in self.model.silent)
+            said.append(f"no input excites the poles at {hertz} Hz: they are uncertain")
+        return said
