@@ -19,8 +19,9 @@ from splitband.simulators.fmu_unit import EXCHANGE, Unit
 from splitband.simulators.parameters import Given, Parameters, Point, Response
 from splitband.simulators.starting import Start, check_start
 
-PROBED = 0.3, 0.8
-"""Places in the ranges of parameters at which it is found out how outputs are read. By eye."""
+PROBED = 0.45, 0.55
+"""Places in the ranges of parameters at which it is also found out how outputs are read: near the
+middle, as elsewhere an FMU may end its process. By eye."""
 
 
 class Fmu(WithRepr):

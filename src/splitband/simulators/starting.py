@@ -46,14 +46,15 @@ def matched(
     """
     match = getattr(simulator, "matched", None)
     found: Any_simulator = simulator if match is None else match(columns, inputs)
-    driven, name = is_driven(found), type(found).__name__
+    driven, name = is_driven(found), getattr(found, "name", "") or type(found).__name__
     if not inputs and getattr(found, "needs_inputs", driven):
         raise ValueError(
             f"simulator {name} takes inputs, of which the record has none: name them (--inputs), "
             "or leave the argument out"
         )
     if inputs and not driven:
-        code = getattr(found, "code", None) or [getattr(found, "simulate", None)]
+        code = [] if hasattr(found, "driven") else [getattr(found, "simulate", None)]
+        code = getattr(found, "code", code)
         check_unnamed([each for function in code for each in _unnamed(function)], name)
     return found
 
