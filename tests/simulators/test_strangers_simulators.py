@@ -24,8 +24,7 @@ TIME: Array = DT * np.arange(float(SAMPLES))
 RNG = np.random.default_rng(5)
 STEPS = np.repeat(RNG.choice([-1.0, 0.5, 1.0], SAMPLES // 5), 5)
 WAVE = np.sin(TIME) + 0.3 * np.cos(2.7 * TIME)
-LATE = np.where(TIME > 3, 1.0, 0.0)
-"""Inputs are at rest at the beginning."""
+LATE = np.where(TIME > 3, 1.0, 0.0)  # inputs are at rest at the beginning
 compiled = pytest.mark.skipif(not COMPILES, reason="no gcc to compile an FMU with")
 
 
@@ -129,9 +128,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], sb.Record, str]] = {
         lambda: sb.Ode(lambda t, x, inputs=None: [-x[0]], [0.0]), DRIVEN, "inputs=None",
     ),
     "no inputs": (lambda: sb.Function(lambda time, u: u.sum(axis=1)), ALONE, "record has none"),
-    "no inputs of an equation": (
-        lambda: sb.Ode(lambda t, x, u: [u.sum() - x[0]], [0.0]), ALONE, "record has none",
-    ),
     "parameters in the inputs' place": (
         lambda: sb.Ode(lambda t, x, p: [-p[0] * x[0]], [1.0], parameters={"k": (0.1, 5)}),
         DRIVEN, r"\(t, x, u, p\).*got \(t, x, p\)",
