@@ -228,7 +228,10 @@ def test_an_exported_trajectory_runs_beside_a_record_by_its_time_stamps() -> Non
         run(exported, 100, DT, start=0.0)
 
 
-def test_a_function_may_ask_for_the_time_stamps_which_begin_at_0_where_they_are_dates() -> None:
-    for start, first in ((20.0, 20.0), (pd.Timestamp("2024-05-01"), 0.0), (None, 0.0)):
-        found = run(Function(lambda t: t, start="record"), 5, DT, start=start)
+def test_a_function_may_ask_for_the_time_stamps_unless_they_are_dates() -> None:
+    function = Function(lambda t: t, start="record")
+    for start, first in ((20.0, 20.0), (None, 0.0)):
+        found = run(function, 5, DT, start=start)
         np.testing.assert_allclose(found[:, 0], times(first, samples=5))
+    with pytest.raises(ValueError, match="a record whose clock shows dates"):
+        run(function, 5, DT, start=pd.Timestamp("2024-05-01"))

@@ -20,11 +20,14 @@ _DECIDES = "window", "epochs", "learning_rate", "lr_milestones", "recipe"
 """Options that fix how to train, so that no search is needed."""
 
 
-def names(text: str) -> list[str]:
-    """Return the parts of a comma-separated option; one in double quotes may have commas."""
+def names(text: str, blank: bool = False) -> list[str]:
+    """Return the parts of a comma-separated option; one in double quotes may have commas.
+
+    Empty parts are left out unless they may be `blank`.
+    """
     line = " ".join(text.splitlines())
     parts = next(csv.reader([line], skipinitialspace=True))
-    return [part.strip() for part in parts if part.strip()]
+    return [part.strip() for part in parts if blank or part.strip()]
 
 
 def options_of(given: ModelOptions, cores: int, saved: SavedSettings | None = None) -> Options:

@@ -28,7 +28,7 @@ from splitband.simulators.named import SIMULATORS
 from splitband.simulators.opening import opened
 from splitband.simulators.parameters import Parameters
 from splitband.simulators.shooting import Adjustable
-from splitband.simulators.sources import arguments_of
+from splitband.simulators.sources import arguments_of, check_unnamed, unnamed_in
 from splitband.simulators.starting import (
     check_start,
     count_arguments,
@@ -175,6 +175,8 @@ def opened_simulator(
     if function or text.lower().endswith(".fmu"):
         outputs = () if function else tuple(columns)
         driven, start = bool(function) and _takes_inputs(file, function), _start_of(options)
+        if function and not driven and record.u is not None:
+            check_unnamed(unnamed_in(file, function), text)
         start = start if function else start or 0.0
         return Isolated(file, function or None, outputs, timeout, reads, cache,
                         _inputs_of(options), driven, start)  # fmt: skip
@@ -235,7 +237,7 @@ def _check_used(options: SimulatorOptions, file: str, function: str) -> None:
 def _inputs_of(options: SimulatorOptions) -> tuple[str, ...] | None:
     """Return the names of --simulator-inputs; None without them."""
     given = options.simulator_inputs
-    return None if given is None else tuple(names(given)) if given.strip() else ()
+    return None if given is None else tuple(names(given, blank=True)) if given.strip() else ()
 
 
 def _start_of(options: SimulatorOptions) -> Any:
@@ -258,10 +260,10 @@ def _takes_inputs(file: str, name: str) -> bool:
     if count is None:
         function = named_in(file, name)
         count = count_arguments(function) if callable(function) else 1
-    if count == 4:
+    if count >= 3:
         raise ValueError(
             f"--parameters must say where the states of {file}:{name} begin, a function of "
-            "(t, x, u, p): x0_1=0,x0_2=-1:1"
+            f"(t, x, u, p): x0_1=0,x0_2=-1:1, or set the p of (time, u, p); got {count} arguments"
         )
     return count > 1
 

@@ -25,13 +25,16 @@ def code_digest(*functions: Callable[..., Any] | None) -> str:
     functions, arguments of a partial, and attributes of objects. It is equal in every process.
     """
     said = hashlib.sha256()
-    for part in _parts(functions, set(), 0):
+    for part in _parts(functions, set(), {}, 0):
         said.update(len(part).to_bytes(8, "little") + part)
     return said.hexdigest()
 
 
-def _parts(value: Any, seen: set[int], depth: int) -> Iterator[bytes]:
-    """Yield what identifies a value."""
+def _parts(value: Any, seen: set[int], told: dict[int, int], depth: int) -> Iterator[bytes]:
+    """Yield what identifies a value.
+
+    `seen`: values that it is part of; `told`: functions and classes, which are told once.
+    """
     value = getattr(value, "py_func", value)  # the source of a Numba function
     yield type(value).__qualname__.encode()
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
@@ -39,15 +42,21 @@ def _parts(value: Any, seen: set[int], depth: int) -> Iterator[bytes]:
         return
     if depth > MOST_DEPTH or id(value) in seen:
         return
+    if isinstance(value, FunctionType | type):
+        if id(value) in told:
+            yield b"again %d" % told[id(value)]
+            return
+        told[id(value)] = len(told)
     seen = seen | {id(value)}
     if isinstance(value, set | frozenset):
-        yield from sorted(b"".join(_parts(each, seen, depth + 1)) for each in value)
+        each = (b"".join(_parts(one, seen, dict(told), depth + 1)) for one in value)
+        yield from sorted(each)
         return
     if isinstance(value, ModuleType):
         yield from _of_module(value)
         return
     for part in _contents(value):
-        yield from _parts(part, seen, depth + 1)
+        yield from _parts(part, seen, told, depth + 1)
     yield b"end"
 
 
@@ -59,7 +68,7 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
         return [value.co_code, value.co_names, value.co_consts, table, shape]
     if isinstance(value, FunctionType):
         return [value.__code__, value.__defaults__, value.__kwdefaults__, _closure(value),
-                _globals(value)]  # fmt: skip
+                _globals(value), vars(value)]  # fmt: skip
     if isinstance(value, MethodType):
         return [value.__func__, value.__self__]
     if isinstance(value, partial):
@@ -73,10 +82,11 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
     if isinstance(value, type):
         own = is_users(getattr(value, "__module__", ""))
         parts = dict(vars(value)) if own else {}
-        used = [n for n in sorted(parts) if not n.startswith("__") or n in ("__call__", "__init__")]
+        used = [n for n in sorted(parts) if not n.startswith("__") or callable(parts[n])]
         return [value.__qualname__, *value.__bases__, {name: parts[name] for name in used}]
     if hasattr(value, "__array__"):
-        return [np.asarray(value).tolist()]
+        labels = [np.asarray(axis).tolist() for axis in getattr(value, "axes", ())]
+        return [np.asarray(value).tolist(), labels]
     kind = type(value)
     slots = [name for each in kind.__mro__ for name in _slots(each) if hasattr(value, name)]
     held = {name: getattr(value, name) for name in slots} | getattr(value, "__dict__", {})
@@ -107,8 +117,13 @@ def _globals(function: FunctionType) -> dict[str, Any]:
         names |= {*code.co_names}
         waiting += [const for const in code.co_consts if isinstance(const, CodeType)]
     known = function.__globals__
-    return {name: known[name] for name in sorted(names)
-            if name in known and known[name] is not getattr(builtins, name, known)}  # fmt: skip
+    found = {name: known[name] for name in sorted(names)
+             if name in known and known[name] is not getattr(builtins, name, known)}  # fmt: skip
+    own = [each for each in found.values()
+           if isinstance(each, ModuleType) and is_users(each.__name__)]  # fmt: skip
+    used = [{name: vars(each)[name] for name in sorted(names) if name in vars(each)}
+            for each in own]  # fmt: skip
+    return found | {"": used} if used else found
 
 
 def _of_module(module: ModuleType) -> Iterator[bytes]:

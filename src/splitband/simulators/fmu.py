@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import WithRepr
-from splitband.simulators.fmu_reading import SAMPLES, reading_of
-from splitband.simulators.fmu_running import CoSimulation, Exchange, Task, check_inputs
+from splitband.simulators.fmu_reading import SAMPLES, LateError, reading_of
+from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
 from splitband.simulators.fmu_unit import EXCHANGE, Unit
 from splitband.simulators.parameters import Given, Parameters, Point, Response
 from splitband.simulators.starting import Start, check_start
+
+PROBED = 0.45, 0.55
+"""Places in the ranges of parameters at which it is also found out how outputs are read: near the
+middle, as elsewhere an FMU may end its process. By eye."""
 
 
 class Fmu(WithRepr):
@@ -32,9 +37,9 @@ class Fmu(WithRepr):
         A record of one channel matches an FMU of one output.
     parameters : Start values of parameters and variables by name: a number, or a range
         `(low, high)` in which it is fitted. They are the same for all records.
-    inputs : Variables that take the record's inputs, in their order; by default those of their
-        names. A record of one input matches an FMU of one input. The others keep their start
-        values, with an empty list all of them.
+    inputs : Variables that take the record's inputs, in their order, "" for one that the FMU does
+        not take; by default those of their names. A record of one input matches an FMU of one
+        input. The others keep their start values, with an empty list all of them.
     start : Time of a record's first sample in s, or "record" for its time stamp.
     held : Whether model exchange holds inputs until the next sample, as co-simulation does. By
         default it interpolates them.
@@ -73,7 +78,7 @@ class Fmu(WithRepr):
     @property
     def driven(self) -> bool:
         """Return whether it takes a record's inputs."""
-        return bool(self._unit.variables.inputs if self.inputs is None else self.inputs)
+        return any(self._unit.variables.inputs if self.inputs is None else self.inputs)
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Fmu:
         """Return the FMU with the variables of these channels and inputs of a record.
@@ -128,18 +133,41 @@ class Fmu(WithRepr):
                 f"inputs must be {count or 'the'} variables of {self.path} that take the inputs "
                 f"of the record, which has {count or 'none'}; got {', '.join(names)}"
             )
-        given = None if not names or u is None else np.asarray(u, dtype=float)
+        given = None if not names or u is None else np.asarray(u, float)[:, [*map(bool, names)]]
+        names = [name for name in names if name]
         if given is not None:
             check_inputs(unit, names, given)
         task = Task(np.asarray(time, float), given, values, self.outputs, names, self.held)
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
-        key = (*task.outputs, *names, round(task.step, 12), min(len(task.time), SAMPLES))
-        if key not in unit.readings:
-            unit.readings[key] = reading_of(unit, task)
+        reading = self._reading(task)
         with unit.instance() as instance:
-            return CoSimulation(unit, instance, task).run(unit.readings[key])
+            return CoSimulation(unit, instance, task).run(reading)
+
+    def _reading(self, task: Task) -> Reading:
+        """Return how the outputs are read; with parameters to fit, wherever these are.
+
+        A feedthrough may have a gain of 0 at one place.
+        """
+        unit, step = self._unit, round(task.step, 12)
+        key = (*task.outputs, *task.inputs, step, min(len(task.time), SAMPLES))
+        if key in unit.readings:
+            return cast("Reading", unit.readings[key])
+        found = [reading_of(unit, task)]
+        for place in PROBED if self.known.free else ():
+            values = {name: self.known.at(name, place) for name in self.known.given}
+            try:
+                found.append(reading_of(unit, replace(task, values=values)))
+            except LateError:
+                raise
+            except Exception:  # it does not run there
+                continue
+        late = np.any([reading.late for reading, _ in found], axis=0)
+        reading = Reading(late, any(reading.before for reading, _ in found))
+        if any(known for _, known in found):
+            unit.readings[key] = reading
+        return reading
 
     def _with(self, **changes: Any) -> Self:
         """Return a copy that shares the unpacked files."""

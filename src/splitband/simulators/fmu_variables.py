@@ -34,6 +34,7 @@ class Variables:
         measured samples.
     tunable : Other variables that can be set while it runs.
     others : Other variables that can be read.
+    arrays : Inputs that are arrays, which cannot be driven.
     """
 
     file: str
@@ -43,6 +44,7 @@ class Variables:
     optional: tuple[str, ...] = ()
     tunable: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
+    arrays: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, path: Path, description: Any, folder: Path) -> Variables:
@@ -60,16 +62,19 @@ class Variables:
             tuple(name for name in inputs if name in optional),
             tuple(v.name for v in usable if v.causality != "input" and v.variability == "tunable"),
             tuple(v.name for v in usable if v.name not in {*outputs, *inputs}),
-        )
+            tuple(v.name for v in description.modelVariables
+                  if v.causality == "input" and (v.shape or v.dimensions)),
+        )  # fmt: skip
 
     def check(self, outputs: Iterable[str] | None, inputs: Iterable[str] | None) -> None:
         """Raise ValueError for names that are no variables, or that cannot be driven."""
-        for name in (*(outputs or ()), *(inputs or ())):
+        inputs = [name for name in inputs or () if name]
+        for name in (*(outputs or ()), *inputs):
             if name not in self.names:
                 known = _listed(self.names)
                 raise ValueError(f"{self.file} has no variable {name}; it has {known}")
         able = {*self.inputs, *self.optional, *self.tunable}
-        for name in inputs or ():
+        for name in inputs:
             if name not in able:
                 raise ValueError(
                     f"inputs must be inputs of {self.file}: {name} is none; it has "
@@ -83,10 +88,10 @@ class Variables:
         """
         if given is not None and len(given) == len(columns):
             return [*given]
-        found = None if given is not None else _by_name(columns, (*self.outputs, *self.others))
-        if found is None and given is None and len(columns) == len(self.outputs) == 1:
+        found = [""] if given is not None else _by_name(columns, (*self.outputs, *self.others))
+        if not all(found) and given is None and len(columns) == len(self.outputs) == 1:
             return [*self.outputs]
-        if found is None:
+        if not all(found):
             raise ValueError(
                 f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
                 f"the record's channels, {_listed(columns)}, in their order: "
@@ -97,34 +102,38 @@ class Variables:
     def inputs_for(self, inputs: Sequence[str], given: Sequence[str] | None) -> list[str]:
         """Return the variable of each input: the given ones, or those of the same names.
 
-        An FMU without inputs takes none. Raises ValueError, with both lists, where they cannot be
-        told, or where an input of the FMU would not be driven.
+        An input that the FMU does not take has "". Raises ValueError, with both lists, where they
+        cannot be told, or where an input of the FMU would not be driven.
         """
         if given is not None and len(given) in (0, len(inputs)):
             return [*given]
+        if given is None and self.arrays:
+            raise ValueError(
+                f"inputs (--simulator-inputs) must name the inputs of {self.file} that are driven: "
+                f"{_listed(self.arrays)} is an array, which cannot be; it keeps its start values"
+            )
         if given is None:
             found = _by_name(inputs, (*self.inputs, *self.optional))
-            if found is not None and {*self.inputs} <= {*found}:
-                return found
+            if {*self.inputs} <= {*found}:
+                return found if any(found) else []
             if len(inputs) == len(self.inputs) == 1:
                 return [*self.inputs]
-            if not self.inputs:
-                return []
         raise ValueError(
             f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
             f"record's inputs, {_listed(inputs) or 'of which it has none'}, in their order: "
             + (f"got {_listed(given)}" if given else f"it has {_listed(self.inputs)}")
-            + "; inputs that are not named keep their start values, and with an empty list all do"
+            + '; "" for one that it does not take; inputs that are not named keep their start '
+            "values, and with an empty list all do"
         )
 
 
-def _by_name(wanted: Sequence[str], known: Sequence[str]) -> list[str] | None:
-    """Return the known names that equal the wanted ones, if need be without units."""
+def _by_name(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Return the known names that equal the wanted ones, if need be without units; else ""."""
     if {*wanted} <= {*known}:
         return [*wanted]
     found = [[k for k in known if bare_name(k) == bare_name(name)] for name in wanted]
-    names = [each[0] for each in found if len(each) == 1]
-    return names if len({*names}) == len(wanted) else None
+    names = [each[0] if len(each) == 1 else "" for each in found]
+    return [name if names.count(name) == 1 else "" for name in names]
 
 
 def _listed(names: Sequence[str]) -> str:

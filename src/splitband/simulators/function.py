@@ -14,7 +14,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import WithRepr
 from splitband.simulators.digests import code_digest
 from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
-from splitband.simulators.starting import Start, check_start, count_arguments
+from splitband.simulators.starting import Start, check_places, check_start, count_arguments
 
 
 class UserCode(WithRepr):
@@ -80,8 +80,9 @@ class Function(UserCode):
     difference = 1e-6
 
     def __post_init__(self) -> None:
-        """Check the start."""
+        """Check the start and the order of the arguments."""
         check_start(self.start)
+        check_places(self.function, "time", "u", "p")
 
     @property
     def adjustable(self) -> bool:
@@ -92,6 +93,16 @@ class Function(UserCode):
     def driven(self) -> bool:
         """Return whether it takes a record's inputs."""
         return count_arguments(self.function) > 1
+
+    @property
+    def needs_inputs(self) -> bool:
+        """Return whether it takes inputs for no other reason than parameters after them."""
+        return count_arguments(self.function) == 2
+
+    @property
+    def code(self) -> list[Any]:
+        """Return the user's functions."""
+        return [self.function]
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.

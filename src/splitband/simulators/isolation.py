@@ -84,7 +84,7 @@ class Isolated:
         known.check(self.outputs, self.inputs)
         taken = known.inputs_for(inputs, self.inputs)
         outputs = known.outputs_for(columns, self.outputs or None)
-        return replace(self, outputs=tuple(outputs), inputs=tuple(taken), driven=bool(taken))
+        return replace(self, outputs=tuple(outputs), inputs=tuple(taken), driven=any(taken))
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the channels at `time` in s, with the inputs `(time, nu)`, see `Simulator`.

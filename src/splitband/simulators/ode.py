@@ -15,7 +15,7 @@ from splitband.runtime.arrays import Array
 from splitband.simulators.digests import code_digest
 from splitband.simulators.function import UserCode
 from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
-from splitband.simulators.starting import Start, check_start, count_arguments
+from splitband.simulators.starting import Start, check_places, check_start, count_arguments
 
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
@@ -70,6 +70,8 @@ class Ode(UserCode):
     def __post_init__(self) -> None:
         """Check the initial values, and that every one among the parameters names a state."""
         check_start(self.start)
+        check_places(self.rhs, "t", "x", "u", "p")
+        check_places(self.observe, "x", "u", "p")
         try:
             x0 = np.atleast_1d(np.asarray(self.x0, float))
         except (TypeError, ValueError):
@@ -107,6 +109,16 @@ class Ode(UserCode):
         """Return whether it takes a record's inputs."""
         observes = self.observe is not None and count_arguments(self.observe) > 1
         return count_arguments(self.rhs) > 2 or observes
+
+    @property
+    def needs_inputs(self) -> bool:
+        """Return whether it takes inputs for no other reason than parameters after them."""
+        return count_arguments(self.rhs) == 3 or count_arguments(self.observe) == 2
+
+    @property
+    def code(self) -> list[Any]:
+        """Return the user's functions."""
+        return [self.rhs, self.observe]
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the equation with as many of its first states observed as there are channels.

@@ -67,16 +67,49 @@ def arguments_of(file: str | Path, name: str) -> int | None:
 
     None without such a function. See `count_arguments`.
     """
+    given = _signature_in(file, name)
+    if given is None:
+        return None
+    names = [arg.arg for arg in (*given.posonlyargs, *given.args)]
+    return wanted_arguments(names, len(names) - len(given.defaults))
+
+
+def unnamed_in(file: str | Path, name: str) -> list[str]:
+    """Return the arguments of a `def name` at module level that may be a record's inputs.
+
+    See `check_unnamed`; nothing is run.
+    """
+    given = _signature_in(file, name)
+    if given is None:
+        return []
+    placed = [*given.posonlyargs, *given.args][-len(given.defaults) :] if given.defaults else []
+    pairs = [*zip(placed, given.defaults, strict=True),
+             *zip(given.kwonlyargs, given.kw_defaults, strict=True)]  # fmt: skip
+    return [arg.arg for arg, default in pairs
+            if isinstance(default, ast.Constant) and default.value is None]  # fmt: skip
+
+
+def check_unnamed(names: Sequence[str], what: str) -> None:
+    """Raise ValueError if the user's code has arguments that may be a record's inputs.
+
+    These are the `names` of arguments with the default None, of code that is not driven.
+    """
+    if names:
+        raise ValueError(
+            f"simulator {what} must say whether its argument {names[0]}=None is the record's "
+            "inputs, which it would not get: call it u, without a * before it, or else remove its "
+            "default"
+        )
+
+
+def _signature_in(file: str | Path, name: str) -> ast.arguments | None:
+    """Return the arguments of a `def name` at module level; nothing is run."""
     try:
         tree = ast.parse(Path(file).read_bytes())
     except (OSError, SyntaxError, ValueError):
         return None
     found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
-    if not found:
-        return None
-    given = found[-1].args
-    names = [arg.arg for arg in (*given.posonlyargs, *given.args)]
-    return wanted_arguments(names, len(names) - len(given.defaults))
+    return found[-1].args if found else None
 
 
 def wanted_arguments(names: Sequence[str], required: int) -> int:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
 from splitband.data import Stamp
 from splitband.data.timing import in_words, seconds_of
-from splitband.simulators.sources import wanted_arguments
+from splitband.simulators.sources import check_unnamed, wanted_arguments
 
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
@@ -39,10 +39,34 @@ def is_driven(simulator: Any) -> bool:
 def matched(
     simulator: Any_simulator, columns: Sequence[str], inputs: Sequence[str]
 ) -> Any_simulator:
-    """Return the simulator for records with these channels and inputs, see `Fmu.matched`."""
+    """Return the simulator for records with these channels and inputs, see `Fmu.matched`.
+
+    Raises ValueError for one that needs inputs, which the records do not have, and for one that may
+    be meant to take those that they have.
+    """
     match = getattr(simulator, "matched", None)
     found: Any_simulator = simulator if match is None else match(columns, inputs)
+    driven, name = is_driven(found), getattr(found, "name", "") or type(found).__name__
+    if not inputs and getattr(found, "needs_inputs", driven):
+        raise ValueError(
+            f"simulator {name} takes inputs, of which the record has none: name them (--inputs), "
+            "or leave the argument out"
+        )
+    if inputs and not driven:
+        code = [] if hasattr(found, "driven") else [getattr(found, "simulate", None)]
+        code = getattr(found, "code", code)
+        check_unnamed([each for function in code for each in _unnamed(function)], name)
     return found
+
+
+def check_places(function: Any, *places: str) -> None:
+    """Raise ValueError if arguments of the user's function have the names of other places."""
+    given = {name: i for i, name in enumerate(_places(function))}
+    if any(given.get(name, places.index(name)) != places.index(name) for name in ("u", "p")):
+        raise ValueError(
+            f"a simulator's function must have the arguments ({', '.join(places)}), in this order "
+            f"and without gaps: got ({', '.join(given)})"
+        )
 
 
 def origin(simulator: Any, stamp: Stamp | None) -> float:
@@ -53,6 +77,11 @@ def origin(simulator: Any, stamp: Stamp | None) -> float:
     """
     start, begin = check_start(getattr(simulator, "start", None)), seconds_of(stamp)
     if start == "record":
+        if stamp is not None and not isinstance(stamp, float):
+            raise ValueError(
+                'start (--simulator-start) must be a number of seconds, not "record", for a record '
+                f"whose clock shows dates: it begins at {in_words(stamp)}"
+            )
         return begin
     if start is None and begin and not is_driven(simulator):
         assert stamp is not None
@@ -66,11 +95,24 @@ def origin(simulator: Any, stamp: Stamp | None) -> float:
 
 def count_arguments(function: Any) -> int:
     """Return the number of arguments that a function is to be given; 0 if it is unknown."""
+    places = _places(function)
+    required = sum(each.default is each.empty for each in places.values())
+    return wanted_arguments([*places], required)
+
+
+def _places(function: Any) -> dict[str, inspect.Parameter]:
+    """Return the positional arguments of a function; none if they are unknown."""
     kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+    return {name: each for name, each in _arguments(function).items() if each.kind in kinds}
+
+
+def _arguments(function: Any) -> Mapping[str, inspect.Parameter]:
     try:
-        given = inspect.signature(function).parameters.values()
+        return inspect.signature(function).parameters
     except (TypeError, ValueError):
-        return 0
-    places = [each for each in given if each.kind in kinds]
-    required = sum(each.default is each.empty for each in places)
-    return wanted_arguments([each.name for each in places], required)
+        return {}
+
+
+def _unnamed(function: Any) -> list[str]:
+    """Return the arguments of a function that may be inputs, see `check_unnamed`."""
+    return [name for name, each in _arguments(function).items() if each.default is None]

@@ -36,8 +36,8 @@ class SimulatorOptions:
     simulator_inputs: Annotated[
         str | None,
         _simulator(
-            "Variables of an FMU that take --inputs, in their order; the others keep their start "
-            'values, with "" all of them.',
+            "Variables of an FMU that take --inputs, in their order, none for one that it does not "
+            'take (a,,c); the others keep their start values, with "" all of them.',
             "NAMES",
             "of the same names",
         ),

@@ -1,0 +1,183 @@
+"""Simulators as strangers bring them: right by SciPy or in closed form, or refused."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+import scipy
+
+import splitband as sb
+from splitband.cli import main
+from splitband.simulators.digests import code_digest
+from tests.simulators.fmus import COMPILES, built
+
+Array = npt.NDArray[np.float64]
+DT, SAMPLES = 0.1, 100
+TIME: Array = DT * np.arange(float(SAMPLES))
+RNG = np.random.default_rng(5)
+STEPS = np.repeat(RNG.choice([-1.0, 0.5, 1.0], SAMPLES // 5), 5)
+WAVE = np.sin(TIME) + 0.3 * np.cos(2.7 * TIME)
+LATE = np.where(TIME > 3, 1.0, 0.0)  # inputs are at rest at the beginning
+compiled = pytest.mark.skipif(not COMPILES, reason="no gcc to compile an FMU with")
+
+
+def lag(u: Array) -> Array:
+    y: Array = scipy.signal.lsim(([1.0], [1.0, 1.0]), u, TIME, interp=False)[1]
+    return y
+
+
+def record(y: Array, u: Array | None, **how: Any) -> sb.Record:
+    return sb.Record(y, DT, u=u, **how)
+
+
+def simulated(simulator: Any, of: sb.Record) -> Array:
+    found: Array = sb.Simulation(simulator).fit(of).on(of).y_sim  # type: ignore[assignment]
+    return found
+
+
+BOTH = np.column_stack([WAVE, STEPS])
+# How the FMU is compiled, names and values of the record's inputs, and the answer.
+Row = tuple[dict[str, Any], tuple[str, ...], Array, Array]
+RIGHT: dict[str, Row] = {
+    "an input that it does not take": (
+        {"inputs": ("valve",)}, ("heater", "valve"), BOTH, lag(STEPS),
+    ),
+    "units, and an input that it does not take": (
+        {"inputs": ("b", "a"), "slope": "r[U] - r[X] - 2 * r[V]"}, ("a [K]", "z", "b [W]"),
+        np.column_stack([WAVE, TIME, STEPS]), lag(STEPS - 2 * WAVE),
+    ),
+    "a power computed in the step, at rest at the start": (
+        {"inputs": ("u", "v"), "out": "r[U] * r[V]", "mode": 1}, ("u", "v"), BOTH * LATE[:, None],
+        WAVE * STEPS * LATE,
+    ),
+    "a dead zone computed in the step": (
+        {"out": "r[U] > 5 ? r[U] - 5 : 0", "mode": 1}, ("u",), (9 * STEPS * LATE)[:, None],
+        np.maximum(9 * STEPS * LATE - 5, 0),
+    ),
+    "a state far faster than the sampling": (
+        {"slope": "500 * (r[U] - r[X])", "mode": 1}, ("u",), STEPS[:, None],
+        np.append(0.0, STEPS[:-1]),
+    ),
+}  # fmt: skip
+
+
+@compiled
+@pytest.mark.parametrize("what", RIGHT)
+def test_an_fmu_gives_the_right_answer(what: str, tmp_path: Path) -> None:
+    options, inputs, u, wanted = RIGHT[what]
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", **options))
+    found = simulated(fmu, record(wanted, u, inputs=inputs, start=1.7e9))
+    np.testing.assert_allclose(found[:, 0], wanted, atol=1e-6)
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("options", "y", "message"),
+    [
+        ({"out": "r[X] + 0.05 * r[U]", "mode": 1}, lag(STEPS) + 0.05 * STEPS, "at once"),
+        ({"out": "r[X] + r[K] * r[U]", "mode": 1}, lag(STEPS) + 2 * STEPS, "at once"),
+    ],
+)
+def test_a_feedthrough_that_would_come_late_is_refused(
+    options: dict[str, Any], y: Array, message: str, tmp_path: Path
+) -> None:
+    """Though it is small, or 0 where a search begins; read at once, it is right."""
+    ranges = {"k": (-3.0, 3.0)} if "K" in options["out"] else {"k": 1.0}
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", **options), parameters=ranges)
+    with pytest.raises(ValueError, match=message):
+        sb.GreyBox(fmu, starts=1).fit(record(y, STEPS))
+    remedy = sb.Fmu(built(tmp_path / "at_once.fmu", **(options | {"mode": 0})), parameters=ranges)
+    model = sb.GreyBox(remedy, starts=1).fit(record(y, STEPS)[:80])
+    np.testing.assert_allclose(model.predict(20, u=STEPS[80:]).y[:, 0], y[80:], atol=1e-5)
+
+
+@compiled
+def test_a_gain_computed_in_the_step_is_found_from_0_on(tmp_path: Path) -> None:
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", out="r[K] * r[U]", mode=1),
+                 parameters={"k": (-3.0, 3.0)})  # fmt: skip
+    model = sb.GreyBox(fmu, starts=1).fit(record(2 * STEPS, STEPS))
+    assert model.parameters["used"]["k"] == pytest.approx(2.0)
+
+
+def optional(time: Array, inputs: Array | None = None) -> Array:
+    return 0 * time if inputs is None else lag(inputs[:, 0])
+
+
+def keyword(time: Array, *, u: Array | None = None) -> Array:
+    return optional(time, u)
+
+
+def named(time: Array, u: Array | None = None) -> Array:
+    return optional(time, u)
+
+
+DRIVEN = record(lag(STEPS), STEPS)
+ALONE = record(lag(STEPS), None)
+DATED = record(np.sin(TIME), None, start=pd.Timestamp("2024-01-01 00:00:07"))
+REFUSED: dict[str, tuple[Callable[[], Any], sb.Record, str]] = {
+    "inputs by another name": (lambda: sb.Function(optional), DRIVEN, "inputs=None.*call it u"),
+    "inputs by keyword": (lambda: sb.Function(keyword), DRIVEN, "u=None.*without a [*] before"),
+    "an equation's inputs": (
+        lambda: sb.Ode(lambda t, x, inputs=None: [-x[0]], [0.0]), DRIVEN, "inputs=None",
+    ),
+    "no inputs": (lambda: sb.Function(lambda time, u: u.sum(axis=1)), ALONE, "record has none"),
+    "parameters in the inputs' place": (
+        lambda: sb.Ode(lambda t, x, p: [-p[0] * x[0]], [1.0], parameters={"k": (0.1, 5)}),
+        DRIVEN, r"\(t, x, u, p\).*got \(t, x, p\)",
+    ),
+    "a clock of dates": (lambda: sb.Function(np.sin, start="record"), DATED, "shows dates"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_may_mean_two_things_is_refused(what: str) -> None:
+    make, of, message = REFUSED[what]
+    with pytest.raises(ValueError, match=message) as found:
+        simulated(make(), of)
+    assert "\n" not in str(found.value)
+
+
+def test_the_remedies_work() -> None:
+    np.testing.assert_allclose(simulated(sb.Function(named), DRIVEN), DRIVEN.y)
+    np.testing.assert_allclose(simulated(sb.Function(np.sin, start=7), DATED)[:, 0],
+                               np.sin(TIME + 7))  # fmt: skip
+
+
+def test_what_a_function_holds_or_reads_from_a_table_is_part_of_it() -> None:
+    table = pd.Series([1.0, 2.0], ["a", "b"])
+
+    def rhs(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [-rhs.k * table["a"] * x[0]]  # type: ignore[attr-defined]
+
+    digests = []
+    for k, labels in ((1.0, "ab"), (2.0, "ab"), (2.0, "ba")):
+        rhs.k = k  # type: ignore[attr-defined]
+        table.index = pd.Index([*labels])
+        digests.append(code_digest(rhs))
+    assert len({*digests}) == 3
+
+
+@compiled
+def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    built(Path("Plant.fmu").resolve(), inputs=("a",), output="y")
+    Path("sim.py").write_text("def f(time, inputs=None): return 0 * time\n"
+                              "def rhs(t, x, u): return [u[0] - x[0]]\n")  # fmt: skip
+    frame = pd.DataFrame({"time": TIME, "w": WAVE, "v": STEPS, "y": lag(STEPS)})
+    frame.to_csv("rig.csv", index=False)
+    line = shlex.split("spectrum rig.csv --inputs w,v --columns y --out out --simulator")
+    assert main([*line, "Plant.fmu", "--simulator-inputs", ",a"]) == 0
+    for simulator, message in (("sim.py:f", "call it u"), ("sim.py:rhs", "(t, x, u, p)"),
+                               ("Plant.fmu", "w, v, in their order")):  # fmt: skip
+        capsys.readouterr()
+        assert main([*line, simulator]) != 0
+        assert message in " ".join(capsys.readouterr().err.split())
