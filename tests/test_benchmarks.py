@@ -3,7 +3,6 @@
 import importlib
 import json
 import runpy
-import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -143,50 +142,3 @@ def test_the_page_of_public_benchmarks_is_made_of_their_files(
     page = importlib.import_module("benchmarks.public_page")
     folder = ROOT / "docs/results/benchmarks"
     assert folder.with_suffix(".md").read_text(encoding="utf-8") == page.made(folder)
-
-
-@pytest.fixture(params=["segments", "choices"])
-def study(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Path]:
-    """A study of the paper's settings, and the folder of its runs."""
-    monkeypatch.syspath_prepend(str(ROOT))
-    module = importlib.import_module(f"benchmarks.{request.param}")
-    return module, ROOT / "docs/results" / request.param
-
-
-def test_the_page_of_a_study_is_made_of_its_runs(study: tuple[Any, Path]) -> None:
-    """Where it is not: `python -m benchmarks.segments --no-run`, or `choices`."""
-    module, folder = study
-    assert folder.with_suffix(".md").read_text(encoding="utf-8") == module.made(folder)
-
-
-def test_an_edited_run_changes_the_page_of_its_study(
-    study: tuple[Any, Path], tmp_path: Path
-) -> None:
-    module, folder = study
-    copied = Path(shutil.copytree(folder, tmp_path / folder.name))
-    (tmp_path / "runs").symlink_to(folder.parent / "runs")
-    path = sorted(copied.rglob("*-seed0.json"))[0]
-    facts = json.loads(path.read_text(encoding="utf-8"))
-    changed = {name: 7.0 for name in ("total_rmse", "last", "loss") if name in facts}
-    path.write_text(json.dumps(facts | changed), encoding="utf-8")
-    assert module.made(copied) != folder.with_suffix(".md").read_text(encoding="utf-8")
-
-
-@pytest.mark.soak
-def test_what_a_segment_rewards_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT))
-    segments = importlib.import_module("benchmarks.segments")
-    text = (ROOT / "docs/results/segments/segments.json").read_text(encoding="utf-8")
-    assert json.loads(text)["0 to 600"] == pytest.approx(segments.segment(0), rel=1e-3)
-
-
-def test_the_first_reading_is_the_packages_own_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The studies build their models themselves; what they change starts from the same training."""
-    monkeypatch.syspath_prepend(str(ROOT))
-    choices = importlib.import_module("benchmarks.choices")
-    for method in choices.METHODS:
-        runs = choices.study.found(ROOT / "docs/results/choices" / method, [choices.BASE])
-        for seed, run in enumerate(runs[choices.BASE]):
-            path = ROOT / f"docs/results/runs/i/{method}/seed{seed}.json"
-            own = json.loads(path.read_text(encoding="utf-8"))
-            assert run["last"] == pytest.approx(own["total_rmse"], rel=1e-3)

@@ -36,6 +36,8 @@ def exact(time):
 def slow_start(time):
     return exact(0.97 * (time - 20))
 """
+SLOW = "functions.py:slow_start --simulator-start record"
+"""A function of the time that the record's stamps have."""
 
 pytestmark = pytest.mark.usefixtures("simulated_here")
 
@@ -62,11 +64,13 @@ def refused(line: str, capsys: pytest.CaptureFixture[str]) -> str:
     return error
 
 
-def simulator_error(simulator: str, time_column: str | None = None) -> float:
+def simulator_error(
+    simulator: str, time_column: str | None = None, start: str | None = None
+) -> float:
     """RMSE of what --simulator comes to beside record.csv."""
     record = read("record.csv", time_column=time_column)
     reading = RecordOptions(time_column=time_column)
-    found = with_simulator(record, SimulatorOptions(simulator), reading)
+    found = with_simulator(record, SimulatorOptions(simulator, simulator_start=start), reading)
     assert found.y_sim is not None
     return rmse(found.y, found.y_sim)
 
@@ -129,12 +133,14 @@ def test_a_function_runs_on_the_time_stamps_of_the_record(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     write(Path("record.csv"), times(20), y=signal(times(20)))
-    assert simulator_error("functions.py:exact") < 1e-6
-    assert "run on the record's time stamps, 20 s to 43.9 s" in capsys.readouterr().out
+    with pytest.raises(ValueError, match="start must be given"):
+        simulator_error("functions.py:exact")
+    assert simulator_error("functions.py:exact", start="record") < 1e-6
+    assert "runs from 20 s on" in capsys.readouterr().out
     dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(times(), unit="s")
     write(Path("record.csv"), dates, y=signal(times()))
     assert simulator_error("functions.py:exact") < 1e-6
-    assert "seconds since the record's first sample, 2024-05-01" in capsys.readouterr().out
+    assert "runs from 0 s on, at the record's first sample, 2024-05-01" in capsys.readouterr().out
 
 
 def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
@@ -270,7 +276,7 @@ def late_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(folder / "record.csv", times(20), y=signal(times(0)))
     line = (
         f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK} --out {folder}/model "
-        f"--simulator {folder}/functions.py:slow_start"
+        f"--simulator {folder}/{SLOW}"
     )
     assert main(shlex.split(line)) == 0
     return folder / "model"
@@ -281,7 +287,7 @@ def ahead(model: Path, history: str, options: str) -> Array:
     return pd.read_csv("ahead.csv").to_numpy()
 
 
-@pytest.mark.parametrize("simulator", ["functions.py:slow_start", "cut.csv"])
+@pytest.mark.parametrize("simulator", [SLOW, "cut.csv"])
 def test_a_later_history_is_simulated_on_as_the_whole_one_is(
     late_model: Path, simulator: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -291,7 +297,7 @@ def test_a_later_history_is_simulated_on_as_the_whole_one_is(
     write(Path("later.csv"), times(20)[100:180], y=signal(times())[100:180])
     simulated = signal(0.97 * times(samples=400))
     write(Path("cut.csv"), times(20, samples=400)[150:], y=simulated[150:])
-    whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
+    whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
     capsys.readouterr()
     later = ahead(late_model, "later.csv", f"--simulator {simulator}")
     np.testing.assert_allclose(later[:, 0], times(38, samples=60), rtol=0, atol=1e-9)
@@ -306,7 +312,7 @@ def test_a_history_between_the_samples_of_the_training_record_is_simulated_on(
     write(Path("later.csv"), time, y=signal(time - 20))
     simulated = signal(0.97 * times(samples=400))
     write(Path("sim.csv"), times(20, samples=400), y=simulated)
-    asked = ahead(late_model, "later.csv", "--simulator functions.py:slow_start")
+    asked = ahead(late_model, "later.csv", f"--simulator {SLOW}")
     exported = ahead(late_model, "later.csv", "--simulator sim.csv")
     np.testing.assert_allclose(asked, exported, rtol=0, atol=1e-3)
 
@@ -317,7 +323,7 @@ def test_a_history_before_the_training_record_is_refused_where_the_clock_was_cal
     write(Path("early.csv"), times()[:80], y=signal(times())[:80])
     said = refused(
         f"simulate {late_model} --history early.csv --steps 9 --out a.csv "
-        "--simulator functions.py:exact",
+        "--simulator functions.py:exact --simulator-start record",
         capsys,
     )
     assert all(words in said for words in ("--history", "20 s", "0 s", "clock 1.03"))
@@ -327,9 +333,9 @@ def test_a_history_without_time_stamps_begins_where_the_training_record_did(
     late_model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
-    whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
+    whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
     np.savetxt("plain.txt", signal(times())[:180])
-    plain = ahead(late_model, "plain.txt", "--simulator functions.py:slow_start")
+    plain = ahead(late_model, "plain.txt", f"--simulator {SLOW}")
     assert "begin where the training record did, at 20 s" in capsys.readouterr().out
     np.testing.assert_allclose(plain[:, 1], whole[:, 1], rtol=0, atol=1e-6)
     np.testing.assert_allclose(plain[:, 0], DT * np.arange(1, 61))
@@ -354,10 +360,10 @@ def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
     late_model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
-    whole = ahead(late_model, "whole.csv", "--simulator functions.py:slow_start")
+    whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
     capsys.readouterr()
     changed(late_model, Path("old"), None)
-    old = ahead(Path("old"), "whole.csv", "--simulator functions.py:slow_start")
+    old = ahead(Path("old"), "whole.csv", f"--simulator {SLOW}")
     assert "does not know when its training record began" in capsys.readouterr().out
     np.testing.assert_array_equal(old, whole)
 
@@ -378,7 +384,7 @@ def test_a_history_without_the_time_stamps_of_the_training_record_says_so(
     pd.DataFrame({"when": times(20), "y": signal(times())}).to_csv("h.csv", index=False)
     for option, said in (("", 1), (" --time-column when", 0)):
         capsys.readouterr()
-        ahead(late_model, "h.csv", "--simulator functions.py:slow_start" + option)
+        ahead(late_model, "h.csv", f"--simulator {SLOW}" + option)
         assert capsys.readouterr().out.count("h.csv: no time stamps") == said
 
 
@@ -387,10 +393,10 @@ def test_a_history_of_a_slightly_other_sampling_time_is_resampled(
 ) -> None:
     time = times(20, 0.1009, 180)
     write(Path("h.csv"), time, y=signal(time - 20))
-    found = ahead(late_model, "h.csv", "--simulator functions.py:slow_start")
+    found = ahead(late_model, "h.csv", f"--simulator {SLOW}")
     assert "h.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
     exact = times(20, DT, 181)
     assert exact[-1] <= time[-1] < exact[-1] + DT
     write(Path("exact.csv"), exact, y=signal(exact - 20))
-    expected = ahead(late_model, "exact.csv", "--simulator functions.py:slow_start")
+    expected = ahead(late_model, "exact.csv", f"--simulator {SLOW}")
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3)
