@@ -124,9 +124,6 @@ DATED = record(np.sin(TIME), None, start=pd.Timestamp("2024-01-01 00:00:07"))
 REFUSED: dict[str, tuple[Callable[[], Any], sb.Record, str]] = {
     "inputs by another name": (lambda: sb.Function(optional), DRIVEN, "inputs=None.*call it u"),
     "inputs by keyword": (lambda: sb.Function(keyword), DRIVEN, "u=None.*without a [*] before"),
-    "an equation's inputs": (
-        lambda: sb.Ode(lambda t, x, inputs=None: [-x[0]], [0.0]), DRIVEN, "inputs=None",
-    ),
     "no inputs": (lambda: sb.Function(lambda time, u: u.sum(axis=1)), ALONE, "record has none"),
     "parameters in the inputs' place": (
         lambda: sb.Ode(lambda t, x, p: [-p[0] * x[0]], [1.0], parameters={"k": (0.1, 5)}),
