@@ -19,7 +19,6 @@ _NETWORKS = ("gru", "split-gru", "split-gru-hp")
 _HYBRIDS = ("gru", "residual-gru", "filtered-gru", "rnn", "residual-rnn", "filtered-rnn")
 METHODS = {
     **dict.fromkeys(("i", "ii", "iii", "iv"), _NETWORKS),
-    **dict.fromkeys(("ii-simulated", "iii-simulated", "iv-simulated"), _NETWORKS),
     **dict.fromkeys(("v", "vi"), (*_HYBRIDS, "simulator")),
 }
 
