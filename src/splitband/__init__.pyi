@@ -5,6 +5,7 @@ from splitband.data import (
     Record as Record,
     read as read,
 )
+from splitband.evaluation.clock import Clock as Clock
 from splitband.evaluation.comparison import Comparison as Comparison
 from splitband.evaluation.forecast import (
     Forecast as Forecast,
@@ -15,18 +16,13 @@ from splitband.evaluation.plan import (
     plan as plan,
 )
 from splitband.evaluation.run import (
+    Standing as Standing,
     compare as compare,
     run as run,
 )
-from splitband.evaluation.saved_settings import SavedSettings as SavedSettings
-from splitband.evaluation.search import Search as Search
-from splitband.evaluation.setup import (
-    Options as Options,
-    Setup as Setup,
-)
-from splitband.evaluation.work import Work as Work
 from splitband.filters import ComplementaryPair as ComplementaryPair
 from splitband.forecasters.backtest import (
+    Fit as Fit,
     Origin as Origin,
     Question as Question,
     backtest as backtest,
@@ -77,7 +73,6 @@ from splitband.networks import (
     StateSpace as StateSpace,
     rollout as rollout,
 )
-from splitband.runtime.cluster import Cluster as Cluster
 from splitband.simulators import (
     Estimate as Estimate,
     Fmu as Fmu,

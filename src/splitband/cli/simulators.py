@@ -14,8 +14,8 @@ import numpy.typing as npt
 from splitband.cli import showing
 from splitband.cli.options.records import FileOptions, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions, parts_of
-from splitband.cli.records import announce, like, read_companion
-from splitband.cli.setups import names
+from splitband.cli.options.values import names
+from splitband.cli.records import announce, read_companion, sampled_like
 from splitband.data import Grid, Record
 from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
@@ -139,7 +139,7 @@ def load_further(
             gaps=reading.gaps,
         )
         announce(more, file)
-        more = like(more, record.sampling_time, file)
+        more = sampled_like(more, record.sampling_time, file)
         more = replace(more, name=file if option == "--more" else Path(file).stem)
         if simulators:
             own = replace(options, simulator=simulators[i])

@@ -52,9 +52,10 @@ if TYPE_CHECKING:
 
 
 class Training(TypedDict):
-    """Hold the options `seed`, `progress` and `checkpoint` that `fit` passes to `learn`."""
+    """Hold the options that `fit` passes to `learn`."""
 
     seed: int
+    start: Forecaster | None
     progress: Callable[[Progress], None] | None
     checkpoint: Checkpoint | None
 
@@ -91,19 +92,6 @@ class Forecaster(Configurable):
     def parameters(self) -> dict[str, Any]:
         """Return the fitted parameters of its simulator, in a form that JSON can hold."""
         return {}
-
-    def for_seed(self, seed: int) -> Forecaster:
-        """Return the variant that this seed trains: that of `by_seed`, or the forecaster itself."""
-        return self.by_seed.get(seed, self)
-
-    def trains_as(self, other: Forecaster) -> bool:
-        """Return whether a fit does the same as that of another forecaster, with the same seed."""
-        return repr(self) == repr(other)
-
-    @property
-    def of_one_seed(self) -> Forecaster:
-        """Return one member of an ensemble over seeds; any other forecaster itself."""
-        return self
 
     @property
     def warmup(self) -> int:
@@ -165,6 +153,7 @@ class Forecaster(Configurable):
         self,
         *records: Record,
         seed: int = 0,
+        start: Forecaster | None = None,
         progress: Callable[[Progress], None] | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> Self:
@@ -175,6 +164,9 @@ class Forecaster(Configurable):
         records : The training records, already cut to the training part. Without another history,
             forecasts start at the end of the first one.
         seed : Of all random numbers, initial weights included: the same seed, the same result.
+        start : A trained forecaster of the same kind and sizes, from which a network's training
+            goes on: it begins with its weights, scaling, delays and bands. The records may be
+            others, or longer. Methods without a network fit anew.
         progress : Called after each epoch of a training.
         checkpoint : Where an interrupted training resumes, with results equal to the bit.
 
@@ -195,7 +187,7 @@ class Forecaster(Configurable):
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
         with contextlib.nullcontext() if self.random else one_thread():
-            self.learn(records, seed=seed, progress=progress, checkpoint=checkpoint)
+            self.learn(records, seed=seed, start=start, progress=progress, checkpoint=checkpoint)
         report = self.fitted.report
         if not report.seconds:  # the training of a network has set its own time
             report = replace(report, seconds=time.perf_counter() - began)
@@ -399,6 +391,10 @@ class Forecaster(Configurable):
         files: list[Path] = provided("export")(self, path, precision, history)
         return files
 
+    def untrained(self) -> Forecaster:
+        """Return it not fitted, with the settings and bands that its fit has chosen."""
+        return self.clone()
+
     def stepped(self, outside: bool = False) -> Recursion:
         """Return the step-by-step form of the fitted forecaster, by default that of its `part`.
 
@@ -438,8 +434,7 @@ class Forecaster(Configurable):
         Only the end of the training record is kept, on which a forecast warms up.
         """
         end = None if self.fitted is None else self.fitted.end(self.first_needed())
-        kept = {name: value for name, value in vars(self).items() if name != "by_seed"}
-        return {**kept, "fitted": end}
+        return {**vars(self), "fitted": end}
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:

@@ -224,7 +224,9 @@ class NetworkTraining:
 
     def _quasi_newton(self) -> quasi_newton.QuasiNewton:
         settings = self.settings
-        chosen = quasi_newton.end_to_end(self.starts, settings.window, settings.warmup)
+        chosen = quasi_newton.end_to_end(
+            self.starts, settings.window, settings.warmup, settings.most_samples
+        )
         error = partial(self._mean_square, chosen)
         return quasi_newton.QuasiNewton([*self.task.network.parameters()], error, self.deadline)
 
