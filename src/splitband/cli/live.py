@@ -41,6 +41,7 @@ class Display:
 
     def __init__(self, out: Path | None, facts: Mapping[str, Any]) -> None:
         self._out, self._facts, self._table = out, {**facts}, Table()
+        self._written = False
         self._in_place = sys.stdout.isatty() and not showing.console.quiet
         console = Console() if self._in_place else showing.console
         self._live = Live(console=console, transient=True, auto_refresh=False)
@@ -75,7 +76,8 @@ class Display:
             return
         began = standing.clock.used
         try:
-            if standing.final:
+            if standing.final and not self._written:
+                self._written = True
                 results.save(standing.comparison(), self._out, self._facts)
                 standing.clock.writing = standing.clock.used - began
             else:

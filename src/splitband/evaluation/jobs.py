@@ -156,7 +156,9 @@ class Runner:
                 yield job, found
         known = [dict(each.results) for each in CACHES]
         patience = Deadline(deadline.at + max(PATIENCE, 2 * forecasting))
-        for job, future in run_jobs(partial(_run, known, deadline), todo, self.executor, patience):
+        for job, future in run_jobs(
+            partial(_run, known, deadline), [*todo], self.executor, patience
+        ):
             todo.remove(job)
             error = future.exception()
             if error is None:

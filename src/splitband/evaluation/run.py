@@ -49,7 +49,7 @@ class Standing:
     held : Fits to three quarters of the training part so far, by method.
     failed : Why methods have no fit so far.
     whole : Whether a round has just ended, so that there is a new table.
-    final : Fits to the whole training part, where they are all that there is so far.
+    final : Fits to the whole training part so far, by method: of quick methods.
     """
 
     plan: Plan
@@ -73,9 +73,10 @@ class Standing:
 
     @property
     def model(self) -> Forecaster:
-        """Return the best model so far, which was trained on three quarters of the samples."""
+        """Return the best model so far; a network was trained on three quarters of the samples."""
         best = self.trial.recommended
-        return fitted_ensemble([fit.fitted for fit in self.held[best]], self.trial.held_out[best])
+        fits = self.final.get(best) or self.held[best]
+        return fitted_ensemble([fit.fitted for fit in fits], self.trial.held_out[best])
 
 
 Watch = Callable[[Standing], None]
@@ -220,7 +221,7 @@ class Course:
         for forecaster in quick:
             self._keep_final(Job(forecaster, self.plan.question(forecaster)))
         if self.final and len(quick) < len(self._ready):
-            self._report("baselines", whole=True, final=self.final)
+            self._report("baselines", whole=True)
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
@@ -387,12 +388,10 @@ class Course:
             self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
         return [fits[job] for job in jobs]
 
-    def _report(
-        self, doing: str, whole: bool = False, final: Mapping[str, Sequence[Fit]] | None = None
-    ) -> None:
+    def _report(self, doing: str, whole: bool = False) -> None:
         if self._watch is not None and (self.held or not whole):
             said = self.plan, self.clock, doing, {**self.held}, {**self.failed}, whole
-            self._watch(Standing(*said, {**(final or {})}))
+            self._watch(Standing(*said, {**self.final}))
 
     def _until(self, share: float) -> Deadline:
         """Return the deadline after a share of the time that is left."""

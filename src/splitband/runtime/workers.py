@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.resource_tracker
 import os
+import shutil
 import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
 from typing import ParamSpec, TypeVar, final
 
@@ -51,7 +54,9 @@ class Workers(Executor):
             given = self._folder.name, dict(os.environ)
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPool(self._count, 0, _begin, given, context)
-        future: Future[Result] = self._pool.schedule(fn, args, kwargs)
+            multiprocessing.resource_tracker.ensure_running()  # which unblocks signals
+        with _without_interrupts():
+            future: Future[Result] = self._pool.schedule(fn, args, kwargs)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -62,19 +67,36 @@ class Workers(Executor):
         self._folder.cleanup()
 
 
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Block Ctrl-C in threads that start in this context, and so in the processes they start.
+
+    A process that Ctrl-C reaches while it loads would complain.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _begin(folder: str, environment: Mapping[str, str]) -> None:
     """Prepare a worker process."""
     os.environ.update(environment)
     tempfile.tempdir = os.environ["TMPDIR"] = folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(folder: str) -> None:
     """End this process when its parent has been killed, as its result is of no use."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait_for([parent.sentinel])
+        shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
 
