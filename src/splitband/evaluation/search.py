@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.evaluation.candidates import SHORT, Candidate, candidates, combined
+from splitband.evaluation.candidates import SETTLING, SHORT, Candidate, candidates, combined
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import (
@@ -150,6 +150,15 @@ class Search:
         """Return the methods that have a fit, the best one first."""
         names = {c.method for c in self.tried if math.isfinite(c.error)} | self.given.keys()
         return sorted(names, key=lambda name: held_out_score(self._record, self.held_out(name)))
+
+    @property
+    def growth(self) -> float:
+        """Return the seconds by which a second of a round delays the end of the comparison.
+
+        The final trainings take a share of what a round adds to the best candidates.
+        """
+        members = len(self.members(self.methods[0])) if self.methods else 1
+        return 1 + max(members, 1) * SETTLING / (1 - HELD_OUT_SHARE) / self._cores
 
     def held_out(self, method: str) -> list[Fit]:
         """Return the fits of a method whose median has the lowest held-out error."""
