@@ -108,7 +108,10 @@ def test_networks_alone_have_a_result_whatever_the_deadline(
     assert [*result.fits] == ["gru"]
 
 
-def test_what_has_settled_ends_before_its_time_and_says_so() -> None:
+def test_what_has_settled_ends_before_its_time_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("splitband.evaluation.search.MOST_MEMBERS", 1)
     constant = Record(np.ones(200) + 1e-3 * np.sin(np.arange(200.0)), 0.1)
     result = compare(constant, 150, ["mean", "gru"], budget=1e5, **SMALL)  # type: ignore[arg-type]
     assert "settled" in result.clock.in_words()

@@ -77,6 +77,8 @@ class Ensemble(Forecaster):
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
         """Return the ensemble of forecasters that were fitted to the same records."""
         seeds = [member.require_fitted().report.seed for member in members]
+        if len(set(seeds)) < len(seeds):  # members of different settings
+            seeds = [*range(len(seeds))]
         ensemble = cls([member.clone() for member in members], seeds=seeds)
         ensemble._take(members, 0)
         return ensemble
