@@ -17,6 +17,7 @@ from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.records import announce, like, read_companion
 from splitband.cli.setups import names
 from splitband.data import Grid, Record
+from splitband.data.names import bare_name
 from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
@@ -28,7 +29,7 @@ from splitband.simulators.named import SIMULATORS
 from splitband.simulators.opening import opened
 from splitband.simulators.parameters import Parameters
 from splitband.simulators.shooting import Adjustable
-from splitband.simulators.sources import arguments_of, check_unnamed, unnamed_in
+from splitband.simulators.sources import arguments_of, check_open, open_arguments_in
 from splitband.simulators.starting import (
     check_start,
     count_arguments,
@@ -176,7 +177,8 @@ def opened_simulator(
         outputs = () if function else tuple(columns)
         driven, start = bool(function) and _takes_inputs(file, function), _start_of(options)
         if function and not driven and record.u is not None:
-            check_unnamed(unnamed_in(file, function), text)
+            inputs = [bare_name(each) for each in record.inputs]
+            check_open(open_arguments_in(file, function, inputs), text)
         start = start if function else start or 0.0
         return Isolated(file, function or None, outputs, timeout, reads, cache,
                         _inputs_of(options), driven, start)  # fmt: skip
