@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import read
-from splitband.data.reading import ReadingWarning
+from splitband.data.gaps import ReadingWarning
 from tests.data.support import message, stamped, text_file
 
 

@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 
 from splitband.data import read
-from splitband.data.reading import ReadingWarning
+from splitband.data.gaps import ReadingWarning
 from tests.data.support import message, text_file
 
 Y = np.sin(np.arange(40) / 3).round(3)

@@ -104,7 +104,9 @@ def test_a_simulator_with_another_start_is_refused(saved: Any, given: Any, tmp_p
     """The function is the same, and has no key."""
     model = sb.Simulation(sb.Function(sine, start=saved)).fit(RECORD)
     model.save(tmp_path)
-    with pytest.raises(ValueError, match=r"must have start=.* model was saved, got start=") as found:
+    with pytest.raises(
+        ValueError, match=r"must have start=.* model was saved, got start="
+    ) as found:
         sb.load(tmp_path, simulator=sb.Function(sine, start=given))
     assert all(f"start={json.dumps(each or 0.0)}" in str(found.value) for each in (saved, given))
     again = sb.load(tmp_path, simulator=sb.Function(sine, start=saved)).predict(STEPS)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, is_text, numbers
-from splitband.data.gaps import Gaps
+from splitband.data.gaps import Gaps, ReadingWarning
 from splitband.data.layout import Layout
 from splitband.data.names import unit_of
 from splitband.data.record import Record
@@ -52,10 +52,6 @@ _Names: TypeAlias = str | int | Sequence[str | int]
 
 class ColumnError(ValueError):
     """Report that a requested column is missing, or that no column is left to model."""
-
-
-class ReadingWarning(UserWarning):
-    """Warn that a column of a file is left out, or that its meaning was inferred."""
 
 
 @dataclass(frozen=True)
