@@ -128,7 +128,7 @@ def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step:
         ([f"{i / 86400:.11f}" for i in range(20)], {1 / 86400: "seconds", 1: "fractions of a day"}),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore::splitband.data.reading.ReadingWarning")
+@pytest.mark.filterwarnings("ignore::splitband.data.gaps.ReadingWarning")
 def test_stamps_that_mean_several_things_are_refused_with_all_of_them(
     tmp_path: Path, stamps: Sequence[object], others: dict[float, str]
 ) -> None:

@@ -103,8 +103,8 @@ def test_rounded_stamps_are_even_but_a_gap_is_not(
     assert "must be even" in message(stamped(tmp_path, stamps[:25] + stamps[26:]))
 
 
-CUT = np.floor(1.5 * np.arange(60)).astype(int)
-HOLED = np.delete(CUT, np.s_[20:40])
+CUT = [3 * row // 2 for row in range(60)]
+HOLED = CUT[:20] + CUT[40:]
 
 
 @pytest.mark.parametrize("gaps", ["refuse", "mask"])
@@ -130,13 +130,13 @@ def test_rows_that_are_missing_from_stamps_cut_to_units(tmp_path: Path) -> None:
 @pytest.mark.parametrize("gaps", ["refuse", "mask"])
 def test_rows_missing_at_even_distances_may_be_a_longer_step(tmp_path: Path, gaps: Gaps) -> None:
     """A loop of 1.1 s whose stamps are cut, or every eleventh row lost; few may be by chance."""
-    path = stamped(tmp_path, np.floor(1.1 * np.arange(60)).astype(int))
+    path = stamped(tmp_path, [11 * row // 10 for row in range(60)])
     said = message(path, gaps=gaps)
     assert all(each in said for each in ("every 1 s with", "every 1.1 s, cut to 1 s", "--sampling"))
     assert read(path, gaps=gaps, sampling_time=1.1).measured is None
     lost = read(path, gaps="mask", sampling_time=1.0)
     assert (len(lost), int((~lost.complete).sum())) == (65, 5)
-    few = stamped(tmp_path, np.delete(np.arange(60), [20, 40]))
+    few = stamped(tmp_path, [row for row in range(60) if row not in (20, 40)])
     assert read(few, gaps="mask").sampling_time == 1
 
 

@@ -22,6 +22,8 @@ _STAMP = re.compile(
     r"[\d:.,TZ+\s/-]*(?:[ap]\.?m\.?|[a-z]{3,4})?[\d:+-]*",
     re.IGNORECASE,
 )
+_TIME_AND_NUMBER = re.compile(r":\d\d(?:[.,]\d+)?\s+(?:\d+|-\d{1,3})$")
+"""A time and the whole part of a number with a decimal comma, 10:00:00 0 of 10:00:00 0,5."""
 _MISSING = {"", "na", "n/a", "#n/a", "#na", "null", "none", "<na>"}
 """Cells that pandas, too, reads as missing values."""
 _BRACKETS = re.compile(r"\(.*\)|\[.*\]")
@@ -74,6 +76,11 @@ class Row:
         return [self.cells[i] if i < len(self.cells) else "" for i in columns]
 
     @property
+    def blanks(self) -> bool:
+        """Return whether a cell without a unit has blanks in it."""
+        return any(" " in cell and not unit_of(cell) for cell in self.cells)
+
+    @property
     def width(self) -> int:
         """Return the number of cells up to the last one that is not empty."""
         return max((i for i, cell in enumerate(self.cells, 1) if cell), default=0)
@@ -101,6 +108,8 @@ _NUMBERS = tuple(re.compile(number_pattern(decimal)) for decimal in SIGNS)
 
 def _is_value(cell: str) -> bool:
     """Return whether a cell holds a number or a date."""
+    if _TIME_AND_NUMBER.search(cell):
+        return False
     try:
         float(cell)
     except ValueError:
@@ -237,7 +246,7 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
         return Head(_named(above, rows, below, columns), below.line)
     if rows:
         return _chosen(rows, body, columns)
-    if below.cells == ("", *map(str, range(len(below.cells) - 1))):  # a DataFrame without names
+    if _is_of_pandas(body):
         return Head(below.cells, below.line + 1)
     found = _in_comments(raw, below, sep, columns)
     if found is None:
@@ -262,10 +271,27 @@ def _in_comments(
     rows = [row for row in rows if len(row.cells) == len(below.cells) > 1]
     rows = [row for row in rows if columns.full(row) and not columns.values(row)]
     timed = [row for row in rows if any(map(is_time, row.cells))]
-    if len(timed) == 1 or (len(rows) == 1 and sep != " "):  # blanks also separate words
-        names = (timed or rows)[0]
+    plain = rows if sep in ";\t|" else [row for row in rows if not row.blanks]
+    if len(timed) == 1 or (len(plain) == 1 and sep != " "):  # blanks also separate words
+        names = timed[0] if len(timed) == 1 else plain[0]
         return _named(names, rows[rows.index(names) + 1 :], below, columns)
+    if len(rows) == 1 and sep != " ":
+        line = rows[0].line
+        raise ValueError(
+            f"line {line} is a comment, {', '.join(rows[0].cells)}, and may hold the names of the "
+            f"columns: header_row={line} (--header-row) makes it names, header_row=0 a comment"
+        )
     return None
+
+
+def _is_of_pandas(body: Sequence[Row]) -> bool:
+    """Return whether the first row has the names of a DataFrame without names, after its index."""
+    first, *names = body[0].cells
+    index = [row.cells[0] for row in body[1:]]
+    if first or not all(map(str.isdigit, names)):
+        return False
+    counted = index == [str(i) for i in range(len(index))]
+    return counted or names == [str(i) for i in range(len(names))]
 
 
 def _check_no_numbers_for_names(body: Sequence[Row]) -> None:
@@ -273,7 +299,7 @@ def _check_no_numbers_for_names(body: Sequence[Row]) -> None:
     first, *others = body[0].cells
     counted = [first, *others] == [str(i) for i in range(len(others) + 1)]
     later = [cell for row in body[1:] for cell in row.cells[first == "" :]]
-    names = bool(others) and all(map(str.isdigit, others)) and (counted or first == "")
+    names = all(map(str.isdigit, others)) and (counted or first == "")
     if names and later and not any(map(str.isdigit, later)):
         line = body[0].line
         raise ValueError(
