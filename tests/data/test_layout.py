@@ -108,7 +108,7 @@ def test_headers_of_instruments(
         ("Logger X1\n1,2\n2,3\n", {}, "line 1 holds 1 name, line 2 2 cells: skip_rows=1"),
         ("y\n0,5\n1,5\n", {}, "line 1 holds 1 name, line 2 2 cells"),
         ("u y\n0,5 0,5 1\n1,5 2,5 1\n", {}, "line 1 holds 2 names, line 2 3 cells"),
-        ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs between them"),
+        ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs"),
         ("time x\n1 0.5 2\n2 1 3\n", {}, "line 1 holds 2 names, line 2 3 cells"),
         ("Name;a;Name;b\nUnit;;Unit;\n\n0;1;0;2\n1;2;1;3\n", {}, "'Name [Unit]' stands 2 times"),
         ("time,y\n0,1\n1,2\ntime,y\n2,3\n", {}, "row 2 holds 'time' (line 4)"),

@@ -322,7 +322,7 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Hea
     cells = max(len(row.cells) for row in body)
     if not full or all(row.width > cells for row in full):
         line, width = block[-1].line, block[-1].width
-        commas = "; numbers with decimal commas need ; or tabs between them"
+        commas = "; decimal commas need ; or tabs between columns, or points in their place"
         raise ValueError(
             f"line {line} holds {width} name{'s'[: width > 1]}, line {below.line} {below.width} "
             f"cells: skip_rows={line} (--skip-rows) leaves it out, header_row=N (--header-row) "
