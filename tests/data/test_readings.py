@@ -44,10 +44,15 @@ def test_a_date_and_a_time_of_the_day(
     np.testing.assert_array_equal(found.y[:, 0], np.arange(48))
 
 
-def test_serial_days_and_fractions_of_a_day_are_one_stamp(tmp_path: Path) -> None:
+def test_serial_days_beside_fractions_of_a_day_are_to_be_added_first(tmp_path: Path) -> None:
     rows = "".join(f"{45292 + i // 24},{i % 24 / 24:.9f},{i}\n" for i in range(48))
-    with pytest.warns(ReadingWarning, match="Excel's serial days, read as dates from 2024-01-01"):
-        assert read(text_file(tmp_path, f"Date,Time,y\n{rows}")).sampling_time == 3600
+    path = text_file(tmp_path, f"Date,Time,y\n{rows}")
+    assert "must increase: row 24" in message(path)
+    assert "must hold numbers or dates: row 0 holds '45292 0.0'" in message(
+        path, time_column="Date,Time"
+    )
+    found = read(path, time_column="", sampling_time=3600, columns="y")
+    assert (len(found), found.start) == (48, None)
 
 
 def test_a_whole_date_needs_no_time_of_the_day(tmp_path: Path) -> None:

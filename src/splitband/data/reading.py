@@ -217,9 +217,6 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
         )
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
-    if is_numeric_dtype(table[timed[0]]):  # fractions of Excel's days
-        numeric = [c for c in days if is_numeric_dtype(table[c])]
-        days = [c for c in numeric if table[c].between(2e4, 8e4).all()]
     return [*days[:1], timed[0]]
 
 

@@ -116,9 +116,7 @@ def is_day(column: Column) -> bool:
 
 
 def is_time_of_day(column: Column) -> bool:
-    """Return whether a column holds times without a date: 20:00, 8.00.00 PM, fractions of a day."""
-    if is_numeric_dtype(column):
-        return bool(column.between(0, 1, inclusive="left").all())
+    """Return whether a column holds times without a date: 20:00, 8.00.00 PM."""
     first = str(column.iloc[0]).strip()
     return bool(_TIME_OF_DAY.fullmatch(first) or _DOTTED_TIME.match(first))
 
@@ -133,8 +131,6 @@ def is_clock_number(name: str, column: Column) -> bool:
 
 def joined(date: Column, time: Column) -> Column:
     """Return the dates of one column with the times of the day of another."""
-    if is_numeric_dtype(date) and is_numeric_dtype(time):
-        return date + time
     missing = date.isna() | time.isna()
     days = date.astype(str).str.strip().str.replace(_NO_TIME, "", regex=True)
     times = time.astype(str).str.strip().str.replace(_DOTTED_TIME, r"\1:\2:\3", regex=True)
