@@ -192,12 +192,14 @@ def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
     built(Path("Plant.fmu").resolve(), inputs=("a",), output="y")
     Path("sim.py").write_text("def f(time, inputs=None): return 0 * time\n"
                               "def g(*args): return 0 * args[0]\n"
+                              "h = lambda *args: g(*args)\n"
                               "def rhs(t, x, u): return [u[0] - x[0]]\n")  # fmt: skip
     frame = pd.DataFrame({"time": TIME, "w": WAVE, "v": STEPS, "y": lag(STEPS)})
     frame.to_csv("rig.csv", index=False)
     line = shlex.split("spectrum rig.csv --inputs w,v --columns y --out out --simulator")
     assert main([*line, "Plant.fmu", "--simulator-inputs", ",a"]) == 0
     for simulator, message in (("sim.py:f", "call it u"), ("sim.py:g", "*args is the"),
+                               ("sim.py:h", "*args is the"),
                                ("sim.py:rhs", "(t, x, u, p)"),
                                ("Plant.fmu", "w, v, in their order")):  # fmt: skip
         capsys.readouterr()
