@@ -109,8 +109,9 @@ def read(
         refused with all of them, unless `sampling_time` agrees with one.
         Steps may differ by 1 %, or by the rounding of the stamps: one unit in their last printed
         place, both from the mean step and from the straight line through the ends, as long as that
-        unit is below a step. No stamp may be more than half a step away from an even grid. The
-        record's `start` is that of the grid.
+        unit is below a step: 0, 1, 3, 4, 6 s is every 1.5 s, while 1.1 s cut to whole seconds may
+        be rows lost at even distances, which `sampling_time` decides. No stamp may be more than
+        half a step away from an even grid. The record's `start` is that of the grid.
     sampling_time : seconds; by default from the stamps, otherwise a scalar `sampling_time`, `dt`
         or `Ts` of the file. It may deviate from the stamps by half a step over the record.
     fallback_sampling_time : seconds, for a file without any of these.
