@@ -80,6 +80,8 @@ INFLUX = (
         ("comsol.txt", "% t T\n" + table(lambda i: f"{i} {{y}}"), 1, "T", {}),
         ("frame.csv", ",0,1\n" + table(lambda i: f"{i},{i},{{y}}"), 1, "1",
          {"time_column": "0"}),
+        ("numbered.csv", "time,1,2\n" + table(lambda i: f"{i},{i},{{y}}"), 1, "2",
+         {"columns": "2"}),
         ("several.csv", "X,1\nForce,T\ns,mm\n" + table(lambda i: f"{i},{{y}}"), 1, "T [mm]",
          {"header_row": 2, "time_column": "Force"}),
         ("skip.csv", "1,2\n3,4\ntime,T\n" + table(lambda i: f"{i},{{y}}"), 1, "T",
@@ -162,6 +164,11 @@ def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
     )
     with pytest.raises(ValueError, match="skip_rows and header_row are for text"):
         read(frame, skip_rows=1)
+
+
+def test_whole_numbers_from_0_on_are_data(tmp_path: Path) -> None:
+    found = read(text_file(tmp_path, "0,1\n1,4\n2,9\n"), sampling_time=1)
+    np.testing.assert_array_equal(found.y, [[0, 1], [1, 4], [2, 9]])
 
 
 def test_a_column_is_found_without_its_unit(tmp_path: Path) -> None:

@@ -175,9 +175,8 @@ class _Columns:
 
     def mixed(self, row: Row) -> bool:
         """Return whether the row has values among words; 1, 2, 3 may be names."""
-        values = self.values(row)
-        numbered = bool(self.words(row)) and all(map(str.isdigit, values))
-        return bool(values) and not (numbered and not _is_value(row.at(self.numbers)[0]))
+        first, values = row.at(self.numbers)[0], self.values(row)
+        return _is_value(first) or not all(map(str.isdigit, values))
 
     def full(self, row: Row) -> bool:
         """Return whether the row has a name for each column of numbers; the first may have none."""
@@ -276,7 +275,7 @@ def _in_comments(
     rows = [row for row in rows if len(row.cells) == len(below.cells) > 1]
     rows = [row for row in rows if columns.full(row) and not columns.values(row)]
     timed = [row for row in rows if any(map(is_time, row.cells))]
-    plain = rows if sep in ";\t|" else [row for row in rows if not row.blanks]
+    plain = [row for row in rows if not row.blanks]
     if len(timed) == 1 or (len(plain) == 1 and sep != " "):  # blanks also separate words
         names = timed[0] if len(timed) == 1 else plain[0]
         return _named(names, rows[rows.index(names) + 1 :], below, columns)
@@ -322,7 +321,7 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Hea
     full = [row for row in block if columns.full(row)]
     full = full or [row for row in block if row.width == below.width and len(block) == 1]
     cells = max(len(row.cells) for row in body)
-    if not full or all(row.width > cells for row in full):
+    if all(row.width > cells for row in full):
         line, width = block[-1].line, block[-1].width
         commas = "; decimal commas need ; or tabs between columns, or points in their place"
         raise ValueError(
@@ -331,8 +330,7 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Hea
             f"says which line holds the names{commas if below.width == 2 * width else ''}"
         )
     timed = [row for row in full if any(map(is_time, row.cells))]
-    different = [row for row in full if len({*row.cells}) == len(row.cells)]
-    found = timed or (full if len(full) == 1 else different) or full
+    found = timed or full
     if len(found) > 1:
         raise ValueError(
             f"lines {' and '.join(str(row.line) for row in found)} may all hold the names of the "
@@ -366,7 +364,7 @@ def _named(names: Row, units: Sequence[Row], below: Row, columns: _Columns) -> t
     """Return names with the units of the line below them, such as "x [mm]"."""
     found = list(names.cells)
     several = bool(units) and (units[0].width > 1 or _has_unit_of_time(units[0], names))
-    if several or (units and len(columns.numbers) == 1):
+    if several:
         for i, written, cell in zip(
             columns.numbers, units[0].at(columns.numbers), below.at(columns.numbers), strict=True
         ):
