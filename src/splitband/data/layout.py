@@ -62,13 +62,14 @@ class Row:
 
     line: int
     cells: tuple[str, ...]
+    quoted: bool = False
 
     @staticmethod
     def of(line: int, text: str, sep: str) -> Row:
         """Split a line at a separator; " " stands for any blanks."""
         text = " ".join(text.split()) if sep == " " else text
         cells = next(csv.reader([text], delimiter=sep, skipinitialspace=True))
-        return Row(line, tuple(cell.strip() for cell in cells))
+        return Row(line, tuple(cell.strip() for cell in cells), text.lstrip().startswith('"'))
 
     def at(self, columns: Sequence[int]) -> list[str]:
         """Return the cells of some columns; empty beyond the end of the row."""
@@ -315,6 +316,9 @@ def _check_no_numbers_for_names(body: Sequence[Row]) -> None:
 def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Head:
     """Return the head whose names stand in one of the rows above those of the numbers."""
     below = body[0]
+    dated = _STAMP.fullmatch(below.cells[0]) and any(map(is_time, above[-1].cells))
+    if below.quoted and above[-1].width == below.width - 1 and not dated:  # names of rows, of R
+        above = [Row(row.line, ("", *row.cells)) for row in above]
     mixed = [i for i, row in enumerate(above) if columns.mixed(row)]
     block = above[mixed[-1] + 1 :] if mixed else above
     columns.check(above[-1:] if not block else [])
