@@ -135,7 +135,8 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
         When a file is missing.
     ValueError
         When a file is damaged, of another format, or needs a class of your own whose module has
-        not been imported; for a simulator that the forecaster does not need.
+        not been imported; for a simulator that the forecaster does not need, or whose `start` is
+        not that of the saved one.
 
     Warns
     -----
@@ -211,11 +212,16 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
 
 
 def _give(forecaster: Forecaster, simulator: Simulator) -> None:
-    """Set the simulator of a forecaster, with a warning if it differs from the saved one."""
+    """Set the simulator of a forecaster, with a warning if it differs from the saved one.
+
+    Raises ValueError if it begins at another time.
+    """
     given = [*simulations(forecaster)]
     if not given:
         raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")
     saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
+    for each in saved:
+        each.check_start_of(simulator)
     for said in dict.fromkeys(each.difference(simulator) for each in saved):
         if said:
             warnings.warn(said, stacklevel=4)
