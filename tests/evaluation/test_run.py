@@ -220,3 +220,14 @@ def test_two_worker_processes_give_the_numbers_of_one() -> None:
     same(one, two)
     with Workers(2) as executor:
         same(one, compare(RECORD, TRAIN, METHODS, rounds=1, executor=executor, **SMALL))  # type: ignore[arg-type]
+
+
+def test_a_network_on_the_best_baseline_is_tried_where_no_network_is_better() -> None:
+    sine = Record(np.sin(0.3 * np.arange(240)) + 0.3 * np.sin(0.93 * np.arange(240)), 0.1)
+    result = compare(sine, 180, rounds=2, **SMALL)  # type: ignore[arg-type]
+    added = [name for name in result.fits if name.startswith("residual-")]
+    assert added
+    assert {each.round for each in result.attempts if each.method == added[0]} == {2}
+    assert added[0] in result.methods
+    named = compare(sine, 180, ["harmonic", "gru"], rounds=2, **SMALL)  # type: ignore[arg-type]
+    assert {*named.fits} == {"harmonic", "gru"}

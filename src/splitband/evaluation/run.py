@@ -24,6 +24,7 @@ from splitband.forecasters.backtest import (
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import with_simulators_of
 from splitband.runtime.deadlines import Deadline, within
 from splitband.runtime.threads import one_thread
@@ -196,10 +197,6 @@ class Course:
         self._finals: dict[str, list[Job]] = {}
         self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
         self._search: Search | None = None
-        if any(f.random for f in self._ready):
-            from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
-
-            self._search = Search(replace(plan, methods=tuple(self._ready)), runner.cores)
 
     def run_quick(self) -> None:
         """Fit the methods without networks: first those that fit no simulator, either."""
@@ -227,9 +224,13 @@ class Course:
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
-        search, clock, most = self._search, self.clock, self.plan.rounds
-        if search is None:
+        if not any(f.random for f in self._ready):
             return
+        from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
+
+        ready = replace(self.plan, methods=tuple(self._ready))
+        search = self._search = Search(ready, self._runner.cores)
+        clock, most = self.clock, self.plan.rounds
         while most is None or search.round < most:
             reserve = self._reserve(search)
             if search.round and clock.left <= reserve:
@@ -242,12 +243,29 @@ class Course:
             until = Deadline.after((clock.left - reserve) / search.growth)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
             self.held |= {name: search.held_out(name) for name in search.methods}
+            if search.round == 1 and self.plan.extended:
+                self._extend(search)
             self._report(f"round {search.round}", whole=True)
         self.failed |= search.failed
         if search.settled:
             clock.notes.append(
                 "every training has settled: more time, or more rounds, would change little"
             )
+
+    def _extend(self, search: Search) -> None:
+        """Add a network on the best method, if that is a baseline which can have one on top."""
+        trial, several = (
+            judged(self.plan.training, self.held, {}, {}),
+            self.plan.tests or self.plan.others,
+        )
+        best = min(trial.scores, key=lambda name: trial.scores[name])
+        method = next(f for f in self._ready if f.name == best)
+        # What depends on the time since its training record began is for that record alone.
+        if best in BASES and not (several and method.anchored):
+            extended = self.plan.on_baseline(best)
+            if search.add(extended.methods[-1]):
+                self.plan = extended
+                self._ready.append(extended.methods[-1])
 
     def run_finals(self) -> None:
         """Train the networks on the whole training part, the best one first."""
