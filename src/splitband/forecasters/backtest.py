@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from torch import Tensor
 
 from splitband.baselines.origins import origins
 from splitband.data import Record
@@ -26,6 +25,9 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
