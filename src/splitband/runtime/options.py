@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import PurePath
 from types import FunctionType
 from typing import Any, TypeVar
@@ -101,12 +102,17 @@ def _call(value: object) -> str:
     return f"{package}{kind.__name__}({', '.join(shown)})"
 
 
-def _parameters(value: object) -> list[inspect.Parameter]:
+def _parameters(value: Any) -> list[inspect.Parameter]:
     """Return the constructor's parameters, without fields that a dataclass's `repr` leaves out."""
     left = {f.name for f in fields(value) if not f.repr} if is_dataclass(value) else set()
     if type(value).__init__ is object.__init__:
         return []
-    return [p for p in inspect.signature(type(value)).parameters.values() if p.name not in left]
+    return [p for p in _constructor(type(value)) if p.name not in left]
+
+
+@cache  # a table of methods asks hundreds of times for the same few
+def _constructor(kind: type) -> tuple[inspect.Parameter, ...]:
+    return tuple(inspect.signature(kind).parameters.values())
 
 
 def _is_own(value: object) -> bool:
