@@ -29,7 +29,7 @@ def run(passes: Passes, x: Tensor, first: Tensor | None, axis: int) -> Tensor:
         y: Tensor = _Map.apply(rows.reshape(-1, rows.shape[-1]), passes, False)  # type: ignore[no-untyped-call]
         y = y.view(rows.shape)
     else:
-        known = first.to(signal.device, torch.float64).movedim(axis, -1)
+        known = floating(first).to(signal.device, torch.float64).movedim(axis, -1)
         y = _run_on(passes, rows.double(), known)
     return y.movedim(-1, axis).to(signal.dtype)
 

@@ -102,12 +102,13 @@ def _call(value: object) -> str:
     return f"{package}{kind.__name__}({', '.join(shown)})"
 
 
-def _parameters(value: Any) -> list[inspect.Parameter]:
+def _parameters(value: object) -> list[inspect.Parameter]:
     """Return the constructor's parameters, without fields that a dataclass's `repr` leaves out."""
     left = {f.name for f in fields(value) if not f.repr} if is_dataclass(value) else set()
     if type(value).__init__ is object.__init__:
         return []
-    return [p for p in _constructor(type(value)) if p.name not in left]
+    kind: Any = type(value)
+    return [p for p in _constructor(kind) if p.name not in left]
 
 
 @cache  # a table of methods asks hundreds of times for the same few
