@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import safetensors
-import safetensors.torch
+import safetensors.numpy
 
 from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
 from splitband.forecasters.base import Forecaster
@@ -64,7 +64,7 @@ def save(
     forecaster.require_fitted()
     folder, tensors = Path(folder), dict[str, Any]()
     description = described(forecaster, tensors)
-    content = safetensors.torch.save(tensors)
+    content = safetensors.numpy.save(tensors)
     digest = hashlib.sha256(content).hexdigest()
     text = to_json(
         {**(facts or {}), "format": FORMAT, "weights_sha256": digest, "forecaster": description}
@@ -88,7 +88,7 @@ def packed(value: Any) -> bytes:
     """
     tensors: dict[str, Any] = {}
     said = to_json(described(value, tensors))
-    return safetensors.torch.save(tensors, {"value": said})
+    return safetensors.numpy.save(tensors, {"value": said})
 
 
 def unpacked(content: bytes) -> Any:
@@ -96,7 +96,7 @@ def unpacked(content: bytes) -> Any:
     try:
         header = int.from_bytes(content[:8], "little")
         said = json.loads(content[8 : 8 + header])["__metadata__"]["value"]
-        tensors = dict(safetensors.torch.load(content))
+        tensors = dict(safetensors.numpy.load(content))
         return Classes((Forecaster,), tensors).made(json.loads(said))
     except _UNFIT as error:
         raise ValueError(f"the file cannot be read: {error}") from None
@@ -206,7 +206,7 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
     if hashlib.sha256(content).hexdigest() != digest:
         raise ValueError(f"{path} is damaged: its checksum is not that of the model")
     try:
-        return dict(safetensors.torch.load(content))
+        return dict(safetensors.numpy.load(content))
     except _UNFIT as error:
         raise ValueError(f"{path} is damaged: {error}") from None
 
