@@ -76,6 +76,10 @@ class Linear(Forecaster):
         super().check(*records)
         self._delays(records[0])
 
+    refits = False
+    """One fit for all held-out forecasts: with a fit for each, the intervals of 40 drawn plants
+    held 92 % as well, and took four times as long."""
+
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the model to all records."""
         seen = [(r.seen, r.u) for r in records if r.u is not None]  # all: see `check`
