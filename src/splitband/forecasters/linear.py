@@ -77,8 +77,8 @@ class Linear(Forecaster):
         self._delays(records[0])
 
     refits = False
-    """One fit for all held-out forecasts: with a fit for each, the intervals of 40 drawn plants
-    held 92 % as well, and took four times as long."""
+    """Two fits for its held-out forecasts: with one for each of them, the intervals of 40 drawn
+    plants held 92 % as well, in 2.4 times the time."""
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the model to all records."""
