@@ -14,21 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from splitband.baselines.accuracy import Accuracy, Matrices, accuracy_of, silent
+from splitband.baselines.accuracy import accuracy_of, silent
 from splitband.baselines.delays import candidates, delayed
 from splitband.baselines.linear import LinearModel, assembled
 from splitband.baselines.modal import Run, blocks_of
 from splitband.baselines.noise import (
-    Noise,
     Predicted,
+    covariance,
     feedback,
-    fitted_noise,
-    innovations,
+    fitted_gain,
     prediction_error,
 )
 from splitband.baselines.refinement import (
@@ -50,7 +48,7 @@ from splitband.baselines.selection import (
     with_constant,
 )
 from splitband.baselines.subspace import subspace
-from splitband.baselines.systems import root_of, states
+from splitband.baselines.systems import root_of, states, whitening
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
@@ -90,9 +88,9 @@ class Units:
 
         def scale(x: Array) -> Array:
             flat = np.nanmax(x, axis=0) == np.nanmin(x, axis=0)
-            return np.where(flat, 1.0, np.where(flat, 1.0, np.nanstd(x, axis=0)))
+            return np.where(flat, 1.0, np.nanstd(x, axis=0))
 
-        return cls(_mean(y), scale(y), _mean(u), scale(u))
+        return cls(np.nanmean(y, axis=0), scale(y), np.nanmean(u, axis=0), scale(u))
 
     def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
         """Return a record with delayed inputs for a fit."""
@@ -103,19 +101,9 @@ class Units:
             seen[:, :late] = 0.0  # the inputs that act here are not known
         return Run(np.ascontiguousarray(inputs.T), np.where(seen > 0, outputs, 0.0), seen)
 
-    def output(self, k: int) -> Units:
-        """Return the units of one output."""
-        return replace(self, y_mean=self.y_mean[[k]], y_scale=self.y_scale[[k]])
-
     def outputs(self, some: Sequence[int]) -> Units:
         """Return the units of some outputs."""
         return replace(self, y_mean=self.y_mean[[*some]], y_scale=self.y_scale[[*some]])
-
-
-def _mean(x: Array) -> Array:
-    """Return the mean of each signal, exactly that of a constant one."""
-    low, high = np.nanmin(x, axis=0), np.nanmax(x, axis=0)
-    return np.asarray(np.where(low == high, low, np.nanmean(x, axis=0)))
 
 
 def identified(
@@ -156,7 +144,9 @@ def delays_of(records: Sequence[tuple[Array, Array]], units: Units | None = None
     chosen = np.zeros((len(found), len(found[0])), int)
     for k, of_inputs in enumerate(found):
         if any(lags not in ((), (0,)) for lags in of_inputs) and not current().over:
-            chosen[k] = _compared([(y[:, [k]], u) for y, u in records], units.output(k), of_inputs)
+            chosen[k] = _compared(
+                [(y[:, [k]], u) for y, u in records], units.outputs([k]), of_inputs
+            )
     acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
     # Where an input shows no effect, its delay is that at the other outputs.
     least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)
@@ -274,20 +264,19 @@ def _of_outputs(
     fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
     at = chosen.solution
     at = refined(at.blocks, fitted, _POLISHED, at.first, search.limit, 1e-9)
-    chosen = replace(chosen, solution=at)
-    made = _Made.of_simulation(at, fitted)
+    model = _model_of(at, runs, delays)
     if not current().over:
-        errors = accuracy_of(at, fitted, partial(_simulated_matrices, at))
-        late = _delay_errors(at, records, units, delays)
-        made = replace(
-            made, accuracy=replace(errors, delay_errors=np.tile(late, (len(errors.gains), 1)))
-        )
+        late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
+        errors = accuracy_of(at, fitted, at.matrices)
+        model = replace(model, accuracy=replace(errors, delay_errors=late))
     if at.scale.max() > _EXACT and not current().over:
-        controlled = not integrators and feedback(
-            [e.T for e in made.errors()], [u.T for _, u in records]
-        )
-        made = _by_prediction(made, chosen, runs, moving, controlled) or made
-    return made.model(units, delays, search)
+        controlled = not integrators and feedback(at.errors, [u.T for _, u in records])
+        model = _by_prediction(model, replace(chosen, solution=at), runs, moving, controlled)
+    model = replace(
+        model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
+        values=search.values,
+    )  # fmt: skip
+    return model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
 
 
 def _delay_errors(
@@ -311,190 +300,84 @@ def _delay_errors(
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Made:
-    """Hold a model in normalised units.
+def _model_of(
+    at: Solution,
+    runs: Sequence[Run],
+    delays: Sequence[int],
+    gain: Array | None = None,
+    by: str = "output error",
+) -> LinearModel:
+    """Return the model of blocks in normalised units, its states uncorrelated.
 
-    Attributes
+    Parameters
     ----------
-    a, b, c, d, offset, drift : The system.
-    noise : Its filter.
-    first : Initial states of each record, `(n,)` each.
-    runs : The records.
+    at : The blocks.
+    runs : The records, without a constant input.
+    delays : Delay of each input in samples.
+    gain : K in the coordinates of the blocks; by default it is fitted to the errors.
     by : What was minimised.
-    integrators : Number of poles at 1.
-    accuracy : Standard errors.
     """
-
-    a: Array
-    b: Array
-    c: Array
-    d: Array
-    offset: Array
-    drift: Array
-    noise: Noise
-    first: tuple[Array, ...]
-    runs: Sequence[Run]
-    by: str
-    integrators: int
-    accuracy: Accuracy | None = None
-
-    @classmethod
-    def of_simulation(
-        cls, at: Solution, runs: Sequence[Run], gain: Array | None = None, by: str = "output error"
-    ) -> _Made:
-        """Return the model of blocks; without a `gain` its filter is fitted to the errors."""
-        blocks = at.blocks
-        a, b, c, d = blocks.matrices()
-        kept = np.stack([np.ones(len(blocks.a), bool), ~blocks.single], axis=1).ravel()
-        first = tuple(x.ravel()[kept] for x in at.first)
-        drift = np.zeros(len(a))
-        if blocks.constant:
-            drift, b, d = b[:, -1], b[:, :-1], d[:, :-1]
-            runs = [run._replace(u=run.u[:-1]) for run in runs]
-        held = int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum())
-        none = np.zeros((len(a), len(c)))
-        noise = Noise(none if gain is None else gain, np.zeros((len(c), len(c))))
-        made = cls(a, b, c, d, blocks.offset, drift, noise, first, runs, by, held).scaled()
-        return replace(made, noise=made.filter(None if gain is None else made.noise.gain))
-
-    def states(self) -> list[Array]:
-        """Return the states of the simulation of each record."""
-        return [
-            states(self.a, run.u.T @ self.b.T + self.drift, x)
-            for run, x in zip(self.runs, self.first, strict=True)
-        ]
-
-    def errors(self) -> list[Array]:
-        """Return the errors of the simulation of each record, `(time, ny)`, 0 in gaps."""
-        return [
-            (run.y.T - x @ self.c.T - run.u.T @ self.d.T - self.offset) * run.seen.T
-            for run, x in zip(self.runs, self.states(), strict=True)
-        ]
-
-    def moments(self) -> tuple[Array, Array]:
-        """Return mean and covariance of the states in the records."""
-        x = np.concatenate(self.states())
-        x = np.clip(np.nan_to_num(x), -1e150, 1e150)
-        middle = x.mean(axis=0)
-        return middle, (x - middle).T @ (x - middle) / len(x)
-
-    def scaled(self) -> _Made:
-        """Return the model with decorrelated states of standard deviation 1 in the records."""
-        n = len(self.a)
-        x = np.concatenate(self.states())
-        power, axes = np.linalg.eigh(x.T @ x / len(x)) if np.isfinite(x).all() else (
-            np.ones(n), np.eye(n))  # fmt: skip
-        size = np.sqrt(np.maximum(power, 1e-12 * max(power[-1], 1e-300))) if n else power
-        into, out = axes.T / size[:, None], axes * size
-        return replace(
-            self, a=into @ self.a @ out, b=into @ self.b, c=self.c @ out, drift=into @ self.drift,
-            first=tuple(into @ x for x in self.first),
-            noise=self.noise._replace(gain=into @ self.noise.gain),
-        )  # fmt: skip
-
-    def filter(self, gain: Array | None) -> Noise:
-        """Return the filter of the simulation's errors, with the `gain` or one that is fitted."""
-        errors, seen = self.errors(), [run.seen.T > 0 for run in self.runs]
-        if gain is None:
-            return fitted_noise(self.a, self.c, self.moments()[1], errors, seen)
-        left = np.concatenate(
-            [innovations(self.a, self.c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
-        )
-        return Noise(gain, left.T @ left / np.maximum(np.concatenate(seen).sum(axis=0), 1))
-
-    def model(self, units: Units, delays: Sequence[int], search: Search) -> LinearModel:
-        """Return the model in the records' units."""
-        out, into = units.y_scale, units.u_scale
-        errors = self.errors()
-        seen = np.concatenate([run.seen.T for run in self.runs])
-        left = np.concatenate(errors)
-        rms = np.sqrt((left**2).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
-        pairs = np.concatenate([e[1:] * e[:-1] for e in errors])
-        both = np.concatenate([run.seen.T[1:] * run.seen.T[:-1] for run in self.runs])
-        alike = pairs.sum(axis=0) / np.maximum(both.sum(axis=0), 1) / np.maximum(rms**2, 1e-300)
-        alike = np.clip(alike, 0, _MOST_CORRELATED)
-        centre, covariance = self.moments()
-        return LinearModel(
-            self.a,
-            self.b / into,
-            self.c * out[:, None],
-            self.d * out[:, None] / into,
-            units.y_mean + out * self.offset,
-            self.drift,
-            self.noise.gain / out,
-            self.noise.covariance * np.outer(out, out),
-            units.u_mean,
-            tuple((j, int(delay)) for j, delay in enumerate(delays)),
-            (max(delays, default=0),) * len(out),
-            self.first[0],
-            self.first[0],
-            centre,
-            root_of(covariance),
-            rms * out,
-            np.diag((rms * out) ** 2 * (1 + alike) / (1 - alike)),
-            out,
-            self.integrators,
-            self.by,
-            tuple(search.errors),
-            np.array([*search.errors.values()]),
-            search.values,
-            tuple(silent(np.linalg.eigvals(self.a).astype(np.complex128), self.runs)),
-            None if self.accuracy is None else self.accuracy.in_units(out, into),
-        )
+    blocks, inputs = at.blocks, [run.u.T for run in runs]
+    (a, b, c, d), ny = at.matrices(), len(at.scale)
+    drift = blocks.matrices()[1][:, -1] if blocks.constant else np.zeros(len(a))
+    first = [x.ravel()[blocks.kept] for x in at.first]
+    x = [states(a, u @ b.T + drift, start) for u, start in zip(inputs, first, strict=True)]
+    into, out = whitening(np.concatenate(x))
+    a, b, c, drift = into @ a @ out, into @ b, c @ out, into @ drift
+    x = [states(a, u @ b.T + drift, into @ start) for u, start in zip(inputs, first, strict=True)]
+    visited = np.clip(np.nan_to_num(np.concatenate(x)), -1e150, 1e150)
+    centre, spread = visited.mean(axis=0), np.cov(visited.T, bias=True).reshape(a.shape)
+    errors, seen = [e.T for e in at.errors], [run.seen.T for run in runs]
+    gain = fitted_gain(a, c, spread, errors, seen) if gain is None else into @ gain
+    pairs = sum((e[1:] * e[:-1]).sum(axis=0) for e in errors)
+    both = sum((s[1:] * s[:-1]).sum(axis=0) for s in seen)
+    alike = pairs / np.maximum(both, 1) / np.maximum(at.scale**2, 1e-300)
+    alike = np.clip(alike, 0, _MOST_CORRELATED)
+    return LinearModel(
+        a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, seen),
+        np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny,
+        into @ first[0], into @ first[0], centre, root_of(spread),
+        at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny),
+        int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum()), by,
+        silent=tuple(silent(np.linalg.eigvals(a).astype(np.complex128), runs)),
+    )  # fmt: skip
 
 
 def _by_prediction(
-    made: _Made,
+    model: LinearModel,
     chosen: Candidate,
     runs: Sequence[Run],
     direct: Sequence[bool],
     controlled: bool,
-) -> _Made | None:
-    """Return the model by prediction error, if it is to be taken.
+) -> LinearModel:
+    """Return the model by prediction error, if it is to be taken, else `model`.
 
     It is where a controller acts on the inputs (`controlled`), or where it simulates better.
     """
-    if not controlled and chosen.order * (len(made.c) + len(direct)) > _MOST_PREDICTED:
-        return None
-    simulated = [
-        (x @ made.c.T + run.u.T @ made.d.T + made.offset).T
-        for run, x in zip(runs, made.states(), strict=True)
-    ]
+    at, ny = chosen.solution, len(model.c)
+    if not controlled and chosen.order * (ny + len(direct)) > _MOST_PREDICTED:
+        return model
+    fitted = with_constant(runs) if at.blocks.constant else runs
+    simulated = [at.blocks.simulate(run, x) for run, x in zip(fitted, at.first, strict=True)]
     if controlled:
         # A controller that answers at once cannot be told from an input that acts at once: behind a
         # controller there is taken to be no feedthrough.
         direct = [False] * len(direct)
-    found = prediction_error(made.a, made.c, made.noise.gain, direct, runs, simulated)
+    found = prediction_error(model.a, model.c, model.gain, direct, runs, simulated)
     a, _, c, _, gain = found.matrices()
-    own = chosen.solution.blocks.constant
     if not controlled:
-        if own or abs(np.linalg.eigvals(a)).max(initial=0) >= 1:
-            return None
+        if at.blocks.constant or abs(np.linalg.eigvals(a)).max(initial=0) >= 1:
+            return model
         other = replace(chosen, power=_held_out(found, runs))
         if not other.error < chosen.error or chosen.as_good_as(other):
-            return None
+            return model
     at = _simulating(found, runs)
-    blocks = at.blocks
     # The gain in the coordinates of the blocks.
-    kept = np.stack([np.ones(len(blocks.a), bool), ~blocks.single], axis=1).ravel()
-    of_gain = blocks_of(a, c, [False] * len(c), b=gain).b.reshape(-1, len(c))[kept]
-    new = _Made.of_simulation(at, runs, of_gain, "prediction error")
-    errors = accuracy_of(found.solution, found.runs, partial(_predicted_matrices, found))
-    late = errors if made.accuracy is None else made.accuracy
+    gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[at.blocks.kept]
+    new = _model_of(at, runs, [delay for _, delay in model.taps], gain, "prediction error")
+    errors = accuracy_of(found.solution, found.runs, lambda step: found.matrices(step)[:4])
+    late = errors if model.accuracy is None else model.accuracy
     return replace(new, accuracy=replace(errors, delay_errors=late.delay_errors))
-
-
-def _simulated_matrices(at: Solution, step: Array | None) -> Matrices:
-    """Return A, B, C and D of blocks after a step of their values."""
-    blocks = at.blocks if step is None else at.blocks.moved(step)
-    a, b, c, d = blocks.matrices()
-    return (a, b[:, :-1], c, d[:, :-1]) if blocks.constant else (a, b, c, d)
-
-
-def _predicted_matrices(found: Predicted, step: Array | None) -> Matrices:
-    """Return A, B, C and D of the system of a predictor after a step of its values."""
-    return found.matrices(step)[:4]
 
 
 def _simulating(found: Predicted, runs: Sequence[Run], step: Array | None = None) -> Solution:

@@ -167,6 +167,18 @@ class LinearModel:
         x = states(self.a, forced, first)
         return x @ self.c.T + tapped @ self.d.T + self.offset, self.a @ x[-1] + forced[-1]
 
+    def in_units(self, y_mean: Array, y_scale: Array, u_mean: Array, u_scale: Array) -> LinearModel:
+        """Return the model of signals y_mean + y_scale y and u_mean + u_scale u."""
+        both, into = np.outer(y_scale, y_scale), u_scale[[i for i, _ in self.taps]]
+        return replace(
+            self,
+            b=self.b / into, c=self.c * y_scale[:, None], d=self.d * y_scale[:, None] / into,
+            offset=y_mean + y_scale * self.offset, gain=self.gain / y_scale,
+            noise=self.noise * both, mean=u_mean + u_scale * self.mean,
+            error=self.error * y_scale, spread=self.spread * both, scale=self.scale * y_scale,
+            accuracy=self.accuracy and self.accuracy.in_units(y_scale, u_scale),
+        )  # fmt: skip
+
     def observed(self, u: Array, y: Array) -> Array:
         """Return the state after the first training record, by the Kalman filter, `(n,)`."""
         return self.continued(u, y, u[:0])[1]

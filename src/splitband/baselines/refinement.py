@@ -47,6 +47,12 @@ class Solution:
         """Return the sum over outputs of the logarithm of the RMS error."""
         return float(np.log(np.maximum(self.scale, _EXACT)).sum())
 
+    def matrices(self, step: Array | None = None) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D without the constant input, after a `step` of the values."""
+        blocks = self.blocks if step is None else self.blocks.moved(step)
+        a, b, c, d = blocks.matrices()
+        return (a, b[:, :-1], c, d[:, :-1]) if blocks.constant else (a, b, c, d)
+
 
 @dataclass(frozen=True, eq=False)
 class Equations:
