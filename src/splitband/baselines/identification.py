@@ -263,7 +263,7 @@ def _of_outputs(
         chosen = given if integrators is not None else search.integrating(given, order)
     fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
     at = chosen.solution
-    at = refined(at.blocks, fitted, _POLISHED, at.first, search.limit, 1e-9)
+    at = refined(at.blocks, fitted, _POLISHED, at.first, search.limit)
     model = _model_of(at, runs, delays)
     if not current().over:
         late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
