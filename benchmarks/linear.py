@@ -161,7 +161,7 @@ def n4sid(y: Array, u: Array, order: int, test: Pair, known: int) -> str:
 
 def plants() -> None:
     """Print the fit, order and delay of fifteen plants."""
-    print(f"{'plant':32} {'order':>9} {'fit %':>7} {'n4sid':>7} {'CPU s':>6}  delays")
+    print(f"{'plant':32} {'order':>9} {'fit %':>7} {'n4sid':>7} {'CPU s':>6}  dead times")
     for name, plant in PLANTS.items():
         runs = [plant.record(seed, plant.samples) for seed in range(plant.runs)]
         model, seconds = fitted([(seen, u) for u, _, seen in runs])
@@ -169,9 +169,10 @@ def plants() -> None:
         v, x, _ = plant.record(99, max(plant.samples // 2, 600) + late)
         known = late + int(WARMUP * len(v))
         other = "-" if late else n4sid(runs[0][2], runs[0][0], len(plant.system[0]), (v, x), known)
-        delays = [[model.delay(k, j) for j in range(model.nu)] for k in range(model.ny)]
+        # A held input acts one sample late without a dead time.
+        dead = [[max(model.delay(k, j) - 1, 0) for j in range(model.nu)] for k in range(model.ny)]
         order = f"{model.order} / {len(plant.system[0])}"
-        said = delays if late or np.any(delays) else ""
+        said = dead if late or np.any(dead) else ""
         fit = fit_of(model, v, x, known).min()
         print(f"{name:32} {order:>9} {fit:7.2f} {other:>7} {seconds:6.2f}  {said}", flush=True)
 

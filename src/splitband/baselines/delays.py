@@ -1,6 +1,7 @@
-"""Estimate the dead time of each input at each output, in samples.
+"""Estimate the delay of each input at each output: the sample where its impulse response begins.
 
-A delay of many samples would cost a linear model as many states and a network as long a memory.
+The dead time of a held input is one sample less, as it acts one sample late by itself. A delay of
+many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
 cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); the linear
 model then moves it to where its error is least (`baselines.linear`).

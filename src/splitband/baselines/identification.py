@@ -5,9 +5,10 @@
 2. A subspace method gives poles and C of every order, least squares the rest. The order is chosen
    by held-out simulation error (`baselines.selection`), and each candidate is refined to the least
    output error.
-3. A Kalman filter is fitted to what the simulation leaves. The model is refined once more, by
-   prediction error; it is taken if its simulation holds out better, or if the errors show that a
-   controller feeds the outputs back to the inputs, where output error is biased (Ljung, Ch. 13).
+3. A Kalman filter is fitted to what the simulation leaves. If the errors show that a controller
+   feeds the outputs back to the inputs, output error is biased, and the model is refined once more,
+   by prediction error (Ljung, Ch. 13). In an open loop prediction error held out better for one of
+   138 drawn records, by 0.5 % of fit, for a fifth of the time: it is not tried.
 """
 
 from __future__ import annotations
@@ -31,19 +32,13 @@ from splitband.baselines.noise import (
 )
 from splitband.baselines.refinement import (
     Solution,
-    by_segment,
     equations,
     evaluated,
     refined,
-    solved,
     stepped,
-    total,
 )
 from splitband.baselines.selection import (
-    Candidate,
     Search,
-    held_out_parts,
-    segments,
     stable,
     with_constant,
 )
@@ -64,9 +59,6 @@ _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
 _POLISHED = 40
 """Most iterations of the final refinement. By eye."""
-_MOST_PREDICTED = 100
-"""Most parameters of a model that is compared with one by prediction error where no controller is
-noticed: bounds the time. By eye."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. By eye."""
 
@@ -269,9 +261,9 @@ def _of_outputs(
         late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
         errors = accuracy_of(at, fitted, at.matrices)
         model = replace(model, accuracy=replace(errors, delay_errors=late))
-    if at.scale.max() > _EXACT and not current().over:
-        controlled = not integrators and feedback(at.errors, [u.T for _, u in records])
-        model = _by_prediction(model, replace(chosen, solution=at), runs, moving, controlled)
+    noisy = at.scale.max() > _EXACT and not current().over
+    if noisy and not integrators and feedback(at.errors, [u.T for _, u in records]):
+        model = _by_prediction(model, at, runs)
     model = replace(
         model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
         values=search.values,
@@ -343,71 +335,34 @@ def _model_of(
     )  # fmt: skip
 
 
-def _by_prediction(
-    model: LinearModel,
-    chosen: Candidate,
-    runs: Sequence[Run],
-    direct: Sequence[bool],
-    controlled: bool,
-) -> LinearModel:
-    """Return the model by prediction error, if it is to be taken, else `model`.
+def _by_prediction(model: LinearModel, at: Solution, runs: Sequence[Run]) -> LinearModel:
+    """Return the model by prediction error that begins as a `model` by output error.
 
-    It is where a controller acts on the inputs (`controlled`), or where it simulates better.
+    A controller that answers at once cannot be told from an input that acts at once: behind a
+    controller there is taken to be no feedthrough.
     """
-    at, ny = chosen.solution, len(model.c)
-    if not controlled and chosen.order * (ny + len(direct)) > _MOST_PREDICTED:
-        return model
+    ny = model.ny
     fitted = with_constant(runs) if at.blocks.constant else runs
     simulated = [at.blocks.simulate(run, x) for run, x in zip(fitted, at.first, strict=True)]
-    if controlled:
-        # A controller that answers at once cannot be told from an input that acts at once: behind a
-        # controller there is taken to be no feedthrough.
-        direct = [False] * len(direct)
-    found = prediction_error(model.a, model.c, model.gain, direct, runs, simulated)
+    delays = [delay for _, delay in model.taps]
+    late = [delay > 0 for delay in delays]
+    found = prediction_error(model.a, model.c, model.gain, late, runs, simulated)
     a, _, c, _, gain = found.matrices()
-    if not controlled:
-        if at.blocks.constant or abs(np.linalg.eigvals(a)).max(initial=0) >= 1:
-            return model
-        other = replace(chosen, power=_held_out(found, runs))
-        if not other.error < chosen.error or chosen.as_good_as(other):
-            return model
     at = _simulating(found, runs)
     # The gain in the coordinates of the blocks.
     gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[at.blocks.kept]
-    new = _model_of(at, runs, [delay for _, delay in model.taps], gain, "prediction error")
+    new = _model_of(at, runs, delays, gain, "prediction error")
     errors = accuracy_of(found.solution, found.runs, lambda step: found.matrices(step)[:4])
-    late = errors if model.accuracy is None else model.accuracy
-    return replace(new, accuracy=replace(errors, delay_errors=late.delay_errors))
+    simple = errors if model.accuracy is None else model.accuracy
+    return replace(new, accuracy=replace(errors, delay_errors=simple.delay_errors))
 
 
-def _simulating(found: Predicted, runs: Sequence[Run], step: Array | None = None) -> Solution:
+def _simulating(found: Predicted, runs: Sequence[Run]) -> Solution:
     """Return the simulation of a predictor's system, from the best states with the best offset."""
-    a, b, c, d, _ = found.matrices(step)
-    nu = len(runs[0].u)
-    blocks = blocks_of(a, c, [True] * nu, b=b, d=d)
+    a, b, c, d, _ = found.matrices()
+    blocks = blocks_of(a, c, [True] * b.shape[1], b=b, d=d)
     zero = [np.zeros((len(blocks.a), 2)) for _ in runs]
     at = evaluated(blocks, runs, zero)
     free = np.zeros(len(blocks.values), bool)
     free[-len(c) :] = True
     return stepped(at, runs, free, equations(at, runs, free), 0.0)
-
-
-def _held_out(found: Predicted, runs: Sequence[Run]) -> Array:
-    """Return the held-out simulation error of a model by prediction error, as `held_out` does."""
-    free, cut = found.solution.blocks.free, segments(runs)
-    each = [*by_segment(found.solution, found.runs, free, cut)]
-    whole, power = total(each), []
-    for part in held_out_parts(len(cut)):
-        step = np.zeros(len(free))
-        own = total([each[i] for i in part])
-        step[free] = solved(whole.plus(own, -1.0), 1e-6, whole)[0]
-        value, seen = np.zeros(len(runs[0].y)), np.zeros(len(runs[0].y))
-        with np.errstate(all="ignore"):
-            errors = _simulating(found, runs, step).errors
-            for record, begin, end in (cut[i] for i in part):
-                value += (errors[record][:, begin:end] ** 2).sum(axis=1)
-                seen += runs[record].seen[:, begin:end].sum(axis=1)
-            value = value / np.maximum(seen, 1)
-        value = np.minimum(np.nan_to_num(value, nan=1e30, posinf=1e30), 1e30)
-        power.append(np.where(seen > 0, value, np.nan))
-    return np.array(power)

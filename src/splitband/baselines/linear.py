@@ -113,14 +113,17 @@ class LinearModel:
         return len(self.a)
 
     def delay(self, output: int, input_: int) -> int:
-        """Return the delay from an input to an output in samples, the least of several."""
+        """Return the sample at which the response of an output to an input's impulse begins.
+
+        It is the least of several, and 0 for what acts after less than `delays.SHORTEST` samples.
+        """
         acts = self._acts(output)
         found = [d for (i, d), on in zip(self.taps, acts, strict=True) if i == input_ and on]
         return min(found, default=0)
 
     @property
     def delays(self) -> tuple[int, ...]:
-        """Return the least delay of each input, `nu` of them."""
+        """Return the least delay of each input over the outputs, `nu` of them."""
         return tuple(min(d for i, d in self.taps if i == j) for j in range(self.nu))
 
     def _acts(self, output: int) -> Any:

@@ -42,12 +42,8 @@ _ITERATIONS = 12
 """Most iterations of a candidate's refinement. By eye."""
 _MISSES = 4
 """Number of orders in a row without a gain after which no larger one is tried. By eye."""
-_MOST_REDUCED = 8
-"""Largest order that is reduced by leaving out each of its poles. By eye."""
 _ALWAYS = 3
 """Orders up to this one are always tried: of a nonlinear system they go on best. By eye."""
-_TOO_SMALL = 2
-"""Number of orders in a row that are too small after which no smaller one is tried. By eye."""
 _HOPELESS = 4.0
 """An order is not refined if the error of the subspace's poles exceeds that of the order with the
 best information criterion by this factor. By eye."""
@@ -147,11 +143,11 @@ class Search:
         """Return the largest absolute value of a complex pole."""
         return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
 
-    def of_order(self, order: int, larger: Candidate | None = None) -> Candidate | None:
-        """Return the refined model of this order; it may begin as a `larger` one, reduced."""
+    def of_order(self, order: int) -> Candidate | None:
+        """Return the refined model of this order."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
-        begin = self._start(order, larger)
+        begin = self._start(order)
         if begin is None:
             return None
         iterations = _ITERATIONS if order <= _MOST_AVERAGED else _ITERATIONS // 2
@@ -167,11 +163,8 @@ class Search:
         found, order = {first.order: first}, min(grid, key=lambda n: grid[n][0])
 
         def tried(n: int) -> Candidate | None:
-            if n not in found and not current().over:
-                larger = min((m for m in found if m > n), default=None)
-                new = self.of_order(n, None if larger is None else found[larger])
-                if new is not None:
-                    found[n] = new
+            if n not in found and not current().over and (new := self.of_order(n)) is not None:
+                found[n] = new
             return found.get(n)
 
         hopeless = grid[order][1] + len(self.runs[0].y) * np.log(_HOPELESS)
@@ -189,12 +182,11 @@ class Search:
                 high = middle
             else:
                 low = middle + 1
-        best, misses = self._smallest(found), 0
+        best = self._smallest(found)
         for n in reversed([n for n in grid if n < best.order]):
             tried(n)
             best = self._smallest(found)
-            misses = 0 if best.order == n else misses + 1
-            if misses == _TOO_SMALL:
+            if best.order != n:
                 break
         if self.integrators is None:
             best = self.integrating(best)
@@ -250,15 +242,11 @@ class Search:
             if misses >= _MISSES:
                 return
 
-    def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:
-        """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
-        tried = [*self._matrices(order)]
-        if larger is not None and larger.order <= _MOST_REDUCED:
-            a, _, c, _ = larger.solution.blocks.matrices()
-            tried += reductions(a, c, larger.order - order)
+    def _start(self, order: int) -> Solution | None:
+        """Return the best model with the poles of a subspace, made stable."""
         starts = [
             linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
-            for a, c in tried
+            for a, c in self._matrices(order)
         ]
         return min(starts, key=lambda at: at.cost, default=None)
 
@@ -305,29 +293,6 @@ def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
     moved = poles * inside / np.maximum(size, 1e-300)
     return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
-
-
-def reductions(a: Array, c: Array, fewer: int) -> list[tuple[Array, Array]]:
-    """Return A and C without a real pole, or without a pair of poles, for each that there is."""
-    poles, vectors = np.linalg.eig(a)
-    groups = [[i] for i in np.flatnonzero(poles.imag == 0)]
-    pairs = [[i, j] for i in np.flatnonzero(poles.imag > 0)
-             for j in np.flatnonzero(poles == poles[i].conj())[:1]]  # fmt: skip
-    if fewer == 2:
-        pairs += [[i, j] for (i,), (j,) in itertools.combinations(groups, 2)]
-    found = []
-    for dropped in groups if fewer == 1 else pairs if fewer == 2 else []:
-        rest = np.delete(np.arange(len(poles)), dropped)
-        upper = [i for i in rest if poles[i].imag >= 0]
-        basis = [
-            x
-            for i in upper
-            for x in (vectors[:, i].real, vectors[:, i].imag)[: 1 + (poles[i].imag > 0)]
-        ]
-        columns = np.stack(basis, axis=1) if basis else np.zeros((len(a), 0))
-        own = np.asarray(np.linalg.lstsq(columns, a @ columns, rcond=None)[0], np.float64)
-        found.append((own, c @ columns))
-    return found
 
 
 def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:

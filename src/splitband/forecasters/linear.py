@@ -40,8 +40,9 @@ class Linear(Forecaster):
     Parameters
     ----------
     order : Number of poles; by default chosen by held-out simulation error.
-    delay : Delay of the inputs in samples: a number for all, one for each input, or `(ny, nu)` for
-        each input at each output; by default estimated.
+    delay : Sample at which an input's impulse response begins: a number for all inputs, one for
+        each, or `(ny, nu)` for each input at each output; by default estimated. An input that is
+        held between samples and has a dead time of n samples has the delay n + 1 (MATLAB's nk).
     integrators : Number of poles at 1, as of a tank or a position; "auto" chooses.
 
     Examples
