@@ -50,7 +50,8 @@ class LinearModel:
     by : What was minimised, "output error" or "prediction error".
     orders, held_out : Orders that were tried, and the held-out simulation error of each, as a share
         of the outputs' standard deviations.
-    values : Singular values of the data.
+    values : Singular values of the data. These three are empty where outputs are modelled one by
+        one, because their delays differ.
     silent : Angles, in radians per sample, of poles that no input excites.
     accuracy : Standard errors; None after a deadline.
     """
@@ -344,7 +345,6 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         return np.concatenate([getattr(m, name) for m in models])
 
     accuracies = [m.accuracy for m in models if m.accuracy is not None]
-    least = min(models, key=lambda m: len(m.orders))
     return LinearModel(
         diagonal("a"),
         diagonal("b"),
@@ -366,9 +366,6 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         joined("scale")[back],
         sum(m.integrators for m in models),
         " and ".join(dict.fromkeys(m.by for m in models)),
-        least.orders,
-        least.held_out,
-        least.values,
-        tuple(angle for m in models for angle in m.silent),
-        Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None,
+        silent=tuple(angle for m in models for angle in m.silent),
+        accuracy=(Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None),
     )

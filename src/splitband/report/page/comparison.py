@@ -8,10 +8,11 @@ from dataclasses import asdict
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run
 from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import Prediction
 from splitband.report import words
 from splitband.report.numbers import number
-from splitband.report.page import tables
+from splitband.report.page import linear, tables
 from splitband.report.page.check import residual_tests
 from splitband.report.page.curves import losses, spectrum
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage, View, method_styles
@@ -37,6 +38,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
         Section("methods", "All methods", [" ".join(words.why(trial, comparison.setup.train))],
                 tables=[tables.methods(comparison)]),
         _residuals(comparison, answer),
+        *_linear(comparison),
         Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
         *_further(comparison, styles),
         _bands(comparison),
@@ -100,6 +102,12 @@ def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
     tested = residual_tests(comparison.residual_tests())
     plots = [*tested.plots, *(plot for each in answer for plot in each.residuals())]
     return Section("residuals", "Residuals", tested.words, plots=plots, folded=True)
+
+
+def _linear(comparison: Comparison) -> list[Section]:
+    """Return the section of the linear model, if it is one of the methods."""
+    fitted = comparison.runs.models.get(Linear.name, ())
+    return [linear.section(model) for model in fitted if isinstance(model, Linear)]
 
 
 def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
