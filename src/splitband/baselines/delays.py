@@ -81,7 +81,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
         of_input = _whitener(inputs)
         white = [_through(of_input, x) for x in inputs]
         for k in range(ny):
-            outputs = [_through(of_input, _filled(y[:, k])) for y, _ in records]
+            outputs = [_through(of_input, filled(y[:, k])) for y, _ in records]
             of_output = _whitener(outputs)
             left = [_through(of_output, x) for x in outputs]
             # A slow output under noise loses an input's effect together with its slowness.
@@ -140,8 +140,8 @@ def _acts_before(
     return bool(power > least * max(left, floor))
 
 
-def _filled(y: Array) -> Array:
-    """Fill gaps by linear interpolation."""
+def filled(y: Array) -> Array:
+    """Fill gaps by linear interpolation; a channel without a sample is 0."""
     rows = np.flatnonzero(~np.isnan(y))
     return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
 
