@@ -268,7 +268,7 @@ def loop(seeds: int) -> None:
         model = identified([record], 1, integrators=0)
         taken += model.by == "prediction error"
         poles.append(model.poles()[0].real)
-        with patch("splitband.baselines.identification._by_prediction", return_value=None):
+        with patch("splitband.baselines.identification.feedback", return_value=False):
             plain.append(identified([record], 1, integrators=0).poles()[0].real)
     for what, found in (("chosen", poles), ("output error alone", plain)):
         print(f"pole 0.9, {what}: {np.mean(found):.4f} +- {np.std(found):.4f}, {seeds} seeds")

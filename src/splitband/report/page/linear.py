@@ -18,16 +18,18 @@ _STYLE = Method("linear model")
 
 def section(linear: Linear) -> Section:
     """Return the section of a fitted linear model."""
-    text = [
-        linear.describe() + ".",
-        "Singular values tell how much of the future of the outputs each further state predicts "
-        "from the past; they are correlations, at most 1. The order is the smallest whose held-out "
-        "simulation error is at most one standard error of the difference above the least.",
-        "Shaded: the 95 % interval of the gain, by the standard errors of the parameters.",
-    ]
-    plots = [*_orders(linear), *_responses(linear)]
-    return Section("linear", "Linear model: order and frequency response", text, plots=plots,
-                   folded=True)  # fmt: skip
+    orders, responses = _orders(linear), _responses(linear)
+    text = [linear.describe() + "."]
+    if orders:
+        text.append(
+            "Singular values are the correlations of the past with the future of the outputs: a "
+            "state for each that stands out. The order is the smallest whose held-out simulation "
+            "error is at most one standard error above the least."
+        )
+    if responses:
+        text.append("Shaded: the 95 % interval of the gain, by its standard error.")
+    return Section("linear", "Linear model: order and frequency response", text,
+                   plots=[*orders, *responses], folded=True)  # fmt: skip
 
 
 def _orders(linear: Linear) -> list[Plot]:
@@ -38,7 +40,7 @@ def _orders(linear: Linear) -> list[Plot]:
     curves = {
         "Singular values": ("singular value", np.arange(1.0, most + 1), model.values[:most]),
         "Held-out simulation error": (
-            "RMSE (% of deviation)",
+            "RMSE (% of the deviation)",
             np.array(model.orders, float),
             error,
         ),
@@ -57,7 +59,10 @@ def _over_order(title: str, label: str, orders: Array, values: Array, chosen: in
     chart.mark(chosen)
     pairs = zip(orders, shown, strict=True)
     said = ", ".join(f"{int(order)}: {number(float(value))}" for order, value in pairs)
-    says = f"{title} by order, with a logarithmic axis; {chosen} is chosen, dashed. {said}."
+    says = (
+        f"Line plot of the {label} by order, with a logarithmic axis; {chosen} is chosen, dashed. "
+        f"{said}."
+    )
     return chart.plot(f"{title}; dashed: the order {chosen}", says, small=True)
 
 
