@@ -45,9 +45,6 @@ _MISSES = 4
 """Number of orders in a row without a gain after which no larger one is tried. By eye."""
 _ALWAYS = 3
 """Orders up to this one are always tried: of a nonlinear system they go on best. By eye."""
-_HOPELESS = 4.0
-"""An order is not refined if the error of the subspace's poles exceeds that of the order with the
-best information criterion by this factor. By eye."""
 _ORDERS = (*range(1, 9), *range(10, 26, 2), 28, 32, 36, 40, 44, 48, 54, 60)
 """Orders that are tried."""
 _MOST_AVERAGED = 8
@@ -98,10 +95,9 @@ class Candidate:
     def as_good_as(self, other: Candidate) -> bool:
         """Return whether it is worse by at most one standard error of the difference.
 
-        Logarithms are compared, so that each output counts the same, and the segments of little
-        error hardly.
+        Logarithms are compared, so that each output counts the same.
         """
-        floor = 0.1 * np.nanmean(other.power, axis=0) + _NEGLIGIBLE**2
+        floor = _NEGLIGIBLE**2
         worse = 0.5 * np.nanmean(np.log((self.power + floor) / (other.power + floor)), axis=1)
         error = float(worse.std(ddof=1)) / np.sqrt(len(worse)) if len(worse) > 1 else 0.0
         return bool(worse.mean() <= max(error, _TOLERANCE))
@@ -157,33 +153,24 @@ class Search:
         return Candidate(at, held_out(at, self.runs))
 
     def best(self) -> Candidate:
-        """Return the model of the chosen order."""
-        grid = dict(self._linear())
+        """Return the model of the chosen order.
+
+        From the order with the best information criterion on, smaller ones are tried one by one.
+        """
+        grid = dict(self._criteria())
         first = self.of_order(max(self.integrators or 0, 1))
         if not grid or first is None:
             return first or self._constant()
-        found, order = {first.order: first}, min(grid, key=lambda n: grid[n][0])
+        found, order = {first.order: first}, min(grid, key=lambda n: grid[n])
 
         def tried(n: int) -> Candidate | None:
             if n not in found and not current().over and (new := self.of_order(n)) is not None:
                 found[n] = new
             return found.get(n)
 
-        hopeless = grid[order][1] + len(self.runs[0].y) * np.log(_HOPELESS)
-        orders = [n for n in grid if n <= order and grid[n][1] <= hopeless]
         small = [n for n in grid if n <= min(order, _ALWAYS)]
         for n in (order, *[n for n in grid if n > order][:1], *small[::-1]):
             tried(n)
-        # As a rule all orders from some one on are as good: it is found by bisection.
-        low, high = 0, len(orders) - 1
-        while low < high:
-            middle = (low + high) // 2
-            candidate = tried(orders[middle])
-            least = min(found.values(), key=lambda c: c.error)
-            if candidate is not None and candidate.as_good_as(least):
-                high = middle
-            else:
-                low = middle + 1
         best = self._smallest(found)
         for n in reversed([n for n in grid if n < best.order]):
             tried(n)
@@ -226,8 +213,8 @@ class Search:
         at = linear_solution(blocks_of(np.array([[0.5]]), np.ones((ny, 1)), self.direct), self.runs)
         return Candidate(at, held_out(at, self.runs))
 
-    def _linear(self) -> Iterator[tuple[int, tuple[float, float]]]:
-        """Yield by order the information criterion and the cost of the subspace's poles."""
+    def _criteria(self) -> Iterator[tuple[int, float]]:
+        """Yield by order the information criterion (BIC) of the subspace's poles."""
         assert self.most is not None
         ny, least, misses = len(self.runs[0].y), np.inf, 0
         samples = sum(float(run.seen.sum()) for run in self.runs) / ny
@@ -236,9 +223,8 @@ class Search:
                 return
             scale = np.maximum(start.scale, _NEGLIGIBLE)
             parameters = order * (ny + len(self.direct))
-            fitted = float(np.log(scale).sum())
-            criterion = 2 * samples * fitted + parameters * np.log(samples)
-            yield order, (criterion, fitted)
+            criterion = float(2 * samples * np.log(scale).sum() + parameters * np.log(samples))
+            yield order, criterion
             misses = 0 if criterion < least else misses + 1
             least = min(least, criterion)
             if misses >= _MISSES:
