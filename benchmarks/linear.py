@@ -31,6 +31,7 @@ from benchmarks.sets import SETS, load
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.metrics import fit_percent
+from splitband.runtime.threads import use_one_thread
 
 Array = npt.NDArray[np.float64]
 Pair = tuple[Array, Array]
@@ -309,6 +310,7 @@ def main() -> None:
     parser.add_argument("--table", choices=tables)
     parser.add_argument("--seeds", type=int, default=100)
     given = parser.parse_args()
+    use_one_thread()  # as `sb.Linear` does: BLAS's threads wait for each other more than they help
     warnings.simplefilter("ignore")
     for name, table in tables.items():
         if given.table in (None, name):
