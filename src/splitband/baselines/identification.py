@@ -30,18 +30,8 @@ from splitband.baselines.noise import (
     fitted_gain,
     prediction_error,
 )
-from splitband.baselines.refinement import (
-    Solution,
-    equations,
-    evaluated,
-    refined,
-    stepped,
-)
-from splitband.baselines.selection import (
-    Search,
-    stable,
-    with_constant,
-)
+from splitband.baselines.refinement import Solution, equations, evaluated, refined, stepped
+from splitband.baselines.selection import ITERATIONS, Search, stable, with_constant
 from splitband.baselines.subspace import subspace
 from splitband.baselines.systems import root_of, states, whitening
 from splitband.runtime.arrays import Array
@@ -54,11 +44,10 @@ _ROWS = 10
 _DELAY_ORDERS = (1, 2, 4)
 """Orders of the models that compare delays. By eye."""
 _ALIKE = 2
-"""Outputs whose delays differ by at most so many samples are modelled together. By eye."""
+"""Outputs whose estimated delays differ by at most so many samples are modelled together.
+By eye."""
 _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
-_POLISHED = 40
-"""Most iterations of the final refinement. By eye."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. By eye."""
 
@@ -120,7 +109,7 @@ def identified(
     ny = records[0][0].shape[1]
     found = delays_of(records, units) if delay is None else np.asarray(delay, int)
     parts = []
-    for outputs in _groups(found):
+    for outputs in _groups(found, _ALIKE if delay is None else 0):
         some = [(y[:, outputs], u) for y, u in records]
         late = found[outputs].min(axis=0)
         model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
@@ -170,10 +159,8 @@ def _compared(
 
     best = [of_input[-1] if of_input else 0 for of_input in lags]
     for j, of_input in enumerate(lags):
-        if of_input in ((), (0,)):
-            continue
-
-        best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
+        if of_input not in ((), (0,)):
+            best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
     return best
 
 
@@ -222,12 +209,12 @@ def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     return min(costs, default=np.inf)
 
 
-def _groups(delays: Array) -> list[list[int]]:
-    """Return the outputs that are modelled together."""
+def _groups(delays: Array, alike: int) -> list[list[int]]:
+    """Return the outputs that are modelled together: their delays differ by at most `alike`."""
     left, found = [*range(len(delays))], []
     while left:
         like = delays[left[0]]
-        found.append([k for k in left if abs(delays[k] - like).max(initial=0) <= _ALIKE])
+        found.append([k for k in left if abs(delays[k] - like).max(initial=0) <= alike])
         left = [k for k in left if k not in found[-1]]
     return found
 
@@ -255,7 +242,7 @@ def _of_outputs(
         chosen = given if integrators is not None else search.integrating(given, order)
     fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
     at = chosen.solution
-    at = refined(at.blocks, fitted, _POLISHED, at.first, search.limit)
+    at = refined(at.blocks, fitted, ITERATIONS, at.first, search.limit)
     model = _model_of(at, runs, delays)
     if not current().over:
         late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
