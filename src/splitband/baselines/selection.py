@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from splitband.baselines.delays import filled
 from splitband.baselines.modal import Run, blocks_of
@@ -43,6 +44,9 @@ ITERATIONS = 12
 """Most iterations of a refinement; half as many of a large candidate. By eye."""
 _MISSES = 4
 """Number of orders in a row without a gain after which no larger one is tried. By eye."""
+_MOST_REDUCED = 8
+"""Largest order that is reduced by leaving out each of its poles: where inputs wander, a subspace
+has a pole near 1 in the place of a pair, from which no refinement finds back. By eye."""
 _ALWAYS = 3
 """Orders up to this one are always tried: of a nonlinear system they go on best. By eye."""
 _ORDERS = (*range(1, 9), *range(10, 26, 2), 28, 32, 36, 40, 44, 48, 54, 60)
@@ -141,11 +145,11 @@ class Search:
         """Return the largest absolute value of a complex pole."""
         return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
 
-    def of_order(self, order: int) -> Candidate | None:
-        """Return the refined model of this order."""
+    def of_order(self, order: int, larger: Candidate | None = None) -> Candidate | None:
+        """Return the refined model of this order; it may begin as a `larger` one, reduced."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
-        begin = self._start(order)
+        begin = self._start(order, larger)
         if begin is None:
             return None
         iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 2
@@ -164,8 +168,10 @@ class Search:
         found, order = {first.order: first}, min(grid, key=lambda n: grid[n])
 
         def tried(n: int) -> Candidate | None:
-            if n not in found and not current().over and (new := self.of_order(n)) is not None:
-                found[n] = new
+            if n not in found and not current().over:
+                larger = found.get(min((m for m in found if m > n), default=n))
+                if (new := self.of_order(n, larger)) is not None:
+                    found[n] = new
             return found.get(n)
 
         small = [n for n in grid if n <= min(order, _ALWAYS)]
@@ -230,11 +236,15 @@ class Search:
             if misses >= _MISSES:
                 return
 
-    def _start(self, order: int) -> Solution | None:
-        """Return the best model with the poles of a subspace, made stable."""
+    def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:
+        """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
+        tried = [*self._matrices(order)]
+        if larger is not None and larger.order <= _MOST_REDUCED:
+            a, _, c, _ = larger.solution.blocks.matrices()
+            tried += reductions(a, c, larger.order - order)
         starts = [
             linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
-            for a, c in self._matrices(order)
+            for a, c in tried
         ]
         return min(starts, key=lambda at: at.cost, default=None)
 
@@ -281,6 +291,16 @@ def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
     inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
     moved = poles * inside / np.maximum(size, 1e-300)
     return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
+
+
+def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
+    """Yield A and C without each choice of one or two poles; of complex ones both go."""
+    poles, vectors = np.linalg.eig(a)
+    own, basis = scipy.linalg.cdf2rdf(poles, vectors)  # complex ones side by side
+    for dropped in itertools.combinations(range(len(poles)), fewer) if fewer <= 2 else ():
+        if poles[[*dropped]].sum().imag == 0:
+            kept = np.delete(np.arange(len(poles)), dropped)
+            yield np.asarray(own[np.ix_(kept, kept)]), np.asarray(c @ basis[:, kept])
 
 
 def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:
