@@ -207,12 +207,13 @@ def field() -> None:
     rng = np.random.default_rng(0)
     (u, y), (v, x) = hardening(1, 16_000, 1.0), hardening(2, 8000, 1.0)
     model, seconds = fitted([(y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), u)])
-    print(f"structure, hardening joint: {model}; {fit_of(model, v, x, 500)} %, {seconds:.1f} s")
+    fit = fit_of(model, v, x, 500).round(2)
+    print(f"structure, hardening joint: {model}; {fit} %, {seconds:.1f} s")
     for both in (False, True):
         (u, y), (v, x) = drive(1, both), drive(2, both)
         model, seconds = fitted([(y + 0.01 * rng.standard_normal(y.shape), u)])
         said = "both directions" if both else "one direction"
-        print(f"drive, {said}: {model}; {fit_of(model, v, x, 200)} %, {seconds:.1f} s")
+        print(f"drive, {said}: {model}; {fit_of(model, v, x, 200).round(2)} %, {seconds:.1f} s")
     record, test = load(SETS["tanks"].training), load(SETS["tanks"].tests[0])
     assert record.u is not None
     assert test.u is not None

@@ -15,6 +15,7 @@ import scipy
 from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import LONGEST_DELAY
 from splitband.baselines.identification import identified
+from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.known import Known
@@ -113,6 +114,11 @@ class Linear(Forecaster):
         new = copy(self)
         new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
         return new
+
+    def linear_model(self) -> LinearModel:
+        """Return the fitted model itself."""
+        self.require_fitted()
+        return self.model
 
     def accuracy(self) -> Accuracy:
         """Return poles, static gains, the frequency response and delays with standard errors.

@@ -8,7 +8,6 @@ from dataclasses import asdict
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.protocols import Run
 from splitband.forecasters.configurable import parts_of
-from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import Prediction
 from splitband.report import words
 from splitband.report.numbers import number
@@ -106,8 +105,8 @@ def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
 
 def _linear(comparison: Comparison) -> list[Section]:
     """Return the section of the linear model, if it is one of the methods."""
-    fitted = comparison.runs.models.get(Linear.name, ())
-    return [linear.section(model) for model in fitted if isinstance(model, Linear)]
+    fitted = [each for models in comparison.runs.models.values() for each in models]
+    return [linear.section(each, model) for each in fitted if (model := each.linear_model())]
 
 
 def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:

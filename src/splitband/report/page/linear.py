@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitband.forecasters.linear import Linear
+from splitband.baselines.linear import LinearModel
+from splitband.data import Record
+from splitband.forecasters.base import Forecaster
 from splitband.report.numbers import number
 from splitband.report.page.charts import SMALL, Axis, Chart
 from splitband.report.page.parts import Method, Plot, Section
@@ -16,9 +18,9 @@ _STYLE = Method("linear model")
 """Always shown: no switch of the page has this name."""
 
 
-def section(linear: Linear) -> Section:
-    """Return the section of a fitted linear model."""
-    orders, responses = _orders(linear), _responses(linear)
+def section(linear: Forecaster, model: LinearModel) -> Section:
+    """Return the section of a fitted forecaster that is a linear model."""
+    orders, responses = _orders(model), _responses(linear.require_fitted().record, model)
     text = [linear.describe() + "."]
     if orders:
         text.append(
@@ -32,9 +34,8 @@ def section(linear: Linear) -> Section:
                    plots=[*orders, *responses], folded=True)  # fmt: skip
 
 
-def _orders(linear: Linear) -> list[Plot]:
+def _orders(model: LinearModel) -> list[Plot]:
     """Return plots over the order; none of outputs with different delays, modelled one by one."""
-    model = linear.model
     most = min(max(model.orders, default=2 * model.order), len(model.values))
     error = 100 * model.held_out
     curves = {
@@ -66,9 +67,9 @@ def _over_order(title: str, label: str, orders: Array, values: Array, chosen: in
     return chart.plot(f"{title}; dashed: the order {chosen}", says, small=True)
 
 
-def _responses(linear: Linear) -> list[Plot]:
+def _responses(record: Record, model: LinearModel) -> list[Plot]:
     """Return a plot of the gain over frequency for each input and output."""
-    record, found = linear.require_fitted().record, linear.model.accuracy
+    found = model.accuracy
     if found is None:
         return []
     axis = Axis.over_frequency(found.angles / (2 * np.pi * record.sampling_time), "Hz")
