@@ -105,7 +105,7 @@ def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
 
 def _linear(comparison: Comparison) -> list[Section]:
     """Return the section of the linear model, if it is one of the methods."""
-    fitted = [each for models in comparison.runs.models.values() for each in models]
+    fitted = [fit.fitted for fits in comparison.fits.values() for fit in fits]
     return [linear.section(each, model) for each in fitted if (model := each.linear_model())]
 
 
