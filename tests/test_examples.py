@@ -65,9 +65,12 @@ def test_what_users_add_is_compared_like_any_other(
 def test_many_records_are_compared_one_by_one_and_summed_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As a job of an array does it, with networks that are trained shortly."""
+    """As jobs of an array do it, with a network that is trained shortly."""
     for name in ("FIRST_ROUND", "FIRST_STEPS"):
         monkeypatch.setattr(f"splitband.evaluation.candidates.{name}", 2)
+    monkeypatch.setattr(
+        "splitband.evaluation.plan.usual_names", lambda *_: ["gru", "linear", "mean"]
+    )
     (tmp_path / "records").mkdir()
     for i, name in enumerate(("arm", "pump")):
         u = np.random.default_rng(i).uniform(-1, 1, 300)

@@ -14,23 +14,25 @@ import pytest
 from splitband.cli import main
 from tests.cli.support import call, results
 
-distributed = pytest.importorskip("distributed")
+dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 
 pytestmark = [
     pytest.mark.usefixtures("inside", "short_rounds"),
     pytest.mark.filterwarnings("default"),  # Dask has its own
 ]
 
-COMPARE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --rounds 2 "
+COMPARE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --rounds 1 "
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A scheduler on this machine with two workers, each a process with one thread."""
     folder = str(tmp_path_factory.mktemp("dask"))
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=folder
-    ) as cluster:
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with (
+        dask.config.set({"temporary-directory": folder}),
+        distributed.LocalCluster(**options) as cluster,
+    ):
         yield cluster.scheduler_address
 
 

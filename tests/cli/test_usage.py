@@ -35,7 +35,7 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     )
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--cutoff auto --method gru --out out/model-of-all"
+        "--like out --out out/model-of-all"
     )
     assert "sb.load('out/model')" in python
     assert "u=u" in python
