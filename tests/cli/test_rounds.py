@@ -149,18 +149,18 @@ def test_a_summary_has_a_row_for_each_folder(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for folder, methods in (("pump", "mean,harmonic"), ("arm", "mean")):
+    for folder, methods in (("pump", "mean,harmonic"), ("tank", "mean")):
         call(f"compare {workspace}/record.csv --columns a --methods {methods}", Path(folder))
     capsys.readouterr()
-    call("summary pump arm")
+    call("summary pump tank")
     said = capsys.readouterr().out.splitlines()
-    for folder, best in (("pump", "harmonic"), ("arm", "mean")):
+    for folder, best in (("pump", "harmonic"), ("tank", "mean")):
         (line,) = (line for line in said if folder in line)
         assert best in line
-    call("summary pump arm --json")
+    call("summary pump tank --json")
     rows = json.loads(capsys.readouterr().out)
     assert [row["recommended"] for row in rows] == ["harmonic", "mean"]
-    for row, folder in zip(rows, ("pump", "arm"), strict=True):
+    for row, folder in zip(rows, ("pump", "tank"), strict=True):
         (fit,) = (c for c in results(Path(folder))["table"] if c["heading"] == "forecast fit %")
         assert row["fit"] == fit["values"][row["recommended"]]
     Path("other").mkdir()
