@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from splitband.cli import main
+from splitband.cli.comparing import workers
 from tests.cli.support import call, results
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
@@ -61,6 +62,13 @@ def test_workers_find_the_numbers_of_this_machine(address: str, tmp_path: Path) 
     there, here = (results(tmp_path / name) for name in ("there", "here"))
     assert same(there, here)
     assert there["time"]["cores"] == 2
+
+
+def test_a_cluster_that_ends_before_the_command_is_told(address: str) -> None:
+    """As Dask says it of a job that has ended four workers."""
+    said = r"the same command goes on .* the workers are gone, got tcp://"
+    with pytest.raises(ValueError, match=said), workers(None, address):
+        raise distributed.KilledWorker("a job", None, 3)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense"])
