@@ -1,6 +1,6 @@
 """What `splitband compare` makes of its time: seconds asked and used, share in trainings, error.
 
-    python -m benchmarks.clock [--records tanks5 crane] [--budgets 30s 2m] [--seeds 5] [--beside 2]
+    python -m benchmarks.clock [--records tanks5 tanks] [--budgets 30s 2m] [--seeds 5] [--beside 2]
 
 Each run is the plain command in a process of its own. A run is a line of JSON, appended to OUT as
 it ends; what is there is not run again. Errors are those of the recommended method, in the record's
@@ -66,20 +66,23 @@ def measured(words: Sequence[str], row: Row, folder: Path) -> Row:
 
 
 def table(rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a line for each record and budget: medians over the seeds, errors with their range."""
+    """Yield a line for each record and budget: medians over the seeds, errors with their range.
+
+    The seconds taken, from outside, are the most of any seed.
+    """
     groups: dict[tuple[str, float, int], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["record"], row["asked"], row["beside"]), []).append(row)
-    yield f"{'record':26}{'beside':>7}{'asked':>7}{'used':>7}{'most':>7}{'trains':>8}  error"
+    yield f"{'record':26}{'beside':>7}{'asked':>7}{'used':>7}{'took':>7}{'trains':>8}  error"
     for (name, asked, beside), of in groups.items():
-        used, share = ([row[key] for row in of] for key in ("used", "in_trainings"))
+        used, took, share = ([row[key] for row in of] for key in ("used", "took", "in_trainings"))
         errors = [
             f"{statistics.median(each):.3g} ({min(each):.3g} to {max(each):.3g})"
             for each in zip(*(row["errors"] for row in of), strict=True)
         ]
         best = statistics.multimode(row["recommended"] for row in of)[0]
         yield (
-            f"{name:26}{beside:7d}{asked:6.0f}s{statistics.median(used):6.0f}s{max(used):6.0f}s"
+            f"{name:26}{beside:7d}{asked:6.0f}s{statistics.median(used):6.0f}s{max(took):6.0f}s"
             f"{statistics.median(share):8.0%}  {' / '.join(errors)}  {best}, {len(of)} seeds"
         )
 

@@ -198,7 +198,9 @@ def measured(name: str, samples: int, methods: list[str] | None, budget: float, 
     record, test = drawn(name, seed, samples)
     facts = compared(record, methods=methods, tests=[test], seed=seed, budget=budget)
     scale = test.y.std()
-    return facts | {"errors": {name: [of[0] / scale] for name, of in facts["errors"].items()}}
+    return facts | {
+        "errors": {name: [float(of[0] / scale)] for name, of in facts["errors"].items()}
+    }
 
 
 def main() -> None:

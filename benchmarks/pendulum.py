@@ -44,7 +44,9 @@ def measured(draw: int, budget: float) -> Facts:
     record = pendulum(draw)
     facts = compared(record, TRAINING, seed=draw, budget=budget)
     scale = record.truth[TRAINING:].std()
-    return facts | {"errors": {name: [of[0] / scale] for name, of in facts["errors"].items()}}
+    return facts | {
+        "errors": {name: [float(of[0] / scale)] for name, of in facts["errors"].items()}
+    }
 
 
 def main() -> None:

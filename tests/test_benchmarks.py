@@ -107,8 +107,8 @@ def test_the_table_of_the_clock_has_medians_and_ranges(monkeypatch: pytest.Monke
     monkeypatch.syspath_prepend(str(ROOT))
     clock = importlib.import_module("benchmarks.clock")
     rows = [
-        {"record": "tanks", "asked": 30.0, "beside": 0, "used": used, "in_trainings": 0.5,
-         "recommended": "gru", "errors": [error]}
+        {"record": "tanks", "asked": 30.0, "beside": 0, "used": used, "took": used,
+         "in_trainings": 0.5, "recommended": "gru", "errors": [error]}
         for used, error in ((28.0, 0.3), (29.0, 0.2), (31.0, 0.7))
     ]  # fmt: skip
     _, line = clock.table(rows)
