@@ -8,7 +8,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from benchmarks import inputs as records
+from benchmarks import kinds as records
 from splitband import Record, Settings
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
@@ -78,7 +78,7 @@ def test_each_input_has_a_delay_of_its_own() -> None:
     assert "dead time u1 24 samples" in model.describe()
 
 
-@pytest.mark.parametrize("make", [*records.RECORDS, *records.MIXED])
+@pytest.mark.parametrize("make", [*records.WITH_INPUTS.values(), records.tanks_and_cycle])
 def test_a_record_without_dead_time_has_none(make: object) -> None:
     assert callable(make)
     record = make(np.random.default_rng(0))[:1200]
