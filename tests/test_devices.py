@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from splitband.evaluation.setup import Setup
 
 from splitband import GRU, EulerMLP, Record, Settings
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task

@@ -6,14 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy
+from splitband.evaluation.choosing import on_baseline
+from splitband.evaluation.setup import Setup
+from splitband.evaluation.work import Work
 
 from splitband import Record, Settings
-from splitband.evaluation.choosing import on_baseline
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import Trial, try_out
 from splitband.evaluation.search import Search, SearchResult
-from splitband.evaluation.setup import Setup
-from splitband.evaluation.work import Work
 from splitband.forecasters.names import Sizes
 
 SAMPLES, STEPS = 300, 60

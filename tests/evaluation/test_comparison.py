@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from splitband.evaluation.protocols import Errors, Run, median_run
+from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Errors, Run, median_run
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport

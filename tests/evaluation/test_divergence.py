@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from splitband.evaluation.setup import Setup
 
 import splitband.forecasters.network
 from splitband import GRU, Record, Settings
 from splitband.cli import main
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
 from splitband.forecasters.learned import Single

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from splitband.evaluation.setup import Options
 
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Record, Settings, Setup
-from splitband.evaluation.setup import Options
 from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from tests.runtime.test_executors import Elsewhere

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import scipy
+from splitband.evaluation.setup import Options
 
 from splitband.data import Record
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.setup import Options
 from splitband.forecasters.intervals import HeldOut, Interval
 from tests.support import compare, settled, try_out
 

@@ -10,11 +10,11 @@ import html5lib
 import numpy as np
 import pytest
 import scipy.signal
+from splitband.report.benchmark import Row
 
 import splitband as sb
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.report.benchmark import Row
 from splitband.report.numbers import number
 from splitband.report.page import comparison, document
 from splitband.report.page import document as report

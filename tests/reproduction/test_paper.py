@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pytest
 import torch
 from scipy.signal import butter, filtfilt
+from splitband.evaluation.work import RunProgress
 
 from reproduction import published
 from reproduction.__main__ import main
@@ -25,7 +26,6 @@ from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.evaluation.work import RunProgress
 from splitband.forecasters.known import Known
 from splitband.metrics import rmse
 from splitband.models import Signals, Split

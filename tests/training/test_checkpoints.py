@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from splitband.evaluation.setup import Setup
 
 from splitband import Record, Settings
-from splitband.evaluation.setup import Setup
 from splitband.models import Model
 from splitband.runtime.keys import key_of
 from splitband.training import History, Progress, fit

@@ -108,6 +108,12 @@ class _Writer:
             flag, yes, no = inputs
             others = self.one("And", self.one("Not", flag), no)
             return self.one("Or", self.one("And", flag, yes), others)
+        if node.op == "matmul" and len(node.inputs[1].shape) == 1:
+            # As a matrix of one column: onnxruntime 1.32 multiplies a transposed matrix and a
+            # vector wrongly where it fuses both operations.
+            last = self.whole(-1)
+            column = self.one("Unsqueeze", inputs[1], last)
+            return self.one("Squeeze", self.one("MatMul", inputs[0], column), last)
         return self.one(_OPERATORS[node.op], *inputs)
 
     def _view(self, node: Node) -> str:
