@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband import Record, Settings
-from splitband.forecasters.base import Forecaster
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import Sizes, named
 
 Array = npt.NDArray[np.float64]

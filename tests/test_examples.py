@@ -66,7 +66,7 @@ def test_the_python_of_the_readme_runs_as_it_stands(
     """On a driven system; fewer methods are compared here."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     monkeypatch.setattr(
-        "splitband.evaluation.setup.usual_names", lambda *_: ["linear", "mean", "persistence"]
+        "splitband.evaluation.plan.usual_names", lambda *_: ["linear", "mean", "persistence"]
     )
     monkeypatch.chdir(tmp_path)
     force = np.random.default_rng(0).uniform(-1, 1, 2000)

@@ -12,7 +12,6 @@ import pytest
 
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.report.benchmark import Row
 from splitband.report.page import comparison, document
 from splitband.report.page import document as report
 from splitband.report.page.charts import Axis
@@ -36,20 +35,13 @@ def everything() -> Comparison:
 def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One of each kind."""
     folder = tmp_path_factory.mktemp("pages")
-    rows = [
-        Row("good", "test", "gru", 0.2, "linear", 0.1, 0.9, 3.0),
-        Row("no error", "test", "gru", None, "", None, None, 3.0),
-        Row(comparisons.NASTY, failed="the file is empty"),
-    ]
     used = Usage([("Fit it", "splitband fit 'a <b>'")], "splitband compare 'a <b>'")
     report.of_comparison(everything, folder / "comparison", used)
     report.of_forecast(comparisons.forecasted(), folder / "forecast", used)
-    report.of_rows(rows, folder / "benchmark", used)
-    report.of_rows(rows[2:], folder / "failures", used)
     return {page.name: page for page in folder.iterdir()}
 
 
-@pytest.mark.parametrize("kind", ["comparison", "forecast", "benchmark", "failures"])
+@pytest.mark.parametrize("kind", ["comparison", "forecast"])
 def test_each_page_is_well_formed_and_readable(pages: dict[str, Path], kind: str) -> None:
     """Landmarks, one first heading, no level left out, captions, words for every plot."""
     tree = parsed(pages[kind])
@@ -77,7 +69,6 @@ def test_names_are_escaped(pages: dict[str, Path]) -> None:
     tree = parsed(pages["comparison"])
     assert comparisons.NASTY in tree.find(".//h1").text
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
-    assert "<script>alert" not in pages["benchmark"].read_text(encoding="utf-8")
 
 
 def test_the_page_says_what_it_must(pages: dict[str, Path], everything: Comparison) -> None:
