@@ -260,8 +260,14 @@ class Course:
             if fit.model is not None:
                 self._finals.setdefault(job.method, []).append(job)
                 self.final.setdefault(job.method, []).append(fit)
-            elif job.method not in self.final:
-                self.failed[job.method] = fit.failure
+        for fit in fits:
+            if fit.model is None and fit.method in self.final:
+                first, *more = self.final[fit.method]
+                why = fit.failure if fit.cut else f"failed: {fit.failure}"
+                first = replace(first, notes=(*first.notes, f"seed {fit.seed} {why}"))
+                self.final[fit.method] = [first, *more]
+            elif fit.model is None:
+                self.failed[fit.method] = fit.failure
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
