@@ -13,7 +13,7 @@ from splitband.data import Record
 from splitband.evaluation.candidates import SETTLING
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import Job, Runner, prepare
+from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged, without_failed
 from splitband.evaluation.search import Search
@@ -283,9 +283,10 @@ class Course:
             fits = [job.run() for job in jobs]
             if good := [fit for fit in fits if fit.model is not None]:
                 self.final[name] = good
-                self.failed.pop(name, None)
+                why = self.failed.pop(name, LATE)
+                said = "in the time" if why == LATE else f"({why})"
                 self.clock.notes.append(
-                    f"{name} could not be trained on the whole training part in the time: its "
+                    f"{name} could not be trained on the whole training part {said}: its "
                     "results are those of three quarters of it"
                 )
         for name in [*self.failed]:
