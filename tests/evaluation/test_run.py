@@ -194,6 +194,17 @@ def test_a_refit_goes_on_over_the_whole_record(whole: Comparison) -> None:
     assert len(result.model.require_fitted().record) == len(RECORD)
 
 
+@pytest.mark.parametrize("looks", [-10, 40, 400])
+def test_without_time_for_a_refit_there_is_a_result(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, ["gru", "mean"], budget=1e6, refit=True, **SMALL)  # type: ignore[arg-type]
+    result = run(planned, clock=Clock(float(looks), clock.at))
+    refitted = len(result.model.require_fitted().record) == len(RECORD)
+    assert refitted != any("could not be refitted" in note for note in result.clock.notes)
+
+
 def test_a_fit_searches_and_ends_with_one_training() -> None:
     planned = plan(RECORD, len(RECORD), ["gru"], horizon=0, rounds=2, **SMALL)  # type: ignore[arg-type]
     model = fit(planned)

@@ -321,23 +321,32 @@ class Course:
             return found
         return replace(found, refit=self._refitted(found.recommended, trial))
 
-    def _refitted(self, name: str, trial: Trial) -> Forecaster:
-        """Return a method fitted to the whole record, with the settings of its final trainings."""
+    def _refitted(self, name: str, trial: Trial) -> Forecaster | None:
+        """Return a method fitted to the whole record, with the settings of its final trainings.
+
+        None where that fails or there is no time for it, which a note of the clock says.
+        """
         record, others = self.plan.record, self.plan.others
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
         question = Question(record, [Origin(samples, samples - 1)], samples, others)
-        finals = self._finals.get(name) or [
-            Job(next(f for f in self._ready if f.name == name), question)
-        ]
         jobs = [
             Job(job.forecaster, question, job.seed, None if job.start is None else fit.model)
-            for job, fit in zip(finals, self.final[name], strict=True)
+            for job, fit in zip(self._finals.get(name, []), self.final[name], strict=False)
         ]
+        ready = next(f for f in self._ready if f.name == name)
+        if not ready.random:
+            jobs = [Job(ready, question, needed=True)]
         fits = self._trained(jobs, self.clock.deadline, "refit")
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
-            raise ValueError(f"refit: {fits[0].failure}")
+            why = fits[0].failure if fits else LATE
+            said = "in the time" if why == LATE else f"({why})"
+            self.clock.notes.append(
+                f"{name} could not be refitted to the whole record {said}: its model is that of "
+                f"the training part"
+            )
+            return None
         method = next(f for f in self.plan.methods if f.name == name)
         for model in models:
             with_simulators_of(model, method)
