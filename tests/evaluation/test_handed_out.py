@@ -15,6 +15,7 @@ import pytest
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Record, Settings
 from splitband.evaluation import candidates
+from splitband.forecasters.backtest import for_trial
 from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.workers import Workers
@@ -107,6 +108,7 @@ def test_a_failed_training_is_left_out_of_a_comparison_and_of_a_forecast() -> No
     assert found.seeds == (0, 2)
     np.testing.assert_array_equal(found.prediction.y, 0)
     assert "seed 1 left out: training error" in found.description
+    assert forecast([Wild()], seeds=3).seeds == (0, 1, 2)
 
 
 @pytest.mark.parametrize("methods", [["mean", "persistence"], [Fickle()]])
@@ -147,9 +149,10 @@ def test_it_is_trained_as_the_search_has_found(monkeypatch: pytest.MonkeyPatch) 
     result = sb.compare(record(), TRAIN, [sb.Single(GRU(4))], settings={"warmup": 10}, rounds=2)
     model = result.trained().untrained()
     members = model.templates if isinstance(model, sb.Ensemble) else [model]
-    # The final training has other numbers of steps.
+    # The final training has other numbers of steps, and no need of a shorter window.
     said = [each.training.rpartition(", ")[0] for each in result.attempts]
-    assert {each.training_in_words().rpartition(", ")[0] for each in members} <= {*said}
+    tried = [for_trial(each, TRAIN).training_in_words() for each in members]
+    assert {each.rpartition(", ")[0] for each in tried} <= {*said}
     assert len(members) == len(result.fits["gru"])
 
 

@@ -300,17 +300,20 @@ class Course:
             for fit in fits:
                 with_simulators_of(fit.fitted, methods[name])
 
-    def result(self) -> Comparison:
-        """Return the comparison."""
-        training = self.plan.training
-        searched = {*self.plan.searched}
-        fits = {
-            f.name: without_failed(training, self.final[f.name])
-            if f.name in searched or self.plan.seeds is None
+    def fits(self) -> dict[str, list[Fit]]:
+        """Return the final fits, without failed trainings where their number was left open."""
+        plan = self.plan
+        return {
+            f.name: without_failed(plan.training, self.final[f.name])
+            if f.name in plan.searched or plan.seeds is None
             else self.final[f.name]
-            for f in self.plan.methods
+            for f in plan.methods
             if f.name in self.final
         }
+
+    def result(self) -> Comparison:
+        """Return the comparison."""
+        training, fits = self.plan.training, self.fits()
         found = Comparison(
             self.plan, fits, None, tuple(self._search.attempts), self.clock,
             interrupted=self.interrupted,
