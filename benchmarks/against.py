@@ -48,7 +48,7 @@ from splitband.report.environment import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
 from splitband.training import Settings
-from splitband.training.quasi_newton import ROUND
+from splitband.training.settings import ROUND
 
 GRU, STATE_SPACE, SEARCHED = "splitband", "splitband state space", "splitband search"
 TSFAST, JAX_SYSID = "tsfast", "jax-sysid"

@@ -25,7 +25,7 @@ from benchmarks.starts import AMPLITUDES, SAMPLES, TESTED, WARMUP, ahead, rmse, 
 from splitband.evaluation.candidates import LADDER
 from splitband.runtime.files import write_json
 from splitband.training.network import NetworkTraining
-from splitband.training.quasi_newton import ROUND
+from splitband.training.settings import ROUND
 
 PARTS = Path(tempfile.gettempdir()) / "splitband-precision"
 MOST_ROUNDS = LADDER[-1] // ROUND

@@ -108,7 +108,10 @@ def test_networks_alone_have_a_result_whatever_the_deadline(
     assert [*result.fits] == ["gru"]
 
 
-def test_what_has_settled_ends_before_its_time_and_says_so() -> None:
+def test_what_has_settled_ends_before_its_time_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("splitband.evaluation.search.MOST_MEMBERS", 1)
     constant = Record(np.ones(200) + 1e-3 * np.sin(np.arange(200.0)), 0.1)
     result = compare(constant, 150, ["mean", "gru"], budget=1e5, **SMALL)  # type: ignore[arg-type]
     assert "settled" in result.clock.in_words()
@@ -228,3 +231,14 @@ def test_two_worker_processes_give_the_numbers_of_one() -> None:
     same(one, two)
     with Workers(2) as executor:
         same(one, compare(RECORD, TRAIN, METHODS, rounds=1, executor=executor, **SMALL))  # type: ignore[arg-type]
+
+
+def test_a_network_on_the_best_baseline_is_tried_where_no_network_is_better() -> None:
+    sine = Record(np.sin(0.3 * np.arange(240)) + 0.3 * np.sin(0.93 * np.arange(240)), 0.1)
+    result = compare(sine, 180, rounds=2, **SMALL)  # type: ignore[arg-type]
+    added = [name for name in result.fits if name.startswith("residual-")]
+    assert added
+    assert {each.round for each in result.attempts if each.method == added[0]} == {2}
+    assert added[0] in result.methods
+    named = compare(sine, 180, ["harmonic", "gru"], rounds=2, **SMALL)  # type: ignore[arg-type]
+    assert {*named.fits} == {"harmonic", "gru"}

@@ -10,8 +10,9 @@ import torch
 
 from splitband import Record, Settings
 from splitband.models import Model
+from splitband.runtime.keys import key_of
 from splitband.training import History, Progress, fit
-from splitband.training.checkpoints import Checkpoint, key_of
+from splitband.training.checkpoints import Checkpoint
 from splitband.training.network import MOST_RESTARTS, NetworkTraining
 from tests.records import QUICK, SETUP, TRAIN, Setup, record
 from tests.support import untrained

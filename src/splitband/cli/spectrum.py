@@ -25,7 +25,6 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
-from splitband.report import pictures
 from splitband.runtime.outputs import staged, write_facts
 
 
@@ -94,6 +93,8 @@ def spectrum(
             f"by the first {trained} samples, the low band kept at every "
             f"{showing.ordinal(bands.downsampling or 1)} sample: {choice.reason}"
         )
+    from splitband.report import pictures  # noqa: PLC0415  matplotlib is slow to load
+
     drawn = pictures.spectrum(shown, measured_spectrum, chosen, choice)
     with staged(out) as new:
         pictures.save(drawn, new / "spectrum.png")

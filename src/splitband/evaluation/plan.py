@@ -44,6 +44,7 @@ class Plan:
     methods : Forecasters, complete but for what is searched.
     settings, bands, sizes : Training settings, bands and sizes of those that had none of their own.
     searched : Names of the networks whose settings are searched; True: their sizes, too.
+    extended : Whether a network on the best baseline is a method, too, if it is the best one.
     others : Further records to train on.
     tests : Records that nothing is fitted to, with distinct names.
     initial : Known samples at the beginning of a test record; None: the warm-up.
@@ -64,6 +65,7 @@ class Plan:
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
     searched: Mapping[str, bool] = field(default_factory=dict)
+    extended: bool = False
     others: tuple[Record, ...] = ()
     tests: tuple[Record, ...] = ()
     initial: int | None = None
@@ -102,6 +104,17 @@ class Plan:
             self.tests,
             warmup,
             self.initial,
+        )
+
+    def on_baseline(self, base: str) -> Plan:
+        """Return the plan with a network on this baseline, which learns what that leaves.
+
+        Not in the paper.
+        """
+        (name,) = with_base(["residual-gru-conditioned"], base)
+        network = named(name, self.sizes).with_defaults(self.settings, self.bands)
+        return replace(
+            self, methods=(*self.methods, network), searched={**self.searched, name: False}
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -218,6 +231,7 @@ def plan(
     limit = BUDGET if budget is None and rounds is None and searched else budget
     found = Plan(
         record, train, horizon, tuple(made), decided, chosen, of_names, searched,
+        bool(names is None and simulator is None and searched),
         tuple(others), tuple(tests), initial, simulator,
         None if limit in (None, math.inf) else float(limit or 0), rounds, seed, seeds, refit,
     )  # fmt: skip

@@ -7,18 +7,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
-from splitband.evaluation.candidates import SETTLING
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged, without_failed
-from splitband.evaluation.search import Search
 from splitband.forecasters.backtest import (
-    HELD_OUT_SHARE,
     Fit,
     Origin,
     Question,
@@ -27,13 +24,15 @@ from splitband.forecasters.backtest import (
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import with_simulators_of
 from splitband.runtime.deadlines import Deadline, within
 from splitband.runtime.threads import one_thread
-from splitband.training import Checkpoint, Progress
 
-FINAL_SHARE = SETTLING / (1 - HELD_OUT_SHARE)
-"""Time of a final training as a share of that of its rounds."""
+if TYPE_CHECKING:
+    from splitband.evaluation.search import Search
+    from splitband.training import Progress
+
 PREPARING = 0.5
 """Share of the time left that fits of simulators may take, before networks are trained. By eye."""
 
@@ -197,7 +196,7 @@ class Course:
         self.interrupted = False
         self._finals: dict[str, list[Job]] = {}
         self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
-        self._search = Search(replace(plan, methods=tuple(self._ready)), runner.cores)
+        self._search: Search | None = None
 
     def run_quick(self) -> None:
         """Fit the methods without networks: first those that fit no simulator, either."""
@@ -225,9 +224,15 @@ class Course:
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
-        search, clock, most = self._search, self.clock, self.plan.rounds
+        if not any(f.random for f in self._ready):
+            return
+        from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
+
+        ready = replace(self.plan, methods=tuple(self._ready))
+        search = self._search = Search(ready, self._runner.cores)
+        clock, most = self.clock, self.plan.rounds
         while most is None or search.round < most:
-            reserve = self._reserve()
+            reserve = self._reserve(search)
             if search.round and clock.left <= reserve:
                 break
             jobs = search.ask(clock.left - reserve)
@@ -235,12 +240,11 @@ class Course:
                 break
             if not self.held and search.round == 1:
                 jobs[0] = replace(jobs[0], needed=True)
-            # What a round adds to a training, its final training takes a share of, too.
-            members = len(search.members(search.methods[0])) if search.methods else 1
-            growth = 1 + members * FINAL_SHARE / self._runner.cores
-            until = Deadline.after((clock.left - reserve) / growth)
+            until = Deadline.after((clock.left - reserve) / search.growth)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
             self.held |= {name: search.held_out(name) for name in search.methods}
+            if search.round == 1 and self.plan.extended:
+                self._extend(search)
             self._report(f"round {search.round}", whole=True)
         self.failed |= search.failed
         if search.settled:
@@ -248,8 +252,25 @@ class Course:
                 "every training has settled: more time, or more rounds, would change little"
             )
 
+    def _extend(self, search: Search) -> None:
+        """Add a network on the best method, if that is a baseline which can have one on top."""
+        trial, several = (
+            judged(self.plan.training, self.held, {}, {}),
+            self.plan.tests or self.plan.others,
+        )
+        best = min(trial.scores, key=lambda name: trial.scores[name])
+        method = next(f for f in self._ready if f.name == best)
+        # What depends on the time since its training record began is for that record alone.
+        if best in BASES and not (several and method.anchored):
+            extended = self.plan.on_baseline(best)
+            if search.add(extended.methods[-1]):
+                self.plan = extended
+                self._ready.append(extended.methods[-1])
+
     def run_finals(self) -> None:
         """Train the networks on the whole training part, the best one first."""
+        if self._search is None:
+            return
         jobs = [job for job, _ in self._search.finals()]
         for forecaster in {job.method: job.forecaster for job in jobs}.values():
             records = [self.plan.training, *self.plan.others]
@@ -260,14 +281,13 @@ class Course:
             if fit.model is not None:
                 self._finals.setdefault(job.method, []).append(job)
                 self.final.setdefault(job.method, []).append(fit)
-        for fit in fits:
-            if fit.model is None and fit.method in self.final:
-                first, *more = self.final[fit.method]
-                why = fit.failure if fit.cut else f"failed: {fit.failure}"
-                first = replace(first, notes=(*first.notes, f"seed {fit.seed} {why}"))
-                self.final[fit.method] = [first, *more]
+        for job, fit in zip(jobs, fits, strict=True):
+            if fit.model is None and job.method in self.final:
+                first, *others = self.final[job.method]
+                said = f"seed {job.seed} {fit.failure if fit.cut else f'failed: {fit.failure}'}"
+                self.final[job.method] = [replace(first, notes=(*first.notes, said)), *others]
             elif fit.model is None:
-                self.failed[fit.method] = fit.failure
+                self.failed[job.method] = fit.failure
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
@@ -314,10 +334,10 @@ class Course:
     def result(self) -> Comparison:
         """Return the comparison."""
         training, fits = self.plan.training, self.fits()
+        attempts = () if self._search is None else tuple(self._search.attempts)
         found = Comparison(
-            self.plan, fits, None, tuple(self._search.attempts), self.clock,
-            interrupted=self.interrupted,
-        )  # fmt: skip
+            self.plan, fits, None, attempts, self.clock, interrupted=self.interrupted
+        )
         trial = judged(training, self.held, fits, self.failed, frozenset(found.left_out))
         found = replace(found, trial=trial)
         if not self.plan.refit or self.interrupted:
@@ -417,9 +437,9 @@ class Course:
         clock = self.clock
         return Deadline() if clock.limit is None else Deadline.after(share * clock.left)
 
-    def _reserve(self) -> float:
+    def _reserve(self, search: Search) -> float:
         """Return the seconds that the final trainings of what is best so far will take."""
-        expected = [(job.method, seconds) for job, seconds in self._search.finals()]
+        expected = [(job.method, seconds) for job, seconds in search.finals()]
         again = [s for name, s in expected if self.plan.refit and name == expected[0][0]]
         seconds = sum(s for _, s in expected) + sum(again)
         return seconds / self._runner.cores + self._forecasting()
@@ -474,6 +494,8 @@ def fit(
         return course.final[forecaster.name][0].fitted
     checkpoint = None
     if kept is not None:
+        from splitband.training import Checkpoint  # noqa: PLC0415  which loads torch
+
         kept.mkdir(parents=True, exist_ok=True)
         checkpoint = Checkpoint(kept / "training.safetensors")
     limit = (clock or Clock(plan.budget)).deadline

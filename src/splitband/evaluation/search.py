@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.evaluation.candidates import SHORT, Candidate, candidates, combined
+from splitband.evaluation.candidates import SETTLING, SHORT, Candidate, candidates, combined
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import (
@@ -83,13 +83,11 @@ class Search:
     def __init__(self, plan: Plan, cores: int = 1) -> None:
         self._plan, self._cores = plan, cores
         self._record = replace(plan.training, y_true=None)
-        self._choices = {
-            f.name: candidates(
-                f.network, plan.searched[f.name], self._record, plan.others, plan.seed
-            )
-            for f in plan.methods
-            if f.name in plan.searched and f.network is not None and self._fits(f.network)
-        }
+        self._choices: dict[str, list[Candidate]] = {}
+        self._added: list[Candidate] = []
+        for method in plan.methods:
+            if method.name in plan.searched and method.network is not None:
+                self._choose(method.network)
         self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
         self._course = self._rounds()
         self._asked: list[Candidate] = []
@@ -101,6 +99,24 @@ class Search:
         self.given: dict[str, list[Fit]] = {}
         self.failed: dict[str, str] = {}
         self.settled = False
+
+    def add(self, method: Forecaster) -> bool:
+        """Add a method, if it can be trained; its first candidate is one of the next round."""
+        able = method.network is not None and self._choose(method.network)
+        self._added += self._choices[method.name][:1] if able else []
+        return able
+
+    def _choose(self, network: Network) -> bool:
+        """List the choices for a network; return whether it can be trained on the records."""
+        plan = self._plan
+        try:
+            network.check(self._record, *plan.others)
+        except ValueError:
+            return False  # its job says why
+        sized = plan.searched.get(network.name, False)
+        found = candidates(network, sized, self._record, plan.others, plan.seed)
+        self._choices[network.name] = found
+        return True
 
     def ask(self, left: float = math.inf) -> list[Job]:
         """Return the jobs of the next round, the most promising first; none if all has settled.
@@ -150,6 +166,15 @@ class Search:
         """Return the methods that have a fit, the best one first."""
         names = {c.method for c in self.tried if math.isfinite(c.error)} | self.given.keys()
         return sorted(names, key=lambda name: held_out_score(self._record, self.held_out(name)))
+
+    @property
+    def growth(self) -> float:
+        """Return the seconds by which a second of a round delays the end of the comparison.
+
+        The final trainings take a share of what a round adds to the best candidates.
+        """
+        members = len(self.members(self.methods[0])) if self.methods else 1
+        return 1 + max(members, 1) * SETTLING / (1 - HELD_OUT_SHARE) / self._cores
 
     def held_out(self, method: str) -> list[Fit]:
         """Return the fits of a method whose median has the lowest held-out error."""
@@ -222,7 +247,7 @@ class Search:
         """Return further choices of the better half of the methods, as time allows."""
         ranked = sorted((c for c in firsts if math.isfinite(c.error)), key=lambda c: c.error)
         better = ranked[: math.ceil(len(ranked) / 2)]
-        found, left = list[Candidate](), HALF * self._left * self._cores
+        found, left = [*self._added], HALF * self._left * self._cores
         for first in better:
             for choice in self._choices[first.method][1:]:
                 left -= first.seconds
@@ -274,11 +299,3 @@ class Search:
     def _question(self, forecaster: Forecaster) -> Question:
         record, end = self._record, len(self._record) + self._plan.horizon
         return Question(record, held_out_origins(forecaster, record), end, self._plan.others)
-
-    def _fits(self, network: Network) -> bool:
-        """Return whether a network can be trained on the records; its job says why not."""
-        try:
-            network.check(self._record, *self._plan.others)
-        except ValueError:
-            return False
-        return True

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current, now
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
+
+if TYPE_CHECKING:
+    pass
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
 import numpy.typing as npt
-from torch import Tensor, nn
 
 from splitband.baselines.delays import check_delays
 from splitband.data import Record, require_records
 from splitband.forecasters.configurable import Configurable
-from splitband.forecasters.differentiable import Affine, TorchSimulation
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -47,7 +45,10 @@ from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
 
 if TYPE_CHECKING:
+    from torch import Tensor, nn
+
     from splitband.forecasters.checking import ModelCheck
+    from splitband.forecasters.differentiable import TorchSimulation
     from splitband.forecasters.responses import Responses
 
 
@@ -354,12 +355,18 @@ class Forecaster(Configurable):
                 "was detrended, clipped or resampled"
             )
         known = known_at_origin(self, history, other_record)
+        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
+            TorchSimulation,
+        )
+
         return TorchSimulation(self.differentiable(known), record.nu)
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
         if not self.affine:
             raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
+        from splitband.forecasters.differentiable import Affine  # noqa: PLC0415  needs torch
+
         return Affine(self, known)
 
     @final

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeGuard
 
-import torch
-
 from splitband.data import Record, check_alike, require_records
 from splitband.forecasters.bands import Bands
 from splitband.runtime.options import WithRepr, options
 from splitband.training import Settings
 
 if TYPE_CHECKING:
+    import torch
+
     from splitband.forecasters.base import Forecaster
     from splitband.forecasters.network import Network
 

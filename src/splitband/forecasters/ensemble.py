@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Self, Unpack, final
-
-import torch
-from torch import nn
+from typing import TYPE_CHECKING, Any, Self, Unpack, final
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.differentiable import Median
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -21,6 +17,10 @@ from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.training import Progress
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
 
 
 @final
@@ -77,6 +77,8 @@ class Ensemble(Forecaster):
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
         """Return the ensemble of forecasters that were fitted to the same records."""
         seeds = [member.require_fitted().report.seed for member in members]
+        if len(set(seeds)) < len(seeds):  # members of different settings
+            seeds = [*range(len(seeds))]
         ensemble = cls([member.clone() for member in members], seeds=seeds)
         ensemble._take(members, 0)
         return ensemble
@@ -177,6 +179,8 @@ class Ensemble(Forecaster):
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module that simulates the median of the members."""
+        from splitband.forecasters.differentiable import Median  # noqa: PLC0415  needs torch
+
         return Median([member.differentiable(known) for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:

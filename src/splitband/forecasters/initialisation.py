@@ -7,18 +7,20 @@ them as for everything else, or never find them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from splitband import models
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.realisation import Realisation, realised, state_estimator
 from splitband.data import Record
 from splitband.forecasters.caching import Cached
-from splitband.models import Model
-from splitband.models.base import with_next_input
 from splitband.runtime.arrays import Array
+
+if TYPE_CHECKING:
+    from splitband.models import Model
 
 
 @runtime_checkable
@@ -67,7 +69,7 @@ def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, se
         if not isinstance(cell, LinearPart) or tasks[0].stride != 1:
             continue
         inputs = [each.u.double() for each in seen if each.u is not None]
-        rows = [with_next_input(u).numpy() for u in inputs]
+        rows = [models.with_next_input(u).numpy() for u in inputs]
         plain = [u.numpy() for u in inputs]
         targets = [
             np.where(np.isnan(record.seen), np.nan, task.target.double().numpy())

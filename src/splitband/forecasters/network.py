@@ -11,12 +11,11 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
 import numpy as np
-import torch
-from torch import nn
 
+from splitband import models, training
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
 from splitband.data import Record
@@ -31,15 +30,19 @@ from splitband.forecasters.known import Known
 from splitband.forecasters.predicting import known_of
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import Recursion
-from splitband.models import Model
-from splitband.models.base import with_weights
 from splitband.runtime.arrays import Array
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
-from splitband.training import Settings, fit
+from splitband.training import Settings
+from splitband.training.places import checked_starts
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
-from splitband.training.windows import windows_in
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
+
+    from splitband.models import Model
 
 DELAYS = Cached(input_delays)
 """Cache of input delays: many trainings need those of the same records."""
@@ -79,7 +82,7 @@ class Network(Forecaster):
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
-        self.device = torch.device("cpu")
+        self.device: str | torch.device = "cpu"
         self._name = name
 
     @property
@@ -142,6 +145,8 @@ class Network(Forecaster):
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
+        import torch  # noqa: PLC0415  whoever names a device needs it
+
         self.device = torch.device(device)
         if self.model is not None:
             self.model.to(self.device)
@@ -189,8 +194,9 @@ class Network(Forecaster):
         return sum(weight.numel() for weight in model.parameters())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: the model as its weights."""
+        """Return what is saved: the model as its weights; `device` is omitted."""
         said = super().to_dict()
+        del said["device"]  # that of the training may not exist where it is loaded
         model = said.pop("model", None)
         return said | {"weights": None if model is None else dict(model.state_dict())}
 
@@ -198,11 +204,12 @@ class Network(Forecaster):
     def from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
         weights = found.pop("weights")
+        found["device"] = "cpu"
         new = super().from_dict(found)
         if new.fitted is not None:
             record, settings = new.fitted.record, new.trained_by
             assert settings is not None
-            new.model = with_weights(lambda: new._built(record, settings, seed=0), weights)
+            new.model = models.with_weights(lambda: new._built(record, settings, seed=0), weights)
             if new.prehistory is not None:
                 new.prehistory.check(new.model, settings.warmup)
         return new
@@ -246,7 +253,7 @@ class Network(Forecaster):
             raise ValueError(
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
-        windows_in(records, settings.window, settings.warmup)
+        checked_starts(records, settings.window, settings.warmup)
         self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise ValueError(
@@ -272,7 +279,7 @@ class Network(Forecaster):
         elif settings.linear_start:
             begin_as_linear(self.model, seen, settings.normalize, seed)
         self.model.to(self.device)
-        history = fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
+        history = training.fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))

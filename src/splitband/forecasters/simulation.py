@@ -19,7 +19,7 @@ from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
-from splitband.models.hybrid import SLOW
+from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent

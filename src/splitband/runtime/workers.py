@@ -19,6 +19,7 @@ from typing import ParamSpec, TypeVar, final
 from pebble import ProcessExpired, ProcessPool
 
 from splitband.runtime.deadlines import NEVER, Deadline
+from splitband.runtime.threads import one_thread
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -149,7 +150,5 @@ def ended_from_outside(error: BaseException) -> str:
 
 
 def _on_one_thread(work: Callable[[Job], Result], job: Job) -> Result:
-    from splitband.runtime.threads import one_thread  # noqa: PLC0415  which loads torch
-
     with one_thread():
         return work(job)

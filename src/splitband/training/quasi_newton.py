@@ -17,10 +17,10 @@ from torch import Tensor, nn
 from splitband.runtime.deadlines import Deadline
 from splitband.training.checkpoints import State
 from splitband.training.optimizers import LBFGS
+from splitband.training.settings import ROUND
 
-ROUND, ROUND_IN_FLOAT64 = 20, 12
-"""Iterations of a round, in float64 as many as take about as long as those in float32. Checkpoints
-are written between rounds, not within them."""
+ROUND_IN_FLOAT64 = 12
+"""Iterations of a round in float64: they take about as long as `ROUND` of them in float32."""
 MEMORY = 30
 """Steps from which the curvature is estimated."""
 CONVERGED = 1e-5

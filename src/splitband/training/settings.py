@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import WithRepr, saved
-from splitband.training.quasi_newton import ROUND
 
+ROUND = 20
+"""Iterations of a round of L-BFGS. Checkpoints are written between rounds, not within them."""
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 SHORTEST_WINDOW = 150
@@ -128,7 +129,7 @@ class Settings(WithRepr):
 
     @property
     def rounds(self) -> int:
-        """Return the number of rounds of `quasi_newton.ROUND` iterations after the epochs."""
+        """Return the number of rounds of `ROUND` iterations after the epochs."""
         return -(-(self.quasi_newton or 0) // ROUND)
 
     def after(self, earlier: Settings | None) -> Settings:
