@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from splitband.evaluation.work import RunProgress
-from splitband.runtime.cluster import Cluster
 
 from reproduction.__main__ import main as reproduce
 from splitband import Work, compare
 from splitband.cli import main
+from splitband.evaluation.work import RunProgress
+from splitband.runtime.cluster import Cluster
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import QUICK, call, results
 from tests.records import SETUP, record

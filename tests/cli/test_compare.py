@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from splitband.evaluation.setup import Setup
-from splitband.runtime.processes import map_jobs
 
 from splitband import read
+from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.report.numbers import number
+from splitband.runtime.processes import map_jobs
 from splitband.training import Settings
 from tests.cli.support import (
     DT,

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from splitband.evaluation.setup import Setup
 
 from splitband import Settings, read
 from splitband.cli.spectrum import _show_simulator
+from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from tests.cli.support import QUICK, A, B, assert_fails, call, results, written

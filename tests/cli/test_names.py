@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from splitband.cli.setups import names
 
 import splitband as sb
 from splitband.cli import main
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options.records import RecordOptions
+from splitband.cli.setups import names
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import Network
 from splitband.report.results import FOUND, save_settings
