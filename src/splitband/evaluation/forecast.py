@@ -128,7 +128,7 @@ def run_forecast(
     """Forecast beyond the record of a plan that trains on all of it; see `run`."""
     with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
         course = carried_out(plan, runner, watch, clock)
-    fits = course.fits()
+    plan, fits = course.plan, course.fits()  # with a network on the best baseline
     trial = judged(plan.training, course.held, fits, course.failed)
     best = trial.recommended
     ranges = [(fit.fitted.require_fitted().y_range, fit.ahead) for fit in fits[best]]
