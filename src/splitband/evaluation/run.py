@@ -313,8 +313,8 @@ class Course:
             if name in self.final:
                 del self.failed[name]
         if not self.final:
-            said = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
-            raise ValueError(f"no method could be fitted; {'; '.join(said)}")
+            reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
+            raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
         methods = {method.name: method for method in self.plan.methods}
         for name, fits in self.final.items():
             for fit in fits:
