@@ -176,7 +176,6 @@ MOST_PARAMETERS, MOST_FIELDS = 6, 8
 LARGER = {
     "Blocks": "the parameters of a linear system, and which of them are free",
     "LinearModel": "a state-space model: its matrices, its filter, its states in training",
-    "_Made": "the same before it has units",
     "Record": "the one data container: a field for each signal, and what it is called",
     "Prediction": "a field for each array that a frame and a picture show",
     "Fit": "what one training says under each of three protocols, and how it went",

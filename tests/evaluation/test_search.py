@@ -158,7 +158,7 @@ def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
     search, trainer = Search(found), Trainer(lambda job, n: 1 / n)
     trainer.run(search)
     (jobs,) = trainer.rounds
-    assert [job.seed for job in jobs] == [0, 1]
+    assert [job.seed for job in jobs] == [0, 1, 2]
     assert all(settings_of(job).epochs == QUICK.epochs for job in jobs)
     assert [job.seed for job, _ in search.finals()] == [0, 1, 2]
     assert all(job.start is None for job, _ in search.finals())

@@ -137,8 +137,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Without a command typer has printed the help, and its message is empty.
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
         said = error.format_message().strip()
-        gone = next((now for old, now in GONE.items() if said.endswith(old)), "")
-        return _complain((said or nothing) + _value(error, given) + gone)
+        without_guess = said.partition(" (Possible")[0]
+        for old, now in GONE.items():
+            if without_guess.endswith(old):
+                return _complain(without_guess + now)
+        return _complain((said or nothing) + _value(error, given))
     except EXPECTED as error:
         return _complain(in_words(error))
     if status == INTERRUPTED:

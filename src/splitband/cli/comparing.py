@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -241,7 +242,8 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
             f"--jobs must be left out with --cluster, where each thread has one, got {jobs}"
         )
     try:
-        from distributed import Client  # noqa: PLC0415  an extra
+        from distributed import Client, KilledWorker  # noqa: PLC0415  an extra
+        from distributed.client import ClosedClientError  # noqa: PLC0415
     except ImportError:
         raise ValueError("--cluster needs Dask: pip install 'splitband[cluster]'") from None
     try:
@@ -255,7 +257,13 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         client.wait_for_workers(1)
         client.get_versions(check=True)
         cores = sum(client.nthreads().values())
-        yield {"cores": max(cores, 1), "executor": client.get_executor(pure=False)}
+        try:
+            yield {"cores": max(cores, 1), "executor": client.get_executor(pure=False)}
+        except (KilledWorker, ClosedClientError, CancelledError):
+            raise ValueError(
+                "--cluster must be there until the end (the same command goes on from what is "
+                f"finished), the scheduler or the workers are gone, got {cluster}"
+            ) from None
 
 
 def command_of(context: typer.Context) -> dict[str, Any]:

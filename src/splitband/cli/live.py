@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import sys
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -84,7 +83,7 @@ class Display:
             else:
                 results.save_standing(standing, self._out, self._facts)
         except OSError as error:  # what was there before is still there
-            warnings.warn(f"{self._out} could not be written: {error}", stacklevel=2)
+            showing.warn(f"{self._out} could not be written: {error}")
 
 
 def in_words(standing: Standing) -> str:

@@ -10,6 +10,10 @@ from typing import Any
 
 from splitband.runtime.deadlines import Deadline, now
 
+HALF = 0.5
+"""Largest share of the time left for what is done once before the best go on: fits of simulators,
+and further choices of training settings. By eye."""
+
 
 @dataclass(eq=False)
 class Clock:

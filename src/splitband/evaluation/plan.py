@@ -28,6 +28,8 @@ TRAINING_SHARE = 0.75
 """Default share of a record to train on."""
 BUDGET = 120.0
 """Default wall time of a comparison that searches how to train its networks, in s."""
+LARGEST_SEED = 2**32 - 1
+"""Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
 UNFITTED_SIMULATOR = "simulator-as-given"
 """Name of a simulator whose parameters are not fitted, but the middles of their ranges."""
 
@@ -251,7 +253,7 @@ def _check_limits(budget: float | None, rounds: int | None, seed: int, seeds: in
         )
     if rounds is not None:
         whole("rounds", rounds)
-    whole("seed", seed, 0)
+    whole("seed", seed, 0, LARGEST_SEED)
     if seeds is not None:
         whole("seeds", seeds)
 

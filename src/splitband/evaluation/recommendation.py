@@ -50,9 +50,9 @@ class Trial:
     left_out : Methods that cannot simulate the test records; they are recommended only if there is
         no other.
     held_out : Errors of the held-out forecasts by method, for baselines also of earlier, longer
-        ones: intervals of any level are computed from them. Their `doubt` is, for a network, the
-        root mean square of the change of its forecast by the final training, combined with the
-        standard deviation over seeds.
+        ones: intervals of any level are computed from them. Their `doubt` is, for a method that is
+        fitted once for them, the root mean square of the change of its forecast by the final fit,
+        combined with the standard deviation over seeds.
     """
 
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -105,8 +105,9 @@ def judged(
 ) -> Trial:
     """Return what held-out forecasts and final fits say of each method.
 
-    A network is trained only once for its held-out forecasts, and may have been lucky. Its interval
-    is therefore at least as wide as the change of its forecast by the final training requires.
+    A method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
+    Its interval is therefore at least as wide as the change of its forecast by the final fit
+    requires.
 
     Parameters
     ----------
@@ -122,7 +123,8 @@ def judged(
     ahead = {name: [fit.ahead for fit in fits] for name, fits in final.items() if name in held}
     medians = {name: np.median(y, axis=0) for name, y in ahead.items()}
     held_out = {name: interval_errors(record, said) for name, said in forecasts.items()}
-    for name in trained & medians.keys():
+    once = {name for name, fits in held.items() if not fits[0].fitted.refits}
+    for name in once & medians.keys():
         early = [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
         change = np.mean([(medians[name] - y) ** 2 for y in early], axis=0)
         apart = np.var(ahead[name], axis=0, ddof=1) if len(ahead[name]) > 1 else 0.0

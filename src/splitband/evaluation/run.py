@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
-from splitband.evaluation.clock import Clock
+from splitband.evaluation.clock import HALF, Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
@@ -32,9 +32,6 @@ from splitband.runtime.threads import one_thread
 if TYPE_CHECKING:
     from splitband.evaluation.search import Search
     from splitband.training import Progress
-
-PREPARING = 0.5
-"""Share of the time left that fits of simulators may take, before networks are trained. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +205,7 @@ class Course:
             self._try(forecaster)
         if slow:
             self._report("baselines", whole=True)
-        until = self._until(PREPARING)
+        until = self._half()
         prepared = [f for f in self._ready if f not in at_once]
         for forecaster in prepared:
             question = self._trial(forecaster)
@@ -414,7 +411,7 @@ class Course:
                 self.failed[job.method] = fit.failure
 
     def _at_once(self, job: Job) -> Fit:
-        with one_thread(), within(self._until(PREPARING)):
+        with one_thread(), within(self._half()):
             return job.run()
 
     def _trained(self, jobs: Sequence[Job], until: Deadline, doing: str) -> list[Fit]:
@@ -432,10 +429,9 @@ class Course:
             said = self.plan, self.clock, doing, {**self.held}, {**self.failed}, whole
             self._watch(Standing(*said, {**self.final}))
 
-    def _until(self, share: float) -> Deadline:
-        """Return the deadline after a share of the time that is left."""
-        clock = self.clock
-        return Deadline() if clock.limit is None else Deadline.after(share * clock.left)
+    def _half(self) -> Deadline:
+        """Return the deadline of what comes before the networks: simulators' fits may be slow."""
+        return Deadline.after(HALF * self.clock.left)
 
     def _reserve(self, search: Search) -> float:
         """Return the seconds that the final trainings of what is best so far will take."""

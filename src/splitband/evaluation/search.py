@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from splitband.evaluation.candidates import SETTLING, SHORT, Candidate, candidates, combined
+from splitband.evaluation.clock import HALF
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import (
@@ -36,10 +37,6 @@ LEAST_MEMBERS = 3
 which one of them can spoil. On longer ones, held-out errors tell which training is best."""
 GIVEN_SEEDS = 3
 """Default number of trainings of a network whose settings are given."""
-MOST_TRIAL_SEEDS = 2
-"""Of these, trainings on three quarters of the training part, for the held-out error."""
-HALF = 0.5
-"""Share of the time left that further choices may take, so that those that do best can go on."""
 
 
 @dataclass(frozen=True)
@@ -289,8 +286,7 @@ class Search:
 
     def _jobs_as_given(self, method: Forecaster) -> list[Job]:
         shorter = for_trial(method, len(self._record))
-        seeds = [*self._seeds()][:MOST_TRIAL_SEEDS]
-        return [Job(shorter, self._question(shorter), seed) for seed in seeds]
+        return [Job(shorter, self._question(shorter), seed) for seed in self._seeds()]
 
     def _seeds(self) -> range:
         first, count = self._plan.seed, self._plan.seeds or GIVEN_SEEDS

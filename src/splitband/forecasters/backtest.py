@@ -278,17 +278,19 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
 
     A network is trained once, and forecasts from the beginning of that quarter, from a third and
     from two thirds of it, as a method may be lucky from a single origin: persistence is, for
-    instance, if the last sample happens to equal the mean. A method that is quick to fit is
-    refitted for each of several origins, some of them earlier.
+    instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
+    the first half, which shows how errors grow. A method that is quicker to fit is refitted for
+    each of several origins, some of them earlier.
     """
     samples = len(record)
-    fitted = first_held_out(samples)
+    fitted, ends = first_held_out(samples), dict.fromkeys(origins(samples))
+    measured = np.cumsum(~np.isnan(record.seen), axis=0)
+    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
     if not forecaster.refits:
         held = samples - fitted
-        return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-    measured = np.cumsum(~np.isnan(record.seen), axis=0)
-    ends = dict.fromkeys(origins(samples))
-    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
+        once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
+        quick = not forecaster.random and not forecaster.fits_simulator
+        return [*once, *(Origin(end, end) for end in early[:1] if quick)]
     return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 
 

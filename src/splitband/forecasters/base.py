@@ -47,6 +47,7 @@ from splitband.training import Checkpoint, Progress
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
+    from splitband.baselines.linear import LinearModel
     from splitband.forecasters.checking import ModelCheck
     from splitband.forecasters.differentiable import TorchSimulation
     from splitband.forecasters.responses import Responses
@@ -260,6 +261,10 @@ class Forecaster(Configurable):
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return prediction
+
+    def linear_model(self) -> LinearModel | None:
+        """Return the linear model that the fitted forecaster is; None for other kinds."""
+        return None
 
     def step_responses(
         self,

@@ -11,7 +11,7 @@ from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.prediction import Prediction
 from splitband.report import words
 from splitband.report.numbers import number
-from splitband.report.page import tables
+from splitband.report.page import linear, tables
 from splitband.report.page.check import residual_tests
 from splitband.report.page.curves import losses, spectrum
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage, View, method_styles
@@ -37,6 +37,7 @@ def page(comparison: Comparison, used: Usage) -> Page:
         Section("methods", "All methods", [" ".join(words.why(trial, comparison.plan.train))],
                 tables=[tables.methods(comparison)]),
         _residuals(comparison, answer),
+        *_linear(comparison),
         Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
         *_further(comparison, styles),
         _bands(comparison),
@@ -100,6 +101,12 @@ def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
     tested = residual_tests(comparison.residual_tests())
     plots = [*tested.plots, *(plot for each in answer for plot in each.residuals())]
     return Section("residuals", "Residuals", tested.words, plots=plots, folded=True)
+
+
+def _linear(comparison: Comparison) -> list[Section]:
+    """Return the section of the linear model, if it is one of the methods."""
+    fitted = [fit.fitted for fits in comparison.fits.values() for fit in fits]
+    return [linear.section(each, model) for each in fitted if (model := each.linear_model())]
 
 
 def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
