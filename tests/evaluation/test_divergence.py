@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 import torch
 
-import splitband.forecasters.network
 from splitband import GRU, Record, Settings
 from splitband.cli import main
 from splitband.forecasters.bands import Bands
@@ -107,7 +106,7 @@ def test_of_several_seeds_those_that_could_be_fitted_count(
             raise FloatingPointError("diverged")
         return fit(*arguments)
 
-    monkeypatch.setattr(splitband.forecasters.network, "fit", diverging)
+    monkeypatch.setattr("splitband.training.fit", diverging)
     found = compare(RECORD, ["gru"], SETUP, seeds=3)
     assert [fit.seed for fit in found.fits["gru"]] == [0, 2]
     assert found.fits["gru"][0].description.endswith("; seed 1 failed: diverged")

@@ -167,7 +167,7 @@ def test_the_linear_model_shows_its_orders_and_its_gain_with_its_error(tmp_path:
     rng = np.random.default_rng(0)
     u = rng.standard_normal(400)
     y = scipy.signal.lfilter([0.0, 0.5, 0.2], [1.0, -1.5, 0.7], u)
-    record = Record(y + 0.1 * rng.standard_normal(400), 0.1, u=u, inputs=["force"])
+    record = Record(y + 0.1 * rng.standard_normal(400), 0.1, u=u, inputs=("force",))
     found = comparisons.compared(record, ("linear", "mean"), 300)
     found.report(tmp_path / "report.html")
     model = found.trained("linear")
