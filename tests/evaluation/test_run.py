@@ -182,7 +182,7 @@ def test_settings_that_are_given_have_no_time_limit_and_are_not_altered() -> Non
         ({"budget": 0.0}, "budget must be a positive number of seconds, got 0"),
         ({"budget": 10.0, "rounds": 2}, "budget and rounds exclude each other"),
         ({"rounds": 0}, "rounds must be at least 1, got 0"),
-        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"seed": -1}, "seed must be between 0 and .*, got -1"),
         ({"rounds": 2, "settings": QUICK}, "rounds must be left out where no training is searched"),
         ({"settings": {"epoch": 3}}, "settings must be out of window, .*, got epoch"),
     ],
