@@ -12,6 +12,7 @@ from splitband.models import Signals, Task
 from splitband.networks import Backend, rollout
 from splitband.training import fit
 from splitband.training.windows import targets
+from tests.records import Setup
 from tests.support import simulated, untrained
 
 SETTINGS = Settings(30, 10, 2, 16)

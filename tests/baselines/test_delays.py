@@ -48,15 +48,15 @@ def test_a_late_input_costs_no_accuracy(model: sb.Linear) -> None:
 
 def test_a_dead_time_is_that_of_the_continuous_plant() -> None:
     """SciPy samples 1 / (s + 1) with the input held; a dead time of 30 samples is put before it."""
-    plant = [np.array([[x]]) for x in (-1.0, 1.0, 1.0, 0.0)]
-    a, b, *_ = scipy.signal.cont2discrete(plant, DT)
+    plant = tuple(np.array([[x]]) for x in (-1.0, 1.0, 1.0, 0.0))
+    a, b, *_ = scipy.signal.cont2discrete(plant, DT)  # type: ignore[arg-type]
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(SAMPLES // 10), 10)
     late = np.append(np.zeros(30), u[:-30])
     y = scipy.signal.lfilter([0.0, b[0, 0]], [1.0, -a[0, 0]], late)
     model = sb.Linear().fit(Record(y + 0.01 * y.std() * rng.standard_normal(SAMPLES), DT, u=u))
     assert "dead time u 30 samples (0.6 s;" in model.describe()
-    _, (response,) = scipy.signal.dimpulse(model.state_space(), n=40)
+    _, (response,) = scipy.signal.dimpulse(model.state_space(), n=40)  # type: ignore[arg-type]
     assert np.flatnonzero(abs(response) > 1e-9)[0] == model.delays[0] == 31
 
 

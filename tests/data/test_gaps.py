@@ -111,5 +111,5 @@ def test_what_stands_in_for_a_gap_across_the_end_of_a_slice_knows_nothing_of_lat
     methods = ["mean", "persistence", "seasonal-naive"]
     found = [compare(with_gaps(each), methods, SETUP) for each in (y, later)]
     for method in methods:
-        a, b = (each[method][0].ahead for each in found)
+        a, b = (each.fits[method][0].ahead for each in found)
         np.testing.assert_array_equal(a, b)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitband import Record, Simulation
+from splitband import Known, Record, Simulation
 from splitband.evaluation.jobs import LATE, Job, Runner
 from splitband.forecasters.backtest import Fit, Origin, Question
 from splitband.forecasters.base import Forecaster
@@ -132,8 +132,8 @@ class Own(Forecaster):
         if self.error is not None:
             raise self.error("it is\nbroken")
 
-    def extrapolate(self, known: object) -> np.ndarray:
-        return np.zeros((known.steps, known.y.shape[1]))  # type: ignore[attr-defined]
+    def extrapolate(self, known: Known) -> np.ndarray:
+        return np.zeros((known.steps, known.y.shape[1]))
 
 
 @pytest.mark.parametrize(

@@ -182,7 +182,7 @@ def test_settings_that_are_given_have_no_time_limit_and_are_not_altered() -> Non
         ({"budget": 0.0}, "budget must be a positive number of seconds, got 0"),
         ({"budget": 10.0, "rounds": 2}, "budget and rounds exclude each other"),
         ({"rounds": 0}, "rounds must be at least 1, got 0"),
-        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"seed": -1}, "seed must be between 0 and .*, got -1"),
         ({"rounds": 2, "settings": QUICK}, "rounds must be left out where no training is searched"),
         ({"settings": {"epoch": 3}}, "settings must be out of window, .*, got epoch"),
     ],
@@ -195,6 +195,17 @@ def test_limits_are_checked_before_anything_runs(options: dict[str, object], sai
 def test_a_refit_goes_on_over_the_whole_record(whole: Comparison) -> None:
     result = compare(RECORD, TRAIN, ["gru"], rounds=1, refit=True, **SMALL)  # type: ignore[arg-type]
     assert len(result.model.require_fitted().record) == len(RECORD)
+
+
+@pytest.mark.parametrize("looks", [-10, 40, 400])
+def test_without_time_for_a_refit_there_is_a_result(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, ["gru", "mean"], budget=1e6, refit=True, **SMALL)  # type: ignore[arg-type]
+    result = run(planned, clock=Clock(float(looks), clock.at))
+    refitted = len(result.model.require_fitted().record) == len(RECORD)
+    assert refitted != any("could not be refitted" in note for note in result.clock.notes)
 
 
 def test_a_fit_searches_and_ends_with_one_training() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,7 +177,7 @@ def test_the_seed_of_a_comparison_is_that_of_its_trainings() -> None:
 
 @pytest.mark.parametrize("short", [True, False])
 def test_sizes_are_searched_unless_given(short: bool) -> None:
-    options = {} if short else {"sizes": Sizes(hidden_high=4, hidden_low=2)}
+    options: dict[str, Any] = {} if short else {"sizes": Sizes(hidden_high=4, hidden_low=2)}
     search, trainer = searching(["gru"], **options), Trainer(lambda job, n: 1 / n)
     trainer.run(search, 2)
     sizes = {job.forecaster.cell.hidden_size for jobs in trainer.rounds for job in jobs}  # type: ignore[attr-defined]

@@ -11,6 +11,7 @@ from splitband.evaluation.setup import Setup
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, Settings
 from splitband.forecasters.names import QUICK, Sizes
+from tests.records import Setup
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20

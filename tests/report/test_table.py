@@ -97,8 +97,8 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     trial = seeds.require_trial()
     final = {best: trial.final[best], other: trial.final[other]}
     scores = {best: 0.1, other: 9.0}
-    two = Runs({name: seeds.fits[name] for name in final})
-    found = replace(seeds, runs=two, trial=replace(trial, final=final, scores=scores))
+    two = {name: seeds.fits[name] for name in final}
+    found = replace(seeds, fits=two, trial=replace(trial, final=final, scores=scores))
     assert found.recommended == best
     shown = column(found, "forecast fit %")
     said = " ".join(words.afterwards(found))

@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,8 @@ def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
 
     The usage is the commands that use the recommended method, built from the options in `facts`.
     """
-    used = usage(facts["command"], facts["arguments"], out, comparison.plan, comparison.model)
+    plan = replace(comparison.plan, refit=comparison.refit is not None)
+    used = usage(facts["command"], facts["arguments"], out, plan, comparison.model)
     results.save(comparison, out, dict(facts), used)
     if not comparison.interrupted:
         shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)

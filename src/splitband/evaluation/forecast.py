@@ -14,7 +14,7 @@ from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import median_fit
 from splitband.evaluation.jobs import Runner
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.recommendation import Trial, judged, without_failed
+from splitband.evaluation.recommendation import Trial, judged
 from splitband.evaluation.run import Watch, carried_out
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
@@ -128,7 +128,7 @@ def run_forecast(
     """Forecast beyond the record of a plan that trains on all of it; see `run`."""
     with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
         course = carried_out(plan, runner, watch, clock)
-    fits = {name: without_failed(plan.training, found) for name, found in course.final.items()}
+    plan, fits = course.plan, course.fits()  # with a network on the best baseline
     trial = judged(plan.training, course.held, fits, course.failed)
     best = trial.recommended
     ranges = [(fit.fitted.require_fitted().y_range, fit.ahead) for fit in fits[best]]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from splitband.data import Record
 from splitband.evaluation.clock import HALF, Clock
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import Job, Runner, prepare
+from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged, without_failed
 from splitband.forecasters.backtest import (
@@ -228,6 +228,7 @@ class Course:
         ready = replace(self.plan, methods=tuple(self._ready))
         search = self._search = Search(ready, self._runner.cores)
         clock, most = self.clock, self.plan.rounds
+        self._runner.compile([f for f in self._ready if f.random])
         while most is None or search.round < most:
             reserve = self._reserve(search)
             if search.round and clock.left <= reserve:
@@ -281,7 +282,7 @@ class Course:
         for job, fit in zip(jobs, fits, strict=True):
             if fit.model is None and job.method in self.final:
                 first, *others = self.final[job.method]
-                said = f"seed {job.seed} failed: {fit.failure}"
+                said = f"seed {job.seed} {fit.failure if fit.cut else f'failed: {fit.failure}'}"
                 self.final[job.method] = [replace(first, notes=(*first.notes, said)), *others]
             elif fit.model is None:
                 self.failed[job.method] = fit.failure
@@ -300,33 +301,37 @@ class Course:
             fits = [job.run() for job in jobs]
             if good := [fit for fit in fits if fit.model is not None]:
                 self.final[name] = good
-                self.failed.pop(name, None)
+                why = self.failed.pop(name, LATE)
+                said = "in the time" if why == LATE else f"({why})"
                 self.clock.notes.append(
-                    f"{name} could not be trained on the whole training part in the time: its "
+                    f"{name} could not be trained on the whole training part {said}: its "
                     "results are those of three quarters of it"
                 )
         for name in [*self.failed]:
             if name in self.final:
                 del self.failed[name]
         if not self.final:
-            said = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
-            raise ValueError(f"no method could be fitted; {'; '.join(said)}")
+            reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
+            raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
         methods = {method.name: method for method in self.plan.methods}
         for name, fits in self.final.items():
             for fit in fits:
                 with_simulators_of(fit.fitted, methods[name])
 
-    def result(self) -> Comparison:
-        """Return the comparison."""
-        training = self.plan.training
-        searched = {*self.plan.searched}
-        fits = {
-            f.name: without_failed(training, self.final[f.name])
-            if f.name in searched or self.plan.seeds is None
+    def fits(self) -> dict[str, list[Fit]]:
+        """Return the final fits, without failed trainings where their number was left open."""
+        plan = self.plan
+        return {
+            f.name: without_failed(plan.training, self.final[f.name])
+            if f.name in plan.searched or plan.seeds is None
             else self.final[f.name]
-            for f in self.plan.methods
+            for f in plan.methods
             if f.name in self.final
         }
+
+    def result(self) -> Comparison:
+        """Return the comparison."""
+        training, fits = self.plan.training, self.fits()
         attempts = () if self._search is None else tuple(self._search.attempts)
         found = Comparison(
             self.plan, fits, None, attempts, self.clock, interrupted=self.interrupted
@@ -337,23 +342,32 @@ class Course:
             return found
         return replace(found, refit=self._refitted(found.recommended, trial))
 
-    def _refitted(self, name: str, trial: Trial) -> Forecaster:
-        """Return a method fitted to the whole record, with the settings of its final trainings."""
+    def _refitted(self, name: str, trial: Trial) -> Forecaster | None:
+        """Return a method fitted to the whole record, with the settings of its final trainings.
+
+        None where that fails or there is no time for it, which a note of the clock says.
+        """
         record, others = self.plan.record, self.plan.others
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
         question = Question(record, [Origin(samples, samples - 1)], samples, others)
-        finals = self._finals.get(name) or [
-            Job(next(f for f in self._ready if f.name == name), question)
-        ]
         jobs = [
             Job(job.forecaster, question, job.seed, None if job.start is None else fit.model)
-            for job, fit in zip(finals, self.final[name], strict=True)
+            for job, fit in zip(self._finals.get(name, []), self.final[name], strict=False)
         ]
+        ready = next(f for f in self._ready if f.name == name)
+        if not ready.random:
+            jobs = [Job(ready, question, needed=True)]
         fits = self._trained(jobs, self.clock.deadline, "refit")
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
-            raise ValueError(f"refit: {fits[0].failure}")
+            why = fits[0].failure if fits else LATE
+            said = "in the time" if why == LATE else f"({why})"
+            self.clock.notes.append(
+                f"{name} could not be refitted to the whole record {said}: its model is that of "
+                f"the training part"
+            )
+            return None
         method = next(f for f in self.plan.methods if f.name == name)
         for model in models:
             with_simulators_of(model, method)
@@ -441,7 +455,8 @@ class Course:
             if fit.fitted.random
         ]
         samples = 2 * len(plan.record) + sum(map(len, plan.tests))
-        return max(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
+        # The least one, as the first forecasts of a process also load or compile what they need.
+        return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
 
 
 def fit(

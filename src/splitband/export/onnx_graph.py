@@ -93,7 +93,7 @@ class _Writer:
         kind = TensorProto.BOOL if symbol.flag else self.real
         return helper.make_tensor_value_info(name, kind, list(symbol.shape))
 
-    def _simple(self, node: Node) -> str:
+    def _simple(self, node: Node) -> str:  # noqa: PLR0911  a line for each kind
         if node.op == "view":
             return self._view(node)
         inputs = [self.name(x) for x in node.inputs]
