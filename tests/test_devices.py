@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from splitband.evaluation.setup import Setup
 
 from splitband import GRU, EulerMLP, Record, Settings
 from splitband.forecasters.bands import Bands

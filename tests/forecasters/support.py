@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from splitband.evaluation.setup import Setup
 
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, Settings

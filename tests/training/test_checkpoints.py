@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from splitband.evaluation.setup import Setup
 
 from splitband import Record, Settings
 from splitband.models import Model
