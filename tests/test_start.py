@@ -37,7 +37,7 @@ oracle(record.y, low, record.sampling_rate, chosen.cutoff)
 assert "filtered-linear-gru" in with_base(["filtered-gru"], "linear")
 assert with_variants(["filtered-gru"], calibrate=True, conditioned=False)
 assert all(method.in_words() for method in NAMES.values())
-sb.Cluster, sb.Ode, sb.Fmu, sb.Settings, sb.Progress
+sb.Clock, sb.Ode, sb.Fmu, sb.Settings, sb.Progress
 """
 
 
@@ -90,3 +90,19 @@ print(sb.load("model").predict(5, u=[[0.0]] * 5).y.tolist())
 """
     trained, loaded = run(folder, "-c", train), run(folder, "-c", ask)
     assert loaded.stdout == trained.stdout != "", trained.stderr + loaded.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [
+        ("--inputs force --methods linear,mean", 0),
+        ("--inputs voltage", 2),
+        ("--inputs force --train 4000", 2),
+    ],
+    ids=["baselines and their page", "a wrong column", "a wrong --train"],
+)
+def test_a_command_without_networks_needs_no_torch(folder: Path, options: str, status: int) -> None:
+    words = ["compare", "rig.csv", *options.split(), "--quiet"]
+    program = f"import sys\nfrom splitband.cli import main\nprint(main({words}))\n"
+    done = run(folder, "-c", program + LOADED)
+    assert done.stdout == f"{status}\n[]\n", done.stderr

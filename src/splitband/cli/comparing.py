@@ -33,7 +33,7 @@ from splitband.forecasters.names import (
     GREY_BOX,
     TRAINED,
     Sizes,
-    named,
+    known,
     with_base,
     with_variants,
 )
@@ -97,7 +97,7 @@ def planned(
     )
     found = _names(replace(asked, simulator=simulator), record, model, fitting)
     usual = default_names(hybrid, record.nu > 0) if found is None else found
-    expected = [named(each) if isinstance(each, str) else each for each in usual]
+    expected = [known(each) if isinstance(each, str) else each for each in usual]
     calibrates = any(method.calibrates for method in expected)
     past = steps if hybrid and simulator.simulator not in BASES else 0
     if steps:
@@ -122,7 +122,7 @@ def planned(
         refit=asked.refit,
         **options,
     )
-    for method in done.methods:
+    for method in done.methods if asked.model.device != "cpu" else ():
         method.to(asked.model.device)
     return done
 

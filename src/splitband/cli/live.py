@@ -57,8 +57,6 @@ class Display:
 
     def __call__(self, standing: Standing) -> None:
         """Take note of where the comparison stands."""
-        if standing.whole:
-            self._write(standing)
         if self._in_place:
             if standing.whole:
                 trial, record = standing.trial, standing.plan.record
@@ -69,6 +67,8 @@ class Display:
             self._live.update(Group(self._table, Text(in_words(standing))), refresh=True)
         elif standing.whole:
             showing.console.print(in_words(standing))
+        if standing.whole:
+            self._write(standing)
 
     def _write(self, standing: Standing) -> None:
         """Write the whole result of the baselines, or the best model so far."""

@@ -17,7 +17,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, named, with_base
+from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
 from splitband.runtime.arguments import whole
 from splitband.simulators.identification import check_runs
 from splitband.simulators.shooting import Adjustable
@@ -211,7 +211,7 @@ def plan(
     usual = recipe == "default" and given is None and not {*changes} - {"warmup"}
     names = [methods] if isinstance(methods, str) else methods
     asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else [*names]
-    with_bands = [named(each) if isinstance(each, str) else each for each in asked]
+    with_bands = [known(each) if isinstance(each, str) else each for each in asked]
     chosen = chosen_bands(bands or Bands(), training, decided, with_bands)
     small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     of_names = sizes or small
@@ -221,7 +221,7 @@ def plan(
         check_runs(simulator, record)
     made, searched = list[Forecaster](), dict[str, bool]()
     for each in asked:
-        method = named(each, of_names) if isinstance(each, str) else each
+        method = known(each, of_names) if isinstance(each, str) else each
         complete = method.with_defaults(decided, chosen)
         if isinstance(each, str) and simulator is not None:
             complete = complete.given(simulator)
@@ -289,7 +289,7 @@ def chosen_bands(
     settings = settings or recipe_settings("default", training)
     if methods is None:
         usual = default_names(training.y_sim is not None, training.nu > 0)
-        methods = [named(name) for name in usual]
+        methods = [known(name) for name in usual]
     if given.cutoff is None and not any(each.shares_bands for each in methods):
         return given
     y_sim, beside = None, [base for method in methods for base in _simulators_in(method)]

@@ -24,7 +24,7 @@ from splitband.forecasters.backtest import (
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
-from splitband.forecasters.names import BASES
+from splitband.forecasters.names import BASES, built
 from splitband.forecasters.simulation import with_simulators_of
 from splitband.runtime.deadlines import Deadline, within
 from splitband.runtime.threads import one_thread
@@ -225,6 +225,7 @@ class Course:
             return
         from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
 
+        self._ready = [built(f) for f in self._ready]
         ready = replace(self.plan, methods=tuple(self._ready))
         search = self._search = Search(ready, self._runner.cores)
         clock, most = self.clock, self.plan.rounds
@@ -498,6 +499,6 @@ def fit(
         checkpoint = Checkpoint(kept / "training.safetensors")
     limit = (clock or Clock(plan.budget)).deadline
     with within(limit):
-        return forecaster.fit(
+        return built(forecaster).fit(
             plan.training, *plan.others, seed=plan.seed, progress=progress, checkpoint=checkpoint
         )

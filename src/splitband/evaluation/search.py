@@ -28,6 +28,7 @@ from splitband.forecasters.backtest import (
     held_out_score,
 )
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
 
 MOST_MEMBERS = 8
@@ -78,6 +79,7 @@ class Search:
     """
 
     def __init__(self, plan: Plan, cores: int = 1) -> None:
+        plan = replace(plan, methods=tuple(built(method) for method in plan.methods))
         self._plan, self._cores = plan, cores
         self._record = replace(plan.training, y_true=None)
         self._choices: dict[str, list[Candidate]] = {}

@@ -150,24 +150,30 @@ BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in 
 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     """Return a new forecaster by its name; raises ValueError for an unknown one."""
-    found = _known(name)
-    if sizes is not None:
-        found = next(method for method in _methods(sizes) if method.name == name)
-    if not found.cells:
-        return found.clone()
+    return built(known(name, sizes))
+
+
+def built(forecaster: Forecaster) -> Forecaster:
+    """Return a forecaster with its cells built, where they are not; that loads torch."""
+    cells = {option: getattr(forecaster, option) for option in forecaster.cells}
+    if not any(isinstance(cell, Unbuilt) for cell in cells.values()):
+        return forecaster
     # Templates draw weights that are never used; this must not change the user's random numbers.
     with seeded(0):
-        cells = {option: getattr(found, option).build() for option in found.cells}
-    return found.clone().set_params(**cells)
+        made = {option: cell.build() for option, cell in cells.items()}
+    return forecaster.clone().set_params(**made)
 
 
-def _known(name: str) -> Forecaster:
+def known(name: str, sizes: Sizes | None = None) -> Forecaster:
+    """Return a new forecaster by its name, as `named`, whose cells are not built."""
     if name not in NAMES:
         raise ValueError(
             "methods must be forecasters or names that `splitband methods` lists, "
             f"got {name!r}{did_you_mean([name], NAMES)}"
         )
-    return NAMES[name]
+    if sizes is None:
+        return NAMES[name].clone()
+    return next(method for method in _methods(sizes) if method.name == name)
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
@@ -176,7 +182,7 @@ def with_base(names: Sequence[str], base: str) -> list[str]:
     The base is one of `BASES`, or the simulator with fitted parameters (`GREY_BOX`).
     """
     put = _REPLACEMENTS[base]
-    return [*dict.fromkeys(_on_base(_known(name), put).name for name in names)]
+    return [*dict.fromkeys(_on_base(known(name), put).name for name in names)]
 
 
 def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
@@ -184,7 +190,7 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
 
     Raises ValueError where no method has a requested variant.
     """
-    found = {v.name: v for name in names for v in variants(_known(name), calibrate, conditioned)}
+    found = {v.name: v for name in names for v in variants(known(name), calibrate, conditioned)}
     for argument, wanted in (
         ("calibrate", calibrate and not any(each.calibrates for each in found.values())),
         ("conditioned", conditioned and not any(_conditioned(f) for f in found.values())),

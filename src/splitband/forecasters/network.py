@@ -254,7 +254,9 @@ class Network(Forecaster):
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
         checked_starts(records, settings.window, settings.warmup)
-        self.clone()._built(first, settings, seed=0)
+        # Cells that are given by name are built when they are trained, as torch loads slowly.
+        if not any(hasattr(getattr(self, name), "build") for name in self.cells):
+            self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise ValueError(
                 f"warmup must have more than {shortest} samples for filters of order "
