@@ -16,6 +16,7 @@ from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import plan
 from splitband.evaluation.search import MOST_MEMBERS, Search
 from splitband.forecasters.backtest import Fit
+from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.prediction import Prediction
 from tests.records import QUICK, TRAIN, record
 
@@ -42,6 +43,10 @@ class Trainer:
         settings = model.settings
         assert settings is not None
         model.trained_by = settings  # type: ignore[attr-defined]
+        losses = [1.0] * (settings.epochs + settings.rounds)
+        model.fitted = replace(
+            Fitted.of([RECORD], job.seed), report=FitReport(losses={"network": losses})
+        )
         self.models.append(model)  # so that no identity is used again
         self.done[id(model)] = rounds
         error, whole = self.error(job, rounds), job.question.record

@@ -12,11 +12,14 @@ from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial
 from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
+from splitband.training.settings import ROUND
 
 FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over, from random weights."""
 FIRST_ROUND, FIRST_SAMPLES = 100, 20_000
-"""Iterations of L-BFGS in the first round of a candidate, and samples in each of them."""
+"""Iterations of L-BFGS in the first round of a candidate, and samples in each of them. On records
+of more than `SHORT` samples, networks that begin as a linear model have `LONGER` times as many, as
+an iteration of such a small network is quick."""
 LONGER = 4
 """A round trains this many times as long as all rounds before it together."""
 FREE_RUN_FROM_LINEAR = 150
@@ -92,21 +95,15 @@ class Candidate:
         before = (1 - SETTLED) * min(self.errors[:-1], default=math.inf)
         return bool(self.errors) and self.errors[-1] < before
 
-    def iterations(self, rounds: int) -> int:
-        """Return the iterations of L-BFGS in so many rounds."""
-        return FIRST_ROUND * (1 + LONGER) ** max(rounds - 1, 0) if rounds else 0
-
     def next(self) -> Network:
         """Return the network with the settings of its next round."""
-        done = len(self.fits)
-        if not done:
-            return self.network
-        more = self.iterations(done + 1) - self.iterations(done)
-        return self.going_on(more)
+        done, first = len(self.fits), self.settings.quasi_newton or 0
+        return self.going_on(LONGER * first * (1 + LONGER) ** (done - 1)) if done else self.network
 
     def final(self) -> Network:
         """Return the network with the settings of its final training, on all samples."""
-        return self.going_on(max(round(SETTLING * self.iterations(self.best + 1)), 1))
+        done = sum(_iterations(fit) for fit in self.fits[: self.best + 1])
+        return self.going_on(max(round(SETTLING * done), 1))
 
     def going_on(self, iterations: int) -> Network:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
@@ -123,6 +120,15 @@ class Candidate:
         # As text: cells are modules, which equal only themselves.
         found: dict[str, Any] = {**self.network.get_params(), **vars(self.settings)}
         return {name: str(value) for name, value in found.items() if name != "settings"}
+
+
+def _iterations(fit: Fit) -> int:
+    """Return the iterations of L-BFGS that a training has run before it settled or was cut."""
+    settings = fit.fitted.settings
+    assert settings is not None
+    losses = fit.report.losses.values()
+    rounds = max((len(of_network) - settings.epochs for of_network in losses), default=0)
+    return min(max(rounds, 1) * ROUND, settings.quasi_newton or 0)
 
 
 def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate | None:
@@ -168,7 +174,8 @@ def candidates(
     size, *sizes = _sizes(forecaster) if sized else [forecaster]
     if record.nu and all(isinstance(cell, LinearPart) for cell in _cells(forecaster)):
         window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
-        base = replace(first, window=window, epochs=0)
+        iterations = FIRST_ROUND * (1 if samples <= SHORT else LONGER)
+        base = replace(first, window=window, epochs=0, quasi_newton=iterations)
         settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
         if samples <= SHORT:
             settings.append(replace(base, penalty=PENALTIES[1]))
