@@ -6,8 +6,8 @@
 
 Side by side on this machine, one process of one thread. All train on the whole training file and
 simulate the test files, whose first 50 samples are left out; nothing is chosen by a test file.
-Minutes are CPU time, so that other work on the machine matters little: of the training alone, and
-for "splitband search" of `compare` in whole, which is given so much work.
+Minutes are CPU time, so that other work on the machine matters little, of the training alone; for
+"splitband search" they are the budget of `compare` in whole, on one core.
 
 tsfast lets its rate fall at the end, and is trained anew for each time; so is the search. L-BFGS
 has no such plan: our networks and jax-sysid's are one training each, looked at on its way.
@@ -42,13 +42,14 @@ import torch
 
 import splitband as sb
 from benchmarks.peers import installed
+from benchmarks.plain import compared, errors_of
 from benchmarks.sets import SETS, load
 from splitband import Record
 from splitband.report.environment import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
 from splitband.training import Settings
-from splitband.training.quasi_newton import ROUND
+from splitband.training.settings import ROUND
 
 GRU, STATE_SPACE, SEARCHED = "splitband", "splitband state space", "splitband search"
 TSFAST, JAX_SYSID = "tsfast", "jax-sysid"
@@ -158,16 +159,15 @@ def ours(
         keep(_point(library, seed, each, seconds, errors, iterations=done))
 
 
-def searched(name: str, minutes: float) -> Point:
-    """Let `compare` find and train its networks with so much work; nothing in it is drawn anew."""
-    benchmark = SETS[name]
-    record, tests = load(benchmark.training), [load(test) for test in benchmark.tests]
-    watch = _Watch()
-    setup = sb.Options(search=sb.Search(60 * minutes))
-    result = sb.compare(record, tests=tests, setup=setup)
-    seconds, best = watch.seconds, result.medians[result.recommended]
-    errors = [float(error) for error in best.errors.tests]
-    return _point(SEARCHED, 0, minutes, seconds, errors, recommended=result.recommended)
+def searched(name: str, seed: int, minutes: float) -> Point:
+    """Let `compare` find and train its networks within so much wall time, on one core."""
+    benchmark, watch = SETS[name], _Watch()
+    run = compared(
+        load(benchmark.training), tests=[*map(load, benchmark.tests)], seed=seed,
+        budget=60 * minutes, cores=1,
+    )  # fmt: skip
+    found = run["recommended"]
+    return _point(SEARCHED, seed, minutes, watch.seconds, errors_of(run), recommended=found)
 
 
 def jax_sysids(
@@ -272,8 +272,8 @@ def complete(
         }
         for each in left.get(TSFAST, ()):
             keep(tsfasts(name, seed, each))
-        for each in left.get(SEARCHED, ()) if seed == 0 else ():
-            keep(searched(name, each))
+        for each in left.get(SEARCHED, ()):
+            keep(searched(name, seed, each))
         if left.get(JAX_SYSID) and peer is not None:
             jax_sysids(name, seed, left[JAX_SYSID], peer, keep)
         for library in TRAINED:

@@ -1,8 +1,8 @@
 """Driven nonlinear systems, drawn from seeds: a training record and a test record of each.
 
-`python -m benchmarks.driven --alone` compares what is recommended with the GRU alone, both with the
-same work, and adds to docs/benchmarks/driven.json: errors on the test record, as shares of its
-deviation. `--work 960` is the command's `--effort 16m`; what is there is left as it is.
+`python -m benchmarks.driven [--budget 120] [--seeds 3]` compares the plain command with the GRU
+alone in the same time: errors on the test record, as shares of its deviation. What is there is not
+run again; `python -m benchmarks.public --no-run` puts the results into its page.
 
 Constants of the package are chosen on the seeds in `kinds.DEVELOPMENT`, and judged by those in
 `kinds.REPORTED`. Parameters differ by up to 30 % from seed to seed. The input is held from one
@@ -12,11 +12,10 @@ sample to the next; the test record is another draw of it, and has no noise.
 from __future__ import annotations
 
 import argparse
-import itertools
-import json
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-import splitband as sb
-from splitband.data import Record
-from splitband.runtime.files import write_json
+from benchmarks.plain import BUDGET, Facts, compared, complete
+from splitband import Record
 
 Array = npt.NDArray[np.float64]
-Facts = dict[str, Any]
+ALONE = "-gru"
+"""End of the names of files with the results of the GRU alone."""
 SPREAD = 0.3
 """Parameters lie within this share of their usual values."""
 
@@ -166,6 +165,10 @@ SYSTEMS: dict[str, System] = {
 }  # fmt: skip
 
 
+RECORDS = (*((name, 400) for name in SYSTEMS), ("Wiener-Hammerstein", 20_000))
+"""Systems, and samples to train on."""
+
+
 def drawn(
     name: str, seed: int, samples: int, tested: int = 2000, amplitudes: Sequence[float] = (1.0,)
 ) -> list[Record]:
@@ -185,88 +188,32 @@ def drawn(
     return records
 
 
-def kept(measured: Callable[[str, int], Facts]) -> Callable[[str, int, Path], Facts]:
-    """Return a function for `over_records` that measures a record once, into a JSON file."""
-
-    def read_or_measured(name: str, seed: int, path: Path) -> Facts:
-        file = path.with_suffix(".json")
-        if not file.exists():
-            write_json(file, measured(name, seed))
-        return _read(file)
-
-    return read_or_measured
+def stem(name: str, samples: int) -> str:
+    """Return how the names of a record's files begin."""
+    return f"{name.replace(' ', '-')}-{samples}"
 
 
-def over_records(
-    described: str | None,
-    parts: Path,
-    out: Path,
-    measured: Callable[[str, int, Path], Facts],
-    systems: Sequence[str] = tuple(SYSTEMS),
-) -> tuple[dict[str, Facts], Path]:
-    """Measure the systems and seeds of the command line, and return that by record, and OUT.
-
-    `measured` is given a path without its ending, where it keeps what it has made.
-    """
-    parser = argparse.ArgumentParser(description=(described or "").splitlines()[0])
-    parser.add_argument("--systems", nargs="*", default=systems, choices=systems)
-    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
-    parser.add_argument("--parts", type=Path, default=parts)
-    parser.add_argument("--out", type=Path, default=out)
-    given = parser.parse_args()
-    given.parts.mkdir(parents=True, exist_ok=True)
-    warnings.simplefilter("ignore", sb.ExtrapolationWarning)
-    records = {}
-    for seed, name in itertools.product(given.seeds, given.systems):
-        records[f"{name}, seed {seed}"] = facts = measured(
-            name, seed, given.parts / f"{name}-{seed}"
-        )
-        print(name, seed, facts, flush=True)
-    return records, given.out
-
-
-def measured(name: str, seed: int, samples: int, work: float, alone: bool) -> dict[str, Any]:
-    """Compare the default methods on a record, then the GRU alone; return the test errors."""
+def measured(name: str, samples: int, methods: list[str] | None, budget: float, seed: int) -> Facts:
+    """Compare methods on a record; return the test errors as shares of the deviation."""
     record, test = drawn(name, seed, samples)
-    setup = sb.Options(search=sb.Search(work))
-    found: dict[str, Any] = {"seed": seed, "samples": samples, "work": work}
-    for label, methods in (("default", None), ("gru", ["gru"]))[: 1 + alone]:
-        result = sb.compare(record, methods=methods, tests=[test], setup=setup)
-        errors = {
-            n: of.errors.tests[0] / test.y.std() for n, of in result.medians.items() if of.tests
-        }
-        found[label] = errors | {"recommended": result.recommended}
-        best = result.recommended
-        print(f"{name}, {samples}, {label}: {best} {errors[best]:.4f}", flush=True)
-    return found
+    facts = compared(record, methods=methods, tests=[test], seed=seed, budget=budget)
+    scale = test.y.std()
+    return facts | {
+        "errors": {name: [float(of[0] / scale)] for name, of in facts["errors"].items()}
+    }
 
 
 def main() -> None:
-    """Measure some systems, one record after the other."""
+    """Measure the systems one after the other, each by the default methods and by the GRU."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--systems", nargs="*", default=[*SYSTEMS], choices=[*SYSTEMS])
-    parser.add_argument("--seeds", nargs="*", type=int, default=[1000])
-    parser.add_argument("--samples", type=int, default=400)
-    parser.add_argument("--work", type=float, default=240.0, help="seconds of a reference core")
-    parser.add_argument("--alone", action="store_true", help="the GRU alone, too")
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/driven.json"))
+    parser.add_argument("--budget", type=float, default=BUDGET, metavar="SECONDS")
+    parser.add_argument("--seeds", type=int, default=3, help="draws of each system")
+    parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     given = parser.parse_args()
-    for name, seed in itertools.product(given.systems, given.seeds):
-        there = [
-            (facts["seed"], facts["samples"], facts["work"])
-            for facts in _read(given.out).get(name, [])
-        ]
-        if (seed, given.samples, given.work) in there:
-            continue
-        facts = measured(name, seed, given.samples, given.work, given.alone)
-        found = _read(given.out)  # another process may have written to it
-        found.setdefault(name, []).append(facts)
-        write_json(given.out, found)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    return found
+    seeds = range(1000, 1000 + given.seeds)
+    for (name, samples), last in product(RECORDS, ("", ALONE)):
+        run = partial(measured, name, samples, ["gru"] if last else None, given.budget)
+        complete(given.out, stem(name, samples), given.budget, seeds, run, last)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks import inputs
 from splitband.data import Record
 
 Array = npt.NDArray[Any]
-SAMPLES = 2000
+SAMPLES, TRAINING = 2000, 1200
+"""Of a record with inputs: all of them, and those to train on."""
 DEVELOPMENT, REPORTED = range(100, 1000), range(1000, 2000)
 """Seeds by which constants are chosen, and others by which they are judged."""
 
@@ -134,14 +134,119 @@ KINDS: dict[str, Callable[[np.random.Generator], Array]] = {
 }
 
 
+def two_masses(rng: np.random.Generator) -> Record:
+    """Springs and dampers, linear, driven by coloured noise; both positions, 2 % noise."""
+    a = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-900, 400, -2, 0.5], [400, -600, 0.5, -1.5]])
+    b = np.array([[0.0], [0], [1], [0]])
+    step = 0.01
+    u = scipy.signal.lfilter([6.0], [1, -0.8], rng.standard_normal(SAMPLES))
+    t = step * np.arange(SAMPLES)
+    y = scipy.signal.lsim((a, b, np.eye(2, 4), np.zeros((2, 1))), u, t, interp=False)[1]
+    return Record(_noisy(y, 0.02, rng), step, u=u, y_true=y, name="two masses")
+
+
+def tanks(rng: np.random.Generator) -> Record:
+    """Two in a row, emptied by their own weight (the root of the level), a pump that steps."""
+    step, fine = 4.0, 20
+    u = np.repeat(rng.uniform(1, 5, SAMPLES // 20), 20)
+    levels, found = np.array([3.0, 3.0]), []
+    for pump in u:
+        for _ in range(fine):
+            out = 0.12 * np.sqrt(levels)
+            rate = np.array([0.06 * pump - out[0], out[0] - out[1]])
+            levels = np.clip(levels + step / fine * rate, 0, 10)
+        found.append(levels[1])
+    y = np.array(found)
+    return Record(_noisy(y, 0.02, rng), step, u=u, y_true=y, name="tanks")
+
+
+def duffing_spring(rng: np.random.Generator) -> Record:
+    """A spring that hardens to twice its stiffness, 25 tones as the force, 1 % noise."""
+    step, frequency, phase = 0.02, rng.uniform(0.2, 6, 25), rng.uniform(0, 2 * np.pi, 25)
+
+    def force(t: float) -> float:
+        return float(8 * np.sin(2 * np.pi * frequency * t + phase).sum())
+
+    def slope(t: float, s: Array) -> list[float]:
+        return [s[1], force(t) - 0.8 * s[1] - 158 * s[0] - 2000 * s[0] ** 3]
+
+    t = step * np.arange(SAMPLES)
+    solved = scipy.integrate.solve_ivp(slope, (0, t[-1]), [0, 0], t_eval=t, rtol=1e-8, atol=1e-10)
+    y, u = solved.y[0], np.array([force(at) for at in t])
+    return Record(_noisy(y, 0.01, rng), step, u=u, y_true=y, name="Duffing")
+
+
+def tanks_and_cycle(rng: np.random.Generator) -> Record:
+    """The two tanks, whose level also follows a cycle of 600 s that the pump knows nothing of."""
+    record = tanks(rng)
+    phase = 2 * np.pi * np.arange(SAMPLES) / 150 + rng.uniform(0, 2 * np.pi)
+    cycle = np.exp(np.sin(phase)) + 0.3 * np.cos(2 * phase)
+    y = record.truth + (record.y.std() * (cycle - cycle.mean()))[:, None]
+    return Record(
+        _noisy(y, 0.02, rng), record.sampling_time, u=record.u, y_true=y, name="tanks and cycle"
+    )
+
+
+def _noisy(y: Array, share: float, rng: np.random.Generator) -> Array:
+    return np.asarray(y + share * y.std(axis=0) * rng.standard_normal(y.shape))
+
+
+WITH_INPUTS: dict[str, Callable[[np.random.Generator], Record]] = {
+    "two masses, driven": two_masses,
+    "tanks, driven": tanks,
+    "duffing, driven": duffing_spring,
+}
+
+
 def drawn(kind: str, seed: int, samples: int) -> Record:
-    """The first `samples` of one of the `KINDS`."""
-    return Record(KINDS[kind](np.random.default_rng(seed))[:samples], 0.1, name=kind)
+    """The first `samples` of a record of one of the `KINDS`, or of those `WITH_INPUTS`."""
+    rng = np.random.default_rng(seed)
+    if kind in WITH_INPUTS:
+        return WITH_INPUTS[kind](rng)[:samples]
+    return Record(KINDS[kind](rng)[:samples], 0.1, name=kind)
 
 
-def driven(make: Callable[[np.random.Generator], Record], seed: int) -> Record:
-    """One of the systems with known inputs, in another draw than `benchmarks.inputs` has."""
-    return make(np.random.default_rng(seed))
+def held_levels(rng: np.random.Generator, samples: int, inputs: int) -> Array:
+    """Random levels, each input changing at its own pace."""
+    held = rng.integers(15, 40, inputs)
+    levels = [np.repeat(rng.uniform(0, 2, samples // h + 1), h)[:samples] for h in held]
+    return np.stack(levels, axis=1)
 
 
-WITH_INPUTS = {f"{make.__name__.replace('_', ' ')}, driven": make for make in inputs.RECORDS}
+def one_tank(rng: np.random.Generator, samples: int) -> Record:
+    """A tank with one pump, emptied by its own weight: nonlinear, of first order; 2 % noise."""
+    u, levels, level = held_levels(rng, samples, 1), [], 3.0
+    for (pump,) in u:
+        for _ in range(5):
+            level = max(level + 0.4 * (0.12 * pump + 0.1 - 0.2 * np.sqrt(level)), 0.0)
+        levels.append(level)
+    return Record(_noisy(np.array(levels), 0.02, rng), 0.1, u=u, name="tank")
+
+
+def five_inputs(rng: np.random.Generator) -> Record:
+    """4,000 samples of three coupled states that saturate, two of them measured; 2 % noise."""
+    u, drive = held_levels(rng, 4000, 5), rng.normal(size=(5, 3)) / 5
+    states, state = [], np.zeros(3)
+    for row in u:
+        coupled = np.array([state[1], state[2] - state[0], state[0] - 0.4 * state[2]])
+        state = 0.9 * state + 0.1 * np.tanh(coupled + row @ drive)
+        states.append(state[:2])
+    return Record(_noisy(np.array(states), 0.02, rng), 0.1, u=u, name="five inputs")
+
+
+def two_tones(rng: np.random.Generator, samples: int) -> Record:
+    """A slow oscillation with a faster one on it that is no sinusoid; 2 % noise."""
+    n = np.arange(samples)
+    return Record(_noisy(_sine(n, 41) + 0.3 * _sine(n, 7.3) ** 3, 0.02, rng), 0.1, name="two tones")
+
+
+def pendulum_with_friction(rng: np.random.Generator) -> Record:
+    """1,500 samples of a pendulum with dry friction, driven by a torque; 1 % noise."""
+    u, angle, speed, found = 4 * held_levels(rng, 1500, 1) - 4, 0.0, 0.0, []
+    for (torque,) in u:
+        found.append(angle)
+        for _ in range(20):
+            friction = 0.3 * speed + 0.4 * np.tanh(speed / 0.02)
+            speed += 0.0025 * (torque - 10 * np.sin(angle) - friction)
+            angle += 0.0025 * speed
+    return Record(_noisy(np.array(found), 0.01, rng), 0.05, u=u, name="pendulum")

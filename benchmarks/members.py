@@ -11,24 +11,25 @@ what is handed out. Trainings are kept in FOLDER.
 
 from __future__ import annotations
 
+import argparse
+import itertools
 import json
 import statistics
 import tempfile
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
 import splitband as sb
 from benchmarks import kinds
-from benchmarks.driven import SYSTEMS, Facts, drawn, over_records
-from splitband.evaluation.trials import LEAST_MEMBERS, MOST_MEMBERS
-from splitband.forecasters.initialisation import Earlier
-from splitband.forecasters.network import Network
+from benchmarks.driven import SYSTEMS, drawn
+from benchmarks.plain import Facts
+from splitband.evaluation.search import LEAST_MEMBERS, MOST_MEMBERS
 from splitband.runtime.files import write_json
 from splitband.training import Settings
 
@@ -110,7 +111,7 @@ def trained(name: str, seed: int) -> dict[str, Array]:
         for s in range(SEEDS):
             tried = network.clone().fit(train[:FITTED], seed=s)
             ahead = [_forecast(tried, train, o).ravel() for o in origins]
-            last = _longer(network, tried.state(), s).fit(train, seed=s)
+            last = _longer(network).fit(train, seed=s, start=tried)
             stable = last.require_fitted().report.stable
             found[f"held|{way}|{s}"] = np.concatenate(ahead)
             found[f"test|{way}|{s}"] = simulated(last).ravel()
@@ -123,18 +124,14 @@ def _forecast(model: sb.Forecaster, record: sb.Record, begin: int) -> Array:
     return np.asarray(model.predict(SAMPLES - begin, history=record[:begin], u=u).y)
 
 
-def _longer(network: sb.Single, weights: Mapping[str, Tensor], seed: int) -> Network:
+def _longer(network: sb.Single) -> sb.Forecaster:
     """Return the network set to go on from the trial's weights, on all samples."""
     settings = network.settings
     assert settings is not None
     assert settings.quasi_newton is not None
-    iterations, window = settings.quasi_newton, settings.window
-    settings = replace(
-        settings,
-        quasi_newton=round(1.25 * iterations),
-        window=SAMPLES if window == FITTED else window,
-    )
-    return network.trained_as(settings).continued(Earlier(iterations, {seed: weights}))
+    iterations, window = round(1.25 * settings.quasi_newton), settings.window
+    window = SAMPLES if window == FITTED else window
+    return network.trained_as(replace(settings, quasi_newton=iterations, window=window))
 
 
 def errors(found: dict[str, Array]) -> dict[str, float]:
@@ -175,27 +172,32 @@ def errors(found: dict[str, Array]) -> dict[str, float]:
     return handed_out
 
 
-def measured(name: str, seed: int, path: Path) -> dict[str, float]:
-    """Return the errors on a record, whose forecasts are kept."""
-    kept = path.with_suffix(".npz")
-    if not kept.exists():
-        np.savez(kept, **trained(name, seed))  # type: ignore[arg-type]
-    with np.load(kept) as file:
-        return errors(dict(file))
-
-
 def main() -> None:
     """Train what is not there yet, and print the geometric means over the records."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     systems = [*SYSTEMS, *(kind + WITHOUT_INPUTS for kind in UNDRIVEN)]
-    out = Path("docs/benchmarks/members.json")
-    records, out = over_records(__doc__, PARTS, out, measured, systems)
+    parser.add_argument("--systems", nargs="*", default=systems, choices=systems)
+    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
+    parser.add_argument("--parts", type=Path, default=PARTS)
+    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/members.json"))
+    given = parser.parse_args()
+    given.parts.mkdir(parents=True, exist_ok=True)
+    warnings.simplefilter("ignore", sb.ExtrapolationWarning)
+    records: dict[str, dict[str, float]] = {}
+    for seed, name in itertools.product(given.seeds, given.systems):
+        kept = given.parts / f"{name}-{seed}.npz"
+        if not kept.exists():
+            np.savez(kept, **trained(name, seed))  # type: ignore[arg-type]
+        with np.load(kept) as file:
+            records[f"{name}, seed {seed}"] = errors(dict(file))
+        print(name, seed, flush=True)
     facts: Facts = {"samples": SAMPLES, "records": records}
     for part, undriven in (("driven", False), ("undriven", True)):
         every = [of for name, of in records.items() if (WITHOUT_INPUTS in name) == undriven]
         means = {way: statistics.geometric_mean(of[way] for of in every) for way in every[0]}
         facts[part] = {"count": len(every), "means": means}
         print(part, json.dumps(means, indent=1))
-    write_json(out, facts)
+    write_json(given.out, facts)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,18 @@
 """A damped pendulum on which a fixed recipe learns nothing: what the default command makes of it.
 
-    python -m benchmarks.pendulum [--draws 1] [--jobs 1]
+    python -m benchmarks.pendulum [--draws 5] [--budget 120]
 
 It swings freely for 2,750 samples, of which 1,000 are trained on: with windows of 400 samples the
 training stays on a plateau, with shorter ones it does not. A development record, on which the
-search for recipes was made. Each draw of the noise is a file that is made once; `python -m
+search for recipes was made. A draw of the noise that is there is not run again; `python -m
 benchmarks.public --no-run` puts the results into its page.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import shutil
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +20,7 @@ import numpy.typing as npt
 import scipy
 
 import splitband as sb
-from splitband.evaluation.work import Work
-from splitband.report.results import results
-from splitband.runtime.files import CHECKPOINTS, write_json
+from benchmarks.plain import BUDGET, Facts, compared, complete
 
 SAMPLES, TRAINING, STEP = 2750, 1000, 0.02
 STIFFNESS, DAMPING, ANGLE, NOISE = 64.2, 0.055, 1.6, 0.005
@@ -42,45 +39,25 @@ def pendulum(draw: int) -> sb.Record:
     return sb.Record(y + noise, STEP, y_true=y, name=f"pendulum, draw {draw}")
 
 
-def measure(draw: int, work: Work) -> dict[str, object]:
-    """What `splitband compare` says, the NRMSE of each forecast, and the CPU time of it all."""
-    record, began = pendulum(draw), _cpu_seconds()
-    comparison = sb.compare(record, TRAINING, work=work)
-    truth = record.truth[TRAINING:]
-    return {
-        "draw": draw,
-        "nrmse": {name: sb.nrmse(truth, mean.ahead) for name, mean in comparison.medians.items()},
-        "cpu_seconds": round(_cpu_seconds() - began, 1),
-    } | results(comparison)
-
-
-def _cpu_seconds() -> float:
-    """Of this process and of those it started that are over."""
-    return sum(os.times()[:4])
-
-
-def path_of(out: Path, draw: int) -> Path:
-    """The file of a draw."""
-    return out / f"pendulum-{draw}.json"
+def measured(draw: int, budget: float) -> Facts:
+    """Return what `splitband compare` says, and the NRMSE of each forecast."""
+    record = pendulum(draw)
+    facts = compared(record, TRAINING, seed=draw, budget=budget)
+    scale = record.truth[TRAINING:].std()
+    return facts | {
+        "errors": {name: [float(of[0] / scale)] for name, of in facts["errors"].items()}
+    }
 
 
 def main() -> None:
     """Measure what is missing."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--draws", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--budget", type=float, default=BUDGET, metavar="SECONDS")
     parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
-    arguments = parser.parse_args()
-    out: Path = arguments.out
-    out.mkdir(parents=True, exist_ok=True)
-    for draw in range(arguments.draws):
-        path = path_of(out, draw)
-        if not path.exists():
-            checkpoints = out / CHECKPOINTS / path.stem
-            facts = measure(draw, Work(arguments.jobs, None, checkpoints))
-            write_json(path, facts)
-            shutil.rmtree(out / CHECKPOINTS)
-            print(path.stem, facts["recommended"], facts["nrmse"], flush=True)
+    given = parser.parse_args()
+    run = partial(measured, budget=given.budget)
+    complete(given.out, "pendulum", given.budget, range(given.draws), run)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,8 @@
 Regret is the forecast error of the recommended method over that of the best one, known afterwards.
 An interval's width is compared with what would just have held nine tenths of the samples, had that
 been known. By default the baselines are compared, which take no training: what they are worth
-differs as much as it does for networks. `--methods default` does all that `splitband compare` does:
-networks, whose training is searched, and baselines together; `usual` trains each network by the
-default recipe instead.
+differs as much as it does for networks. `--methods default` does all that `splitband compare` does
+by its clock, on one core each: networks, whose training is searched, and baselines together.
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
 records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once:
@@ -18,7 +17,6 @@ stop it, go on. The tables of baselines and of `default` go to docs/results/cove
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import statistics
 from collections.abc import Callable, Sequence
@@ -30,26 +28,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks import inputs
-from benchmarks.comparing import compared
-from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, WITH_INPUTS, drawn, driven
+from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, SAMPLES, TRAINING, WITH_INPUTS, drawn
+from benchmarks.plain import BUDGET, Facts, read
 from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
+from splitband.evaluation.plan import default_names
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.setup import Options, usual_names
 from splitband.forecasters.intervals import Interval
 from splitband.forecasters.names import QUICK
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
-from splitband.runtime.processes import map_jobs
+from splitband.runtime.workers import Workers, run_jobs
 
 Array = npt.NDArray[Any]
-Facts = dict[str, Any]
 SIZES = ((1000, 400), (2000, 1000))
 """Samples of a record, and how many of them are trained on."""
-USUAL, BASELINES, DEFAULT = "usual", "baselines", "default"
+BASELINES, DEFAULT = "baselines", "default"
 FILES = {
     BASELINES: Path("docs/benchmarks/recommendation.json"),
     DEFAULT: Path("docs/benchmarks/recommendation-default.json"),
@@ -83,9 +79,9 @@ def jobs(seeds: Sequence[int], others: bool, methods: str, parts: Path) -> list[
         for kind in KINDS:
             make = partial(drawn, kind, seed, samples)
             found.append(RecordJob(kind, f"{kind} {seed}", make, train, methods, parts))
-        for kind, system in WITH_INPUTS.items():
-            make = partial(driven, system, seed)
-            found.append(RecordJob(kind, f"{kind} {seed}", make, inputs.TRAINING, methods, parts))
+        for kind in WITH_INPUTS:
+            make = partial(drawn, kind, seed, SAMPLES)
+            found.append(RecordJob(kind, f"{kind} {seed}", make, TRAINING, methods, parts))
     paper: list[tuple[str, Callable[[], Record], int]] = [
         ("double torsion", double_torsion, 600),
         *((f"pendulum {row}", partial(double_torsion_pendulum, row), 600) for row in _ROWS),
@@ -101,10 +97,9 @@ def jobs(seeds: Sequence[int], others: bool, methods: str, parts: Path) -> list[
 _ROWS = ("ii", "iii", "iv")
 
 
-def _measured(job: RecordJob, report: object) -> Facts:
+def _measured(job: RecordJob) -> Facts:
     if job.path.exists():
-        facts: Facts = json.loads(job.path.read_text(encoding="utf-8"))
-        return facts
+        return read(job.path)
     record = replace(job.record(), y_sim=None, beyond=None, y_true=None)
     comparison = _comparison(record, job)
     settled = comparison.require_trial()
@@ -127,13 +122,11 @@ def _measured(job: RecordJob, report: object) -> Facts:
 
 def _comparison(record: Record, job: RecordJob) -> Comparison:
     if job.methods == DEFAULT:
-        return compare(record, job.train)
-    setup = Options().decided(record, job.train)
+        return compare(record, job.train, budget=BUDGET)
     methods = job.methods.split(",")
-    if job.methods in (USUAL, BASELINES):
-        usual = usual_names(record, setup.bands)
-        methods = [name for name in usual if job.methods == USUAL or name in QUICK]
-    return compared(record, methods, setup, seeds=[0], jobs=1)
+    if job.methods == BASELINES:
+        methods = [name for name in default_names(False, record.nu > 0) if name in QUICK]
+    return compare(record, job.train, methods)
 
 
 def _of_baselines(trial: Trial) -> str:
@@ -233,9 +226,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--skip", type=int, default=0, help="seeds that have been looked at before")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument(
-        "--methods", default=BASELINES, help=f"{BASELINES}, {DEFAULT}, {USUAL} or names"
-    )
+    parser.add_argument("--methods", default=BASELINES, help=f"{BASELINES}, {DEFAULT} or names")
     parser.add_argument("--development", action="store_true", help="print, and write nothing else")
     arguments = parser.parse_args()
     arguments.parts.mkdir(parents=True, exist_ok=True)
@@ -244,7 +235,8 @@ def main() -> None:
     # What the default command does on the paper's records is in docs/results/beyond.
     others = not arguments.development and arguments.methods != DEFAULT
     todo = jobs(seeds, others, arguments.methods, arguments.parts)
-    done = {f["name"]: f for f in map_jobs(_measured, todo, arguments.jobs)}
+    with Workers(arguments.jobs) as workers:
+        done = {job.name: future.result() for job, future in run_jobs(_measured, todo, workers)}
     found = [done[job.name] for job in todo]
     facts = {
         "seeds": [seeds[0], seeds[-1]],

@@ -48,7 +48,7 @@ _OF_TANKS: dict[str, tuple[str, ...]] = {
     "CT-SUBNET (second-hand)": ("0.31",),
     "PNLSS": ("0.45",),
     "truncated simulation error (Forgione and Piga, 2021)": ("0.33",),
-    "well-posed LFR (2026, second-hand)": ("0.25",),
+    "grey box and network, well-posed LFR (2026, second-hand)": ("0.25",),
     "grey box, the physics known": ("0.18 to 0.19",),
 }
 _TANKS = Benchmark(

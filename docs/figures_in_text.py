@@ -22,7 +22,7 @@ from typing import Any
 
 from benchmarks.sets import SETS
 from reproduction import statements
-from splitband.evaluation.search import SECONDS
+from splitband.evaluation.plan import BUDGET
 from splitband.forecasters.names import NAMES, QUICK
 
 ROOT = Path(__file__).parents[1]
@@ -103,7 +103,7 @@ def _number(text: str, after: str) -> float:
 
 def default_minutes() -> float:
     """Return the minutes that `compare` takes at most by default."""
-    return SECONDS / 60
+    return BUDGET / 60
 
 
 def drill_string() -> dict[str, dict[str, float]]:

@@ -5,10 +5,13 @@ It needs chromium and playwright, as the tests of the page do.
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from playwright.sync_api import sync_playwright
+
+import splitband as sb
+from splitband.cli.demo import METHODS, RECIPE, SIZES, TRAIN
+from splitband.data.crane import overhead_crane
 
 ROOT = Path(__file__).parents[1]
 LEFT, WIDTH, HEIGHT = 120, 1160, 1280
@@ -16,9 +19,10 @@ LEFT, WIDTH, HEIGHT = 120, 1160, 1280
 
 
 def main() -> None:
-    """Copy the demo's picture, and draw the top of its page."""
+    """Draw the predictions of the demo's methods, and the top of its page."""
     images, demo = ROOT / "docs/img", ROOT / "demo"
-    shutil.copy(demo / "rollouts.png", images / "demo.png")
+    result = sb.compare(overhead_crane(), TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES)
+    result.plot().savefig(images / "demo.png")
     with sync_playwright() as driver:
         browser = driver.chromium.launch(
             executable_path="/usr/bin/chromium", args=["--no-sandbox", "--disable-gpu"]

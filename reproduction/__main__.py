@@ -15,7 +15,6 @@ from rich.progress import Progress
 from rich.table import Table as RichTable
 from typer.exceptions import TyperException
 
-import splitband as sb
 from reproduction import horizons
 from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
@@ -23,11 +22,11 @@ from reproduction.jobs import SYSTEMS
 from reproduction.runs import complete, missing
 from reproduction.specs import SPECS, Line, lines
 from reproduction.tables import Table, table
-from splitband.evaluation.work import RunProgress
+from splitband.cli.comparing import workers
 from splitband.forecasters.names import TRAINED
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, write_json, write_json_lines
-from splitband.runtime.threads import available_cores
+from splitband.runtime.workers import Workers
 
 console = Console(markup=False, emoji=False, highlight=False)
 
@@ -188,7 +187,7 @@ def _duration(seconds: float) -> str:
 
 
 def _run_missing(
-    of: Iterable[Line], out: Path, workers: AbstractContextManager[int | Executor], run: bool
+    of: Iterable[Line], out: Path, where: AbstractContextManager[Executor | None], run: bool
 ) -> None:
     output_folder(out / "runs", "--out")
     if not run:
@@ -196,27 +195,22 @@ def _run_missing(
     todo = missing((job for line in of for job in line.jobs), out / "runs")
     trainings = sum(job.method in TRAINED for job in todo)
     bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
-    with workers as chosen, bar:
+    with where as chosen, bar:
         whole = bar.add_task(f"{trainings} trainings", total=trainings)
-        shares: dict[tuple[str, int], float] = {}
-
-        def report(at: RunProgress) -> None:
-            shares[at.method, at.seed] = at.share
-            bar.update(whole, completed=sum(shares.values()))
-
-        complete(todo, out / "runs", chosen, report)
+        complete(todo, out / "runs", chosen, lambda job: bar.advance(whole, job.method in TRAINED))
 
 
 @contextmanager
-def _workers(jobs: int | None, cluster: str | None) -> Iterator[int | Executor]:
-    """Yield what trains: processes of this machine, or the workers of a cluster."""
-    if cluster is None:
-        yield jobs or available_cores()
-        return
-    if jobs is not None:
-        raise ValueError(f"--jobs must be left out with --cluster, got {jobs}")
-    with sb.Cluster(cluster) as executor:
-        yield executor
+def _workers(jobs: int | None, cluster: str | None) -> Iterator[Executor | None]:
+    """Yield what trains: this process, processes of this machine, or the workers of a cluster."""
+    with workers(jobs, cluster) as where:
+        if "executor" in where:
+            yield where["executor"]
+        elif where["cores"] == 1:
+            yield None
+        else:
+            with Workers(where["cores"]) as executor:
+                yield executor
 
 
 def _chosen(name: str, possible: Iterable[str], what: str) -> list[str]:

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 
 from reproduction import pictures as drawn
 from reproduction.jobs import ORACLE, SYSTEMS, Job
-from reproduction.runs import as_run, finished, load
+from reproduction.runs import as_fit, finished, load
 from reproduction.specs import SPECS, Line, chosen, lines
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Run, Runs
 from splitband.filters.spectrum import periodogram
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.names import QUICK
 from splitband.report import pictures
 
@@ -22,7 +22,7 @@ from splitband.report import pictures
 def _spectrum(comparison: Comparison) -> Figure:
     record = comparison.record
     found = periodogram(record.y, record.sampling_rate)
-    return pictures.spectrum(record, found, comparison.setup.bands.cutoff)
+    return pictures.spectrum(record, found, comparison.plan.bands.cutoff)
 
 
 def _unfiltered(comparison: Comparison) -> Figure:
@@ -65,15 +65,19 @@ def needed(
 
 def figure(name: str, system: str, of: Sequence[Line], folder: Path) -> Figure:
     """Draw one figure of the runs in `folder`; raises what `load` does."""
-    runs: dict[str, list[Run]] = {}
+    fits: dict[str, list[Fit]] = {}
     for line in of:
         facts = [load(job, folder) for job in finished(line.jobs, folder)]
-        good = [as_run(run, line.jobs[0].record) for run in facts if "diverged" not in run]
+        good = [as_fit(run, line.jobs[0].record) for run in facts if "diverged" not in run]
         if good and good[0].seed == 0:
-            runs[line.method] = good
-    job = Job(system, next(iter(runs), "persistence"))
+            fits[line.method] = good
+    job = Job(system, next(iter(fits), "persistence"))
     record = job.record
-    return FIGURES[name](Comparison(Plan.of(record, (), job.setup(record)), Runs(runs)))
+    setup = job.setup(record)
+    plan = Plan(
+        record, setup.train, len(record) - setup.train, (), setup.settings, setup.bands, setup.sizes
+    )
+    return FIGURES[name](Comparison(plan, fits))
 
 
 def _shown(name: str, method: str) -> bool:

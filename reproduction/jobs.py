@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from reproduction.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, in_hz
+from reproduction.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, Setup, in_hz
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum, noisy_van_der_pol
 from splitband.data import Record, double_torsion, drill_string, read
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, QUICK
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Run
+from splitband.forecasters.backtest import Fit
 from splitband.metrics import cumulative_rmse, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.pictures import MEASURED, literal, time_label, times_of
@@ -26,7 +26,7 @@ def components(
 
     With "unfiltered", what the filters of a method were fed with instead.
     """
-    record, setup, runs = comparison.record, comparison.setup, comparison.runs
+    record, setup, runs = comparison.record, comparison.plan, comparison.fits
     parts: dict[str, Mapping[str, Array]] = {
         name: of_method[0].from_start.components
         if what == "components"
@@ -61,7 +61,7 @@ def components(
 
 def rollouts(comparison: Comparison) -> Figure:
     """Draw the median predictions of each method, a row for each channel, by both protocols."""
-    record, setup, medians = comparison.record, comparison.setup, comparison.medians
+    record, setup, medians = comparison.record, comparison.plan, comparison.medians
     rows = [(name, channel) for name in medians for channel in range(record.ny)]
     figure = Figure(figsize=(13, 0.9 + 1.25 * len(rows)), layout="constrained")
     grid = figure.subplots(len(rows), 2, sharex="col", sharey=record.ny == 1, squeeze=False)
@@ -99,7 +99,7 @@ def errors(comparison: Comparison) -> Figure:
 
     Lines are of the median of the seeds' predictions, shaded is the range of the single seeds.
     """
-    record, setup, runs = comparison.record, comparison.setup, comparison.runs
+    record, setup, runs = comparison.record, comparison.plan, comparison.fits
     figure = Figure(figsize=(13, 0.6 + 4 * record.ny), layout="constrained")
     protocols = [*PROTOCOLS.items()]
     times, end = times_of(record), setup.train
@@ -139,15 +139,15 @@ def errors(comparison: Comparison) -> Figure:
     return figure
 
 
-def _from_start(run: Run) -> Array:
+def _from_start(run: Fit) -> Array:
     return run.from_start.y
 
 
-def _forecast(run: Run) -> Array:
+def _forecast(run: Fit) -> Array:
     return run.ahead
 
 
-PROTOCOLS: dict[str, Callable[[Run], Array]] = {
+PROTOCOLS: dict[str, Callable[[Fit], Array]] = {
     "from the start": _from_start,
     "forecast": _forecast,
 }

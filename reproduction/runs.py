@@ -18,14 +18,9 @@ import numpy.typing as npt
 import torch
 
 from reproduction.jobs import Job
+from reproduction.settings import Setup
 from splitband.data import Record
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Errors, Run
-from splitband.evaluation.protocols import as_run as run_of
-from splitband.evaluation.setup import Setup
-from splitband.evaluation.work import RunProgress
-from splitband.forecasters.backtest import Origin, Question, backtest, first_origin
-from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.backtest import Fit, Origin, Question, backtest, first_origin
 from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
@@ -33,8 +28,8 @@ from splitband.models import Split
 from splitband.models.base import Signals
 from splitband.report.environment import environment
 from splitband.runtime.files import CHECKPOINTS, write_json_lines
-from splitband.runtime.processes import map_jobs
-from splitband.training import Checkpoint, Progress
+from splitband.runtime.workers import run_jobs
+from splitband.training import Checkpoint
 
 Array = npt.NDArray[np.float64]
 FORMAT = 1
@@ -48,20 +43,21 @@ _WAITED = 1.25  # wall seconds per processor second above which a run shared its
 def complete(
     jobs: Iterable[Job],
     folder: Path,
-    workers: int | Executor = 1,
-    progress: Callable[[RunProgress], None] | None = None,
+    executor: Executor | None = None,
+    done: Callable[[Job], None] = lambda job: None,
 ) -> int:
     """Run the jobs that have no file in `folder` yet; return how many there were.
 
     The file of each is written as soon as it is done, so that one stopped in between is all that is
-    lost. `workers` are processes of this machine, or any executor.
+    lost. Without an executor they run in this process. `done` is called with each.
     """
     todo = missing(jobs, folder)
     folder.mkdir(parents=True, exist_ok=True)
-    work = partial(_work, progress is None, folder.absolute())
-    for job, facts in map_jobs(work, [(job, job.record) for job in todo], workers, progress):
-        write_json_lines(folder / job.path, facts)
+    work = partial(_work, folder.absolute())
+    for (job, _), future in run_jobs(work, [(job, job.record) for job in todo], executor):
+        write_json_lines(folder / job.path, future.result())
         shutil.rmtree(folder / _checkpoints(job), ignore_errors=True)
+        done(job)
     return len(todo)
 
 
@@ -119,7 +115,7 @@ def load(job: Job, folder: Path) -> dict[str, Any]:
     return facts
 
 
-def as_run(facts: dict[str, Any], record: Record) -> Run:
+def as_fit(facts: dict[str, Any], record: Record) -> Fit:
     """A loaded run with the predictions that its file holds, of its job's record."""
 
     def prediction(values: Array, parts: dict[str, Array]) -> Prediction:
@@ -127,14 +123,17 @@ def as_run(facts: dict[str, Any], record: Record) -> Run:
         return Prediction(values, grid, record.columns, parts)
 
     parts = {name: _array(values) for name, values in facts["components"].items()}
-    return Run(
+    said, train = _array(facts["from_start"]), facts["settings"]["train"]
+    forecasts = {
+        Origin(train, len(record) - len(said)): prediction(said, parts),
+        Origin(train, train): prediction(_array(facts["forecast"]), {}),
+    }
+    return Fit(
         facts["job"]["method"],
-        Errors(facts["total_rmse"], facts["forecast_rmse"]),
-        prediction(_array(facts["from_start"]), parts),
-        prediction(_array(facts["forecast"]), {}),
-        fit=FitReport(facts["job"]["seed"], facts["seconds"], facts["losses"]),
-        description=facts["description"],
+        facts["job"]["seed"],
+        forecasts=forecasts,
         unfiltered={name: _array(values) for name, values in facts["unfiltered"].items()},
+        seconds=facts["seconds"],
     )
 
 
@@ -197,9 +196,7 @@ def _checkpoints(job: Job) -> str:
     return f"{job.path.with_suffix('')}-{CHECKPOINTS}"
 
 
-def _work(
-    silent: bool, folder: Path, sent: tuple[Job, Record], report: Callable[[RunProgress], None]
-) -> tuple[Job, dict[str, Any]]:
+def _work(folder: Path, sent: tuple[Job, Record]) -> dict[str, Any]:
     job, record = sent
     setup = job.setup(record)
     began, checkpoints, resumed = time.process_time(), None, False
@@ -208,22 +205,21 @@ def _work(
         checkpoints.mkdir(parents=True, exist_ok=True)
         resumed = any(checkpoints.iterdir())
     try:
-        done, sliced = run(job, record, setup, None if silent else report, checkpoints)
-        seconds = _time(done.fit.seconds, time.process_time() - began, resumed)
-        facts = _results(job, done) | seconds
+        done, sliced = run(job, record, setup, checkpoints)
+        seconds = _time(done.report.seconds, time.process_time() - began, resumed)
+        facts = _results(job, done, record) | seconds
         facts |= {} if sliced is None else {"sliced_rmse": sliced}
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
-    return job, _identity(job, record, setup) | facts | {"environment": environment()}
+    return _identity(job, record, setup) | facts | {"environment": environment()}
 
 
 def run(
     job: Job,
     record: Record,
     setup: Setup,
-    progress: Callable[[RunProgress], None] | None = None,
     checkpoints: Path | None = None,
-) -> tuple[Run, float | None]:
+) -> tuple[Fit, float | None]:
     """One method on a system, under both protocols; of a split model also `sliced_rmse`."""
     forecaster = job.forecaster(setup)
     forecaster.check(record[: setup.train])
@@ -232,21 +228,15 @@ def run(
     checkpoint = None
     if checkpoints is not None and forecaster.random:
         checkpoint = Checkpoint(checkpoints / f"{job.method}-{job.seed}.safetensors")
-
-    def watch(at: Progress) -> None:
-        if progress is not None:
-            progress(RunProgress(job.method, job.seed, at.share, at.loss))
-
-    question = Question(record, [first, forecast], len(record), keep=True)
-    done = backtest(forecaster, question, job.seed, watch, checkpoint)
+    question = Question(record, [first, forecast], len(record))
+    done = backtest(forecaster, question, job.seed, checkpoint=checkpoint)
     sliced = None
     if job.splits:
-        assert done.model is not None
-        assert done.model.network is not None
-        model = done.model.network.model
+        assert done.fitted.network is not None
+        model = done.fitted.network.model
         assert isinstance(model, Split)
         sliced = sliced_rmse(model, record, setup.train, setup.settings.warmup)
-    return run_of(Plan.of(record, [forecaster], setup), job.method, question, done), sliced
+    return done, sliced
 
 
 def sliced_rmse(model: Split, record: Record, train: int, warmup: int) -> float:
@@ -261,17 +251,18 @@ def sliced_rmse(model: Split, record: Record, train: int, warmup: int) -> float:
     return rmse(record.truth[warmup:], sum(part[0].double().numpy() for part in parts))
 
 
-def _results(job: Job, done: Run) -> dict[str, Any]:
+def _results(job: Job, done: Fit, record: Record) -> dict[str, Any]:
     """What came out; predictions at the paper's values only, components of the first seed only."""
-    if not np.isfinite(done.total_rmse + done.forecast_rmse):
+    total, ahead = (rmse(record.truth[-len(y) :], y) for y in (done.from_start.y, done.ahead))
+    if not np.isfinite(total + ahead):
         raise FloatingPointError("the prediction is not finite")
     varied = job.cutoff is not None or job.downsampling is not None or job.draw
     drawn = job.seed == 0 and not varied
     return {
-        "total_rmse": done.total_rmse,
-        "forecast_rmse": done.forecast_rmse,
+        "total_rmse": total,
+        "forecast_rmse": ahead,
         "description": done.description,
-        "losses": {name: _few(values) for name, values in done.fit.losses.items()},
+        "losses": {name: _few(values) for name, values in done.report.losses.items()},
         "from_start": [] if varied else _rounded(done.from_start.y),
         "forecast": [] if varied else _rounded(done.ahead),
         "components": _parts(done.from_start.components) if drawn else {},
@@ -304,7 +295,7 @@ def _identity(job: Job, record: Record, setup: Setup) -> dict[str, Any]:
     }
 
 
-_UNNAMED = {"penalty": 0.0, "linear_start": True, "own_warmup": False}
+_UNNAMED = {"penalty": 0.0, "linear_start": True, "own_warmup": False, "most_samples": 100_000}
 """Settings that are younger than some of the files, at the values that change nothing there."""
 
 

@@ -2,15 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import Sizes
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import Sizes, named
 from splitband.training import Settings
 
 SAMPLE_FREQUENCY = 10.0
 """The "sample frequency f" of every filter table, whatever the record's real rate."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the methods of one run share.
+
+    Attributes
+    ----------
+    train : Length of the training part, in samples.
+    settings : Of the training.
+    bands : Cut-off, order and down-sampling.
+    sizes : Of the networks.
+    """
+
+    train: int
+    settings: Settings
+    bands: Bands
+    sizes: Sizes
+
+    def forecaster(self, name: str) -> Forecaster:
+        """The method with this name."""
+        return named(name, self.sizes).with_defaults(self.settings, self.bands)
+
+    def as_json(self) -> dict[str, Any]:
+        """What a file of a run says of it."""
+        bands = asdict(self.bands)
+        said = {name: bands[name] for name in ("cutoff", "order", "downsampling")}
+        return {"train": self.train, "settings": asdict(self.settings), **said} | asdict(self.sizes)
 
 
 @dataclass(frozen=True)

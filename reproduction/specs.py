@@ -69,7 +69,7 @@ SPECS = {
     ),
     "pendulum": Spec(
         "Rows (ii) to (iv) on the simulated pendulum, each with its own excitation",
-        ("ii-simulated", "iii-simulated", "iv-simulated"), (*_GRU, *_NAIVE), {},
+        ("ii-simulated", "iii-simulated", "iv-simulated"), (*_GRU, *_NAIVE), {}, own_warmup=True,
     ),
     "noise-draws": Spec(
         f"System (i) over {DRAWS} noise draws, one seed each",
@@ -84,6 +84,7 @@ SPECS = {
     "epochs": Spec(
         "System (i), trained for longer",
         ("i",), _GRU, {}, shows="losses", varied="epochs", values=(300, 1000, 2000),
+        own_warmup=True,
     ),
     "cutoff": Spec(
         "Ablation of the cut-off w on system (i), k = 2",

@@ -10,7 +10,7 @@ def nothing_drawn(patch: pytest.MonkeyPatch) -> None:
     for figure in ("rollouts", "spectrum", "prediction"):
         patch.setattr(f"splitband.report.pictures.{figure}", lambda *_, **__: None)
     patch.setattr("splitband.report.pictures.save", lambda figure, path: None)
-    for result in ("comparison", "forecast", "rows", "check"):
+    for result in ("comparison", "forecast", "check"):
         patch.setattr(f"splitband.report.page.document.of_{result}", _empty_page)
 
 

@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband import Record, Settings
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import Sizes
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import Sizes, named
 
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Training part, settings, bands and sizes of the methods of a test."""
+
+    train: int
+    settings: Settings
+    bands: Bands = field(default_factory=Bands)
+    sizes: Sizes = field(default_factory=Sizes)
+
+    def forecaster(self, name: str) -> Forecaster:
+        """The method of that name."""
+        return named(name, self.sizes).with_defaults(self.settings, self.bands)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments of `compare` and `plan`."""
+        return {"settings": self.settings, "bands": self.bands, "sizes": self.sizes}
+
 
 NAN = np.nan
 DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140

@@ -12,19 +12,13 @@ import numpy.typing as npt
 import pytest
 
 from splitband import Forecaster, Record
-from splitband.evaluation.jobs import run_all
-from splitband.evaluation.plan import Plan, check
-from splitband.evaluation.protocols import Run, Runs, runs_of
-from splitband.evaluation.protocols import as_run as run_of
-from splitband.evaluation.protocols import question_of as both_protocols
-from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.recommendation import try_out as try_forecasters_out
-from splitband.evaluation.setup import Setup
-from splitband.evaluation.work import Work
-from splitband.forecasters.backtest import Backtest, Origin, Question, backtest, first_origin
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.run import compare as compared
+from splitband.forecasters.backtest import Fit, Origin, Question, backtest, first_origin
 from splitband.forecasters.network import Network
 from splitband.forecasters.saving import load_with_facts
 from splitband.models import Model
+from tests.records import Setup
 
 Array = npt.NDArray[np.float64]
 
@@ -55,7 +49,7 @@ def asked(
     seed: int = 0,
     later: Sequence[int] = (),
     others: Sequence[Record] = (),
-) -> Backtest:
+) -> Fit:
     """Both protocols, and forecasts from `later` samples by the same fit."""
     forecaster = setup.forecaster(name)
     forecaster.check(record[: setup.train], *others)
@@ -78,42 +72,15 @@ def question_of(
     return Question(record, sorted(origins), len(record), others)
 
 
-def run(name: str, record: Record, setup: Setup, seed: int = 0) -> Run:
-    """One method with one seed under both protocols."""
-    done = asked(name, record, setup, seed)
-    return run_of(Plan.of(record, (), setup), name, question_of(name, record, setup), done)
-
-
 def compare(
     record: Record,
     names: Sequence[Forecaster | str],
     setup: Setup,
-    seeds: Sequence[int] = (0,),
-    others: Sequence[Record] = (),
-) -> Runs:
-    """Methods by name, under both protocols."""
-    methods = forecasters(names, setup)
-    plan = Plan.of(record, methods, setup, others)
-    check(plan)
-    questions = {method.name: both_protocols(plan, method) for method in methods}
-    return runs_of(plan, questions, *run_all(methods, questions, seeds, Work()))
-
-
-def try_out(
-    record: Record,
-    names: Sequence[Forecaster | str],
-    setup: Setup,
-    seeds: Sequence[int] = (0,),
-    others: Sequence[Record] = (),
-) -> Trial:
-    """Methods by name, on the held-out end of the training part."""
-    part, steps = record[: setup.train], len(record) - setup.train
-    return try_forecasters_out(part, forecasters(names, setup), steps, seeds, Work(), others)
-
-
-def settled(trial: Trial, runs: Runs) -> Trial:
-    """The trial with what each seed of the methods forecast after all."""
-    return trial.settled(runs.ahead, runs.failed)
+    seeds: int = 1,
+    **options: Any,
+) -> Comparison:
+    """Methods by name, under both protocols, trained as the setup says."""
+    return compared(record, setup.train, names, seeds=seeds, **setup.options, **options)
 
 
 def with_other_samples(record: Record, start: int, stop: int | None = None) -> Record:

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from splitband import GRU, EulerMLP, Record, Settings
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task
 from splitband.networks import Backend, rollout
 from splitband.training import fit
 from splitband.training.windows import targets
+from tests.records import Setup
 from tests.support import simulated, untrained
 
 SETTINGS = Settings(30, 10, 2, 16)

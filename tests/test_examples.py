@@ -1,5 +1,6 @@
 """The documented examples run as they stand, and their hybrid models are worth their training."""
 
+import json
 import re
 import runpy
 import sys
@@ -12,6 +13,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
@@ -60,13 +62,39 @@ def test_what_users_add_is_compared_like_any_other(
     assert f"recommended: {best}\n" in printed.out
 
 
+def test_many_records_are_compared_one_by_one_and_summed_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As jobs of an array do it, with a network that is trained shortly."""
+    for name in ("FIRST_ROUND", "FIRST_STEPS"):
+        monkeypatch.setattr(f"splitband.evaluation.candidates.{name}", 2)
+    monkeypatch.setattr(
+        "splitband.evaluation.plan.usual_names", lambda *_: ["gru", "linear", "mean"]
+    )
+    (tmp_path / "records").mkdir()
+    for i, name in enumerate(("arm", "pump")):
+        u = np.random.default_rng(i).uniform(-1, 1, 300)
+        y = scipy.signal.lfilter([0.0, 0.1], [1.0, -0.9], u)
+        table = pd.DataFrame({"time": 0.1 * np.arange(300), "u": u, "y": y})
+        table.to_csv(tmp_path / f"records/{name}.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    for index in "01":
+        monkeypatch.setattr(sys, "argv", ["many_records.py", "records", "results", index])
+        runpy.run_path(str(EXAMPLES / "many_records.py"), run_name="__main__")
+    assert capsys.readouterr().out.splitlines() == ["arm.csv: linear", "pump.csv: linear"]
+    assert main(["summary", "results/arm", "results/pump", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["record"] for row in rows] == ["arm", "pump"]
+    assert all(row["fit"] > 99 for row in rows)
+
+
 def test_the_python_of_the_readme_runs_as_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a driven system; fewer methods are compared here."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     monkeypatch.setattr(
-        "splitband.evaluation.setup.usual_names", lambda *_: ["linear", "mean", "persistence"]
+        "splitband.evaluation.plan.usual_names", lambda *_: ["linear", "mean", "persistence"]
     )
     monkeypatch.chdir(tmp_path)
     force = np.random.default_rng(0).uniform(-1, 1, 2000)

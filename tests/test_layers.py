@@ -41,7 +41,7 @@ ONLY_IN = {
     "fmpy": {"simulators", "export"},
     "onnx": {"export"},
     "pooch": {"data"},
-    "distributed": {"runtime"},
+    "distributed": {"cli"},
 }
 
 
@@ -176,12 +176,11 @@ MOST_PARAMETERS, MOST_FIELDS = 6, 8
 LARGER = {
     "Blocks": "the parameters of a linear system, and which of them are free",
     "LinearModel": "a state-space model: its matrices, its filter, its states in training",
-    "_Made": "the same before it has units",
     "Record": "the one data container: a field for each signal, and what it is called",
     "Prediction": "a field for each array that a frame and a picture show",
-    "Run": "what one seed says under each of three protocols, and how the fit went",
+    "Fit": "what one training says under each of three protocols, and how it went",
+    "Plan": "all decisions of a comparison, each by its name",
     "Settings": "the paper's hyperparameters of a training and ours, named in every run file",
-    "Row": "a row of the benchmark's table: a field for each of its columns",
     "Section": "a part of the page: a field for each thing that its template may show",
     "Ode": "the options of a user: the equation, what is measured of it, and its solver",
     "Isolated": "a task of another process, as the options of a command say it",
@@ -189,8 +188,10 @@ LARGER = {
 LONGER = {
     "blocks_of": "the matrices of a system, and which of its poles are given",
     "plan": "all that a user may say of a comparison, each by its name",
+    "compare": "what to compare, and where and how its trainings run",
+    "forecast": "the same, and how far to forecast",
+    "fit": "where and how a training runs, and who watches it",
     "read": "all that a file may leave open of a record",
-    "try_out": "a trial of a few methods of a search that has not ended",
     "choose_with_simulator": "two signals, and all that a cut-off is chosen by",
     "perfect": "the filters of the paper's Eq. 6, joint recurrence; a user may give each number",
     "__init__": "the options of a model, each by its name",
@@ -239,6 +240,7 @@ LOOKED_AT = {
     "UserCode": "a file of the user's defines an `Ode` or the like, or a plain function",
     "Absent": "it stands where a simulator has to be given again",
     "Record": "one record or several",
+    "Settings": "of the settings all are given, or some of them by name",
     "WithRepr": "a value is written as Python by itself, or as Python's own types are",
 }
 """Classes of the package that an object is tested for, and why no method of it serves."""

@@ -56,5 +56,5 @@ def test_a_run_says_when_its_forecast_leaves_the_range_of_what_was_measured() ->
     far = standing_in(holed(y, 3, 50), 1e6, y_sim=np.arange(120.0)[:, None] / 55)
     short = replace(SETUP, train=100, settings=replace(QUICK, warmup=2))
     found = compare(far, ["simulator", "persistence"], short)
-    assert found["persistence"][0].leaves is None
-    assert found["simulator"][0].leaves == 11  # at sample 111 it says more than 2
+    assert found.leaves("persistence") is None
+    assert found.leaves("simulator") == 11  # at sample 111 it says more than 2

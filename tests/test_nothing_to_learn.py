@@ -50,7 +50,7 @@ def test_a_fit_says_that_nothing_is_to_be_learned() -> None:
     (note,) = fitted(AHEAD).require_fitted().report.notes
     assert note.startswith("nothing to learn: ")
     assert note.endswith("calibrating it may change that")
-    assert fitted(AHEAD).describe() == note
+    assert fitted(AHEAD).describe().endswith(f"; {note}")
     assert fitted(0.0).require_fitted().report.notes == ()
 
 

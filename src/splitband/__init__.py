@@ -1,12 +1,10 @@
 """Learn dynamics models from measured records, their slow and fast parts by different means.
 
-What the package hands out stands once, in `__init__.pyi`: a line there is all that a name needs.
+What the package hands out stands once, in `__init__.pyi`: a line there is all that a name needs. It
+is loaded when it is used, as torch and pandas take seconds.
 """
 
-import ast
-from importlib import import_module
-from pathlib import Path
-from typing import Any
+import lazy_loader
 
 from splitband.runtime.provided import provide
 
@@ -31,22 +29,4 @@ provide(
     }
 )
 
-_PLACES = {
-    name.name: str(line.module)
-    for line in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
-    if isinstance(line, ast.ImportFrom)
-    for name in line.names
-}
-__all__ = sorted(_PLACES)  # noqa: PLE0605
-
-
-def __getattr__(name: str) -> Any:
-    """Load a name on its first use: torch and pandas take seconds."""
-    if name not in _PLACES:
-        raise AttributeError(f"module 'splitband' has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_PLACES[name]), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_PLACES})
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

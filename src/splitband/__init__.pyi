@@ -1,84 +1,79 @@
 """Say what the package hands out, and where it is: for type checkers, and when it is loaded."""
 
-from splitband.data import (
+from .data import (
     Grid as Grid,
     Record as Record,
     read as read,
 )
-from splitband.evaluation.comparison import Comparison as Comparison
-from splitband.evaluation.forecast import (
+from .evaluation.clock import Clock as Clock
+from .evaluation.comparison import Comparison as Comparison
+from .evaluation.forecast import (
     Forecast as Forecast,
     forecast as forecast,
 )
-from splitband.evaluation.plan import (
+from .evaluation.plan import (
     Plan as Plan,
     plan as plan,
 )
-from splitband.evaluation.run import (
+from .evaluation.run import (
+    Standing as Standing,
     compare as compare,
     run as run,
 )
-from splitband.evaluation.saved_settings import SavedSettings as SavedSettings
-from splitband.evaluation.search import Search as Search
-from splitband.evaluation.setup import (
-    Options as Options,
-    Setup as Setup,
-)
-from splitband.evaluation.work import Work as Work
-from splitband.filters import ComplementaryPair as ComplementaryPair
-from splitband.forecasters.backtest import (
+from .filters import ComplementaryPair as ComplementaryPair
+from .forecasters.backtest import (
+    Fit as Fit,
     Origin as Origin,
     Question as Question,
     backtest as backtest,
 )
-from splitband.forecasters.bands import Bands as Bands
-from splitband.forecasters.base import Forecaster as Forecaster
-from splitband.forecasters.closed_form import (
+from .forecasters.bands import Bands as Bands
+from .forecasters.base import Forecaster as Forecaster
+from .forecasters.closed_form import (
     Harmonic as Harmonic,
     Mean as Mean,
     Periodic as Periodic,
     Persistence as Persistence,
     SeasonalNaive as SeasonalNaive,
 )
-from splitband.forecasters.ensemble import Ensemble as Ensemble
-from splitband.forecasters.grey_box import GreyBox as GreyBox
-from splitband.forecasters.hybrids import (
+from .forecasters.ensemble import Ensemble as Ensemble
+from .forecasters.grey_box import GreyBox as GreyBox
+from .forecasters.hybrids import (
     Filtered as Filtered,
     Residual as Residual,
 )
-from splitband.forecasters.known import Known as Known
-from splitband.forecasters.names import (
+from .forecasters.known import Known as Known
+from .forecasters.names import (
     Sizes as Sizes,
     named as named,
 )
-from splitband.forecasters.learned import (
+from .forecasters.learned import (
     Single as Single,
     Split as Split,
 )
-from splitband.forecasters.linear import Linear as Linear
-from splitband.forecasters.prediction import Prediction as Prediction
-from splitband.forecasters.saving import load as load
-from splitband.forecasters.simulation import (
+from .forecasters.linear import Linear as Linear
+from .forecasters.prediction import Prediction as Prediction
+from .forecasters.saving import load as load
+from .forecasters.simulation import (
     Calibrated as Calibrated,
     Simulation as Simulation,
 )
-from splitband.forecasters.streaming import Stream as Stream
-from splitband.metrics import (
+from .forecasters.streaming import Stream as Stream
+from .metrics import (
     ExtrapolationWarning as ExtrapolationWarning,
     cumulative_rmse as cumulative_rmse,
     fit_percent as fit_percent,
     nrmse as nrmse,
     rmse as rmse,
 )
-from splitband.networks import (
+from .networks import (
     GRU as GRU,
     Cell as Cell,
     EulerMLP as EulerMLP,
     StateSpace as StateSpace,
     rollout as rollout,
 )
-from splitband.runtime.cluster import Cluster as Cluster
-from splitband.simulators import (
+from .simulators import (
     Estimate as Estimate,
     Fmu as Fmu,
     Function as Function,
@@ -87,7 +82,7 @@ from splitband.simulators import (
     Simulator as Simulator,
     identify as identify,
 )
-from splitband.training import (
+from .training import (
     Progress as Progress,
     Settings as Settings,
 )

@@ -8,7 +8,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from benchmarks import inputs as records
+from benchmarks import kinds as records
 from splitband import Record, Settings
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
@@ -40,8 +40,24 @@ def test_a_late_input_costs_no_accuracy(model: sb.Linear) -> None:
     record = late(20)
     y = model.predict(SAMPLES - TRAIN, record[:TRAIN]).y
     assert model.delays == (20,)
-    assert "input delay u: 20 samples (0.4 s)" in model.describe()
+    assert "dead time u 19 samples (0.38 s; its impulse response begins at sample 20)" in (
+        model.describe()
+    )
     assert rmse(np.asarray(y), record.truth[TRAIN:]) < 2e-3
+
+
+def test_a_dead_time_is_that_of_the_continuous_plant() -> None:
+    """SciPy samples 1 / (s + 1) with the input held; a dead time of 30 samples is put before it."""
+    plant = tuple(np.array([[x]]) for x in (-1.0, 1.0, 1.0, 0.0))
+    a, b, *_ = scipy.signal.cont2discrete(plant, DT)  # type: ignore[arg-type]
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(SAMPLES // 10), 10)
+    late = np.append(np.zeros(30), u[:-30])
+    y = scipy.signal.lfilter([0.0, b[0, 0]], [1.0, -a[0, 0]], late)
+    model = sb.Linear().fit(Record(y + 0.01 * y.std() * rng.standard_normal(SAMPLES), DT, u=u))
+    assert "dead time u 30 samples (0.6 s;" in model.describe()
+    _, (response,) = scipy.signal.dimpulse(model.state_space(), n=40)  # type: ignore[arg-type]
+    assert np.flatnonzero(abs(response) > 1e-9)[0] == model.delays[0] == 31
 
 
 def test_a_delay_is_found_although_the_state_at_the_beginning_is_forgotten_within_it() -> None:
@@ -59,10 +75,10 @@ def test_a_delay_is_found_although_the_state_at_the_beginning_is_forgotten_withi
 def test_each_input_has_a_delay_of_its_own() -> None:
     model = sb.Linear().fit(late(0, 25))
     assert model.delays == (0, 25)
-    assert "input delay u1: 25 samples" in model.describe()
+    assert "dead time u1 24 samples" in model.describe()
 
 
-@pytest.mark.parametrize("make", [*records.RECORDS, *records.MIXED])
+@pytest.mark.parametrize("make", [*records.WITH_INPUTS.values(), records.tanks_and_cycle])
 def test_a_record_without_dead_time_has_none(make: object) -> None:
     assert callable(make)
     record = make(np.random.default_rng(0))[:1200]
@@ -95,7 +111,7 @@ def test_a_network_sees_what_acts_late_when_it_acts(tmp_path: Path) -> None:
     record, settings = late(20), Settings(60, 10, 1)
     model = sb.Single(sb.GRU(3), settings).fit(record[:TRAIN], seed=1)
     assert model.delays == (20,)
-    assert "input delay u: 20 samples" in model.describe()
+    assert "dead time u 19 samples" in model.describe()
     assert record.u is not None
     shifted = Record(record.y, DT, u=delayed(record.u, (20,)))
     by_hand = sb.Single(sb.GRU(3), settings).fit(shifted[:TRAIN], seed=1)

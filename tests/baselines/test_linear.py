@@ -224,6 +224,12 @@ def test_order_delay_and_integrators_can_be_given() -> None:
     assert found.delays == (0, 3)
 
 
+def test_given_delays_hold_for_each_output() -> None:
+    u = inputs()
+    found = sb.Linear(delay=[[4], [5]]).fit(sb.Record(oscillators(u), 0.2, u=u)).model
+    assert (found.delay(0, 0), found.delay(1, 0)) == (4, 5)
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [

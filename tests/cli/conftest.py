@@ -40,3 +40,10 @@ def driven_model(workspace: Path) -> Path:
     out = workspace / "driven"
     call(f"fit {workspace}/record.csv --columns a --inputs force --method gru {QUICK}", out)
     return out
+
+
+@pytest.fixture
+def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Candidates of a search are trained for a few steps only."""
+    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_ROUND", 3)
+    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_STEPS", 3)

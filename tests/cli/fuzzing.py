@@ -29,6 +29,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
+from unittest.mock import patch
 
 import numpy as np
 import pandas as pd
@@ -268,7 +269,8 @@ _FLAGS = (
     "--train", "--warmup", "--window", "--epochs", "--cutoff", "--order", "--downsampling",
     "--sampling-time", "--steps", "--seeds", "--horizon", "--hidden", "--lr-milestones",
     "--columns", "--inputs", "--time-column", "--gaps", "--methods", "--method", "--more",
-    "--simulator", "--simulator-timeout", "--recipe", "--history", "--learning-rate", "--nonsense",
+    "--simulator", "--simulator-timeout", "--recipe", "--history", "--learning-rate",
+    "--seed", "--like", "--nonsense",
 )  # fmt: skip
 _WORDS = (
     *_NUMBERS, "a", "b", "time", "mask", "refuse", "auto", "default", "gru", "split-gru",
@@ -300,7 +302,8 @@ def command_line(
         words += [word for option in options for word in option]
         before = _contents(folder)
         said, complained = io.StringIO(), io.StringIO()
-        with _working_in(folder), redirect_stdout(said), redirect_stderr(complained):
+        quick = patch("splitband.evaluation.plan.BUDGET", 5.0)
+        with _working_in(folder), quick, redirect_stdout(said), redirect_stderr(complained):
             status = main(words)
         after = {k: v for k, v in _contents(folder).items() if k.split("/")[0] != "out"}
     assert status in (0, 2), words
@@ -311,7 +314,6 @@ def command_line(
     outcomes["command_line"]["refused" if status else "done"] += 1
 
 
-@cache
 @cache
 def _small_model() -> sb.Forecaster:
     record = sb.Record(np.sin(0.3 * np.arange(60)), 0.1, columns=("a",))

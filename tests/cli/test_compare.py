@@ -4,17 +4,14 @@ import html
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from splitband import read
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.report.numbers import number
-from splitband.runtime.processes import map_jobs
 from splitband.training import Settings
 from tests.cli.support import (
     DT,
@@ -27,13 +24,12 @@ from tests.cli.support import (
     WARMUP,
     A,
     B,
-    assert_pictures,
     call,
     files,
     results,
     written,
 )
-from tests.records import rms
+from tests.records import Setup, rms
 from tests.support import compare
 
 pytestmark = pytest.mark.usefixtures("inside")
@@ -94,9 +90,10 @@ def test_compare_gives_the_numbers_of_the_library(compared: Path) -> None:
     sizes = Sizes(hidden_high=4, hidden_low=3)
     setup = Setup(TRAIN, Settings(30, WARMUP, 2), Bands(**chosen), sizes)
     record = read("record.csv", columns="a")
-    for name, (run,) in compare(record, ["gru", "split-gru-hp"], setup).items():
-        assert facts["methods"][name]["total_rmse"] == [run.total_rmse]
-        assert facts["methods"][name]["forecast_rmse"] == [run.forecast_rmse]
+    result = compare(record, ["gru", "split-gru-hp"], setup)
+    for name, (fit,) in result.fits.items():
+        assert facts["methods"][name]["total_rmse"] == [result.errors(fit).total]
+        assert facts["methods"][name]["forecast_rmse"] == [result.errors(fit).forecast]
 
 
 def test_compare_follows_both_protocols_to_the_letter(compared: Path) -> None:
@@ -105,10 +102,6 @@ def test_compare_follows_both_protocols_to_the_letter(compared: Path) -> None:
     assert held["total_rmse"] == [pytest.approx(rms(A[WARMUP:] - A[WARMUP - 1]))]
     assert held["forecast_rmse"] == [pytest.approx(rms(A[TRAIN:] - A[TRAIN - 1]))]
     assert facts["harmonic"]["total_rmse"][0] < 1e-6  # the record is two sinusoids
-
-
-def test_compare_draws_its_pictures(compared: Path) -> None:
-    assert_pictures(compared, "rollouts.png")
 
 
 def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> None:
@@ -124,10 +117,9 @@ def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> 
     assert "a, gru, lower" not in table
 
 
-def test_compare_leaves_nothing_but_results_pictures_and_page(compared: Path) -> None:
-    pictures = {path.name for path in compared.glob("*.png")}
+def test_compare_leaves_nothing_but_results_page_and_model(compared: Path) -> None:
     assert set(files(compared)) == {
-        "results.json", "predictions.csv", "report.html", *pictures,
+        "results.json", "predictions.csv", "report.html",
         *(f"model/{name}" for name in files(compared / "model")),
     }  # fmt: skip
     assert "forecaster.json" in files(compared / "model")
@@ -171,7 +163,6 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
     assert facts["total_rmse"] == [pytest.approx(rms(A[10:150] - A[9]))]
 
 
-@pytest.mark.usefixtures("drawn")
 def test_compare_takes_several_channels_and_known_inputs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,21 +184,10 @@ def test_compare_takes_several_channels_and_known_inputs(
         assert [c["channel"] for c in columns] == ["a", "b"]
         assert [c["values"]["persistence"] for c in columns] == pytest.approx(errors)
     assert all(f"{error:.3f}" in shown for error in each[1])
-    assert_pictures(tmp_path, "rollouts.png")
 
 
-def test_several_seeds_are_run_by_as_many_processes_as_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-
-    def in_this_process(work: Any, jobs: Any, processes: Any, progress: Any, _: Any) -> Any:
-        asked.extend([(len(jobs), processes._pool._max_workers)] if jobs else [])
-        return map_jobs(work, jobs, 1, progress)
-
-    monkeypatch.setattr("splitband.evaluation.jobs.map_jobs", in_this_process)
-    call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 3 --jobs 2", tmp_path)
-    assert asked == [(2, 2), (3, 2)]  # two seeds are tried out, three trained
+def test_several_seeds_are_trained_and_their_spread_is_told(tmp_path: Path) -> None:
+    call(f"compare record.csv --columns a --methods gru {QUICK} --seeds 3 --jobs 1", tmp_path)
     found = results(tmp_path)["methods"]["gru"]
     assert found["seeds"] == [0, 1, 2]
     assert len({*found["total_rmse"]}) == 3

@@ -53,7 +53,7 @@ def test_calibrated_and_conditioned_variants_follow_the_method() -> None:
         calibrate=True,
         conditioned=True,
     )
-    assert [method.name for method in planned(asked, 1).methods] == [
+    assert [method.name for method in planned(asked).methods] == [
         "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
         "filtered-gru-calibrated-conditioned",
     ]  # fmt: skip

@@ -6,18 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.support import DT, SAMPLES, SLOW, A, assert_pictures, call, results, written
+from tests.cli.support import DT, SAMPLES, SLOW, A, call, results, written
 from tests.records import rms
 
 pytestmark = pytest.mark.usefixtures("inside", "simulated_here")
 
 
-@pytest.mark.usefixtures("drawn")
 def test_forecast_goes_on_from_the_end_of_a_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     methods = ["gru", "harmonic", "mean"]
-    monkeypatch.setattr("splitband.evaluation.setup.usual_names", lambda *_: methods)
+    monkeypatch.setattr("splitband.evaluation.plan.usual_names", lambda *_: methods)
     pd.read_csv("record.csv").iloc[:150].to_csv(tmp_path / "begun.csv", index=False)
     call(
         f"forecast {tmp_path}/begun.csv --columns a --steps 50 --seeds 1 --jobs 1 --epochs 2",
@@ -29,7 +28,6 @@ def test_forecast_goes_on_from_the_end_of_a_record(
     assert found["method"] == min(found["held_out_rmse"], key=found["held_out_rmse"].get)
     assert found["method"] == "harmonic"
     np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
-    assert_pictures(tmp_path / "out", "forecast.png")
 
 
 def test_forecast_takes_known_inputs_and_several_seeds(tmp_path: Path) -> None:

@@ -8,12 +8,11 @@ import pytest
 
 from splitband import Settings, read
 from splitband.cli.spectrum import _show_simulator
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from tests.cli.support import QUICK, A, B, assert_fails, call, results, written
-from tests.records import DT, NAN, rms, with_gaps
-from tests.support import compare, simulated, try_out
+from tests.records import DT, NAN, Setup, rms, with_gaps
+from tests.support import compare, simulated
 from tests.support import load_model as load
 
 GRU_ON = f"--columns a --methods gru {QUICK} --seeds 1 --jobs 1 --out out"
@@ -93,11 +92,11 @@ def test_compare_trains_on_further_records_and_tries_out_with_them(
     gappy, whole = (
         read(folder / f"{name}.csv", columns="a", gaps="mask") for name in ("gappy", "whole")
     )
-    runs = compare(gappy, ["gru"], setup, (0, 1), others=[whole])["gru"]
-    assert found["total_rmse"] == [each.total_rmse for each in runs]
-    trial = try_out(gappy, ["gru"], setup, (0, 1), others=[whole])
-    assert (found["held_out_rmse"],) == trial.errors["gru"]
-    assert trial.errors != try_out(gappy, ["gru"], setup, (0, 1)).errors
+    result = compare(gappy, ["gru"], setup, seeds=2, others=[whole])
+    assert found["total_rmse"] == [result.errors(fit).total for fit in result.fits["gru"]]
+    errors = result.require_trial().errors
+    assert (found["held_out_rmse"],) == errors["gru"]
+    assert errors != compare(gappy, ["gru"], setup, seeds=2).require_trial().errors
 
 
 def test_fit_and_simulate_go_around_gaps(

@@ -49,7 +49,7 @@ def test_every_command_that_compares_trains_or_simulates_prints_json(
         "data": "named",
         "doctor": "versions",
     }
-    assert {*lines, "demo", "benchmark", "spectrum", "check"} == {*COMMANDS}
+    assert {*lines, "demo", "spectrum", "check", "summary"} == {*COMMANDS}
     for command, line in lines.items():
         call(f"{line} --json")
         assert keys[command] in json.loads(capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""Ctrl-C stops a command in one line and leaves nothing half written."""
+"""Ctrl-C ends a command with what there is, a second one at once, and nothing is half written."""
 
 import os
 import shlex
@@ -6,91 +6,123 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import splitband as sb
 from splitband.cli import main
+from splitband.cli.live import Display
+from splitband.evaluation.run import Standing
+from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
-from tests.cli.support import QUICK, SIMULATOR, complaints, files
-from tests.runtime.test_processes import eventually
+from tests.cli.support import SIMULATOR, complaints, files, results
+from tests.runtime.test_workers import eventually
 
-pytestmark = pytest.mark.usefixtures("inside")
+pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
+
+STOPPED = (
+    "error: stopped; no file is half written, and the same command goes on from what is finished"
+)
+LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --rounds 9 --jobs 1"
 
 
-def test_an_interrupt_says_so_and_leaves_no_file(capsys: pytest.CaptureFixture[str]) -> None:
+def pressed() -> None:
+    """What Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
+def terminated() -> None:
+    """What a batch system does."""
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def ending(monkeypatch: pytest.MonkeyPatch, end: Callable[[], None], doing: str) -> None:
+    """End the command where a comparison has come so far."""
+    shown = Display.__call__
+
+    def ended(display: Display, standing: Standing) -> None:
+        shown(display, standing)
+        if standing.doing.startswith(doing):
+            end()
+
+    monkeypatch.setattr(Display, "__call__", ended)
+
+
+def test_an_interrupt_before_the_first_result_leaves_no_file(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     before = files(Path())
     assert main(shlex.split(SIMULATOR + "functions.py:interrupted")) == 130
-    said = capsys.readouterr().err
-    assert said == (
-        "error: stopped; no file is half written, and the same command goes on from here\n"
-    )
+    assert capsys.readouterr().err == f"{STOPPED}\n"
     assert files(Path()) == before
 
 
-def test_a_batch_system_that_ends_the_command_is_heard_as_ctrl_c(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("end", [pressed, terminated])
+def test_ctrl_c_ends_with_the_result_and_the_model_so_far(
+    end: Callable[[], None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    line = f"compare record.csv --columns a --methods gru {QUICK} --seeds 1 --out {tmp_path}/out"
+    """SIGTERM is heard by a process of its own alone."""
+    ending(monkeypatch, end, "round 2, 0 of")
+    line, before = f"{LINE} --out {tmp_path}", signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(sys, "argv", ["splitband", *shlex.split(line)])
-    monkeypatch.setattr("rich.progress.Progress.update", lambda *_, **__: terminated())
-    before = signal.getsignal(signal.SIGTERM)
     try:
         assert main() == 130
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert capsys.readouterr().err.startswith("error: stopped; no file is half written")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}
+    said = capsys.readouterr()
+    assert said.err == f"{STOPPED}\n"
+    assert "recommended: " in said.out
+    found = results(tmp_path)
+    assert found["interrupted"] is True
+    assert found["methods"].keys() == {"gru", "mean"}
+    assert sb.load(tmp_path / "model").name == found["recommended"]
+    assert [*(tmp_path / CHECKPOINTS).glob("*.safetensors")]
 
 
-def terminated() -> None:
-    os.kill(os.getpid(), signal.SIGTERM)
+def test_a_second_ctrl_c_leaves_what_was_written_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It comes while the result is written."""
+    kept: dict[str, bytes] = {}
 
+    def again(*_: Any) -> None:
+        kept.update(files(tmp_path))
+        pressed()
 
-TRAINED = "out/*/*/*.safetensors"
+    def first() -> None:
+        monkeypatch.setattr(written, "save", again)
+        pressed()
 
-# In the process whose copies train, it runs before anything else is loaded.
-ANNOUNCE = """
-import os, pathlib, sys
-if "multiprocessing.forkserver" in " ".join(sys.orig_argv):
-    pathlib.Path(__file__).with_name(f"{os.getpid()}.loading").touch()
-"""
+    ending(monkeypatch, first, "round 2, 0 of")
+    assert main(shlex.split(f"{LINE} --out {tmp_path}")) == 130
+    assert capsys.readouterr().err == f"{STOPPED}\n"
+    assert results(tmp_path)["unfinished"] == "round 1"
+    assert sb.load(tmp_path / "model").name == results(tmp_path)["recommended"]
+    after = files(tmp_path)
+    assert {name: after.get(name) for name in kept if "lock" not in name} == {
+        name: content for name, content in kept.items() if "lock" not in name
+    }
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")
-@pytest.mark.parametrize(
-    ("jobs", "files", "count"),
-    [
-        pytest.param(1, TRAINED, 1, id="while it trains", marks=pytest.mark.soak),
-        pytest.param(2, "*.loading", 1, id="while it loads", marks=pytest.mark.soak),
-        pytest.param(2, TRAINED, 2, id="while its processes train"),
-    ],
-)
-def test_ctrl_c_stops_at_once_and_leaves_nothing_half_written(
-    workspace: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    jobs: int,
-    files: str,
-    count: int,
+def test_ctrl_c_reaches_the_processes_that_train(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     temporary = Path(tempfile.mkdtemp())  # its name is short enough for sockets
     monkeypatch.setenv("TMPDIR", str(temporary))
-    (tmp_path / "sitecustomize.py").write_text(ANNOUNCE)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    line = (
-        f"compare {workspace}/record.csv --columns a --methods gru --epochs 100000 "
-        f"--cutoff 1 --hidden 4,3 --window 30 --seeds 2 --jobs {jobs} --out {tmp_path / 'out'}"
-    )
-    with command_line(line) as running:
-        eventually(lambda: len([*tmp_path.glob(files)]) >= count)
-        assert interrupted(running) == [
-            "error: stopped; no file is half written, and the same command goes on from here"
-        ]
+    line = LINE.replace("record.csv", f"{workspace}/record.csv").replace("--jobs 1", "--jobs 2")
+    with command_line(f"{line} --out {tmp_path / 'out'}") as running:
+        eventually(lambda: [*tmp_path.glob(f"out/{CHECKPOINTS}/*.safetensors")] != [])
+        assert interrupted(running) == [STOPPED]
     temporary.rmdir()  # nothing is left in it
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {CHECKPOINTS}
+    assert results(tmp_path / "out")["interrupted"] is True
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal to a group of processes")

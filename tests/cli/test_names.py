@@ -11,44 +11,30 @@ import splitband as sb
 from splitband.cli import main
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options.records import RecordOptions
-from splitband.cli.setups import names
-from splitband.forecasters.names import Sizes, named
-from splitband.forecasters.network import Network
-from splitband.report.results import FOUND, save_settings
-from splitband.training import Settings
+from splitband.cli.options.values import names
 from tests.cli.support import DT, FORCE, SAMPLES, A, B, call, results
 
 pytestmark = pytest.mark.usefixtures("inside")
 
-QUICK = Settings(20, 10, 1, 16, most_batches=1)
 
-
-@pytest.fixture
-def found(tmp_path: Path) -> Path:
-    """What `compare record.csv --columns a --inputs force` writes where it recommends a GRU."""
-    network = named("gru", Sizes(3, 2))
-    assert isinstance(network, Network)
-    network.settings = QUICK
-    save_settings(network, sb.read("record.csv", columns="a", inputs="force"), tmp_path)
-    return tmp_path / FOUND
-
-
-def test_settings_bring_columns_and_inputs(
-    found: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_earlier_model_brings_columns_and_inputs(
+    driven_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"fit record.csv --jobs 1 --settings {found}", tmp_path / "model")
-    facts = results(tmp_path / "model")
+    capsys.readouterr()
+    call(f"fit record.csv --jobs 1 --like {driven_model}", tmp_path / "model")
+    facts, earlier = results(tmp_path / "model"), results(driven_model)
     assert (facts["columns"], facts["inputs"]) == (["a"], ["force"])
+    assert facts["training"] == earlier["training"]
     said = f"record.csv: inputs: force; outputs: a; {SAMPLES} samples every {DT} s"
     assert said in capsys.readouterr().out.splitlines()
-    assert planned(Request("record.csv", settings=found), 1).record.inputs == ("force",)
+    assert planned(Request("record.csv", like=driven_model)).record.inputs == ("force",)
 
 
 def test_a_column_with_a_comma_stands_in_double_quotes(tmp_path: Path) -> None:
     table = pd.read_csv("record.csv").rename(columns={"a": "a, measured"})
     table.to_csv(tmp_path / "rig.csv", index=False)
     given = RecordOptions(columns=' "a, measured" ,b', inputs="force")
-    record = planned(Request(f"{tmp_path}/rig.csv", given, methods="mean"), 1).record
+    record = planned(Request(f"{tmp_path}/rig.csv", given, methods="mean")).record
     assert record.columns == ("a, measured", "b")
     assert names('force  (N), ,"x"') == ["force  (N)", "x"]
 
@@ -62,18 +48,18 @@ def test_a_column_with_a_comma_stands_in_double_quotes(tmp_path: Path) -> None:
         ("--columns a --inputs ''", "inputs: none; outputs: a"),
     ],
 )
-def test_settings_for_other_columns_are_refused(
-    found: Path, options: str, own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_model_of_other_columns_is_refused(
+    driven_model: Path, options: str, own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = f"fit record.csv {options} --settings {found} --out {tmp_path / 'm'}"
+    line = f"fit record.csv {options} --like {driven_model} --out {tmp_path / 'm'}"
     assert main(shlex.split(line)) == 2
     said = capsys.readouterr().err
-    assert f"the settings are for inputs: force; outputs: a, the record has {own};" in said
-    line = f"fit history_renamed.csv --settings {found} --out {tmp_path / 'm'}"
+    assert f"it is for inputs: force; outputs: a, the record has {own}" in said
+    line = f"fit history_renamed.csv --like {driven_model} --out {tmp_path / 'm'}"
     assert main(shlex.split(line)) == 2
     said = capsys.readouterr().err
     assert "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'" in said
-    assert said.endswith("--settings is for inputs: force; outputs: a\n")
+    assert said.endswith("the model of --like is for inputs: force; outputs: a\n")
 
 
 def test_a_history_of_other_names_is_refused_by_command_and_in_python(

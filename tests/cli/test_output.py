@@ -75,7 +75,6 @@ def test_a_simulation_never_replaces_a_file_of_its_model(
         ("fit {} --method mean", "RECORD"),
         ("forecast {} --method mean --steps 3", "RECORD"),
         ("forecast record.csv --steps 3 --future-inputs {}", "--future-inputs"),
-        ("benchmark {}", "LIST"),
     ],
 )
 def test_no_command_replaces_what_it_reads(
@@ -86,14 +85,6 @@ def test_no_command_replaces_what_it_reads(
         shutil.copy("record.csv", f"out/{each}")
         given = line.format(f"out/{each}")
         assert_fails(f"{given} --out out", (f"out/{each} is read by {option}",), capsys)
-
-
-def test_a_list_is_no_reason_to_replace_its_records(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("a").mkdir()
-    shutil.copy("record.csv", "a/predictions.csv")
-    Path("list.csv").write_text("record,name\na/predictions.csv,a\n")
-    line = "benchmark list.csv --methods mean --out ."
-    assert_fails(line, ("a/predictions.csv is read by list.csv, case a",), capsys)
 
 
 def test_a_second_command_in_the_folder_is_refused_in_one_line(

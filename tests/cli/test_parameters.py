@@ -82,7 +82,7 @@ def test_compare_puts_fitted_parameters_beside_other_methods(
 
 def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process() -> None:
     reading, simulator = RecordOptions(inputs="u"), SimulatorOrBaseOptions("plant.py:plant")
-    plan = planned(Request("record.csv", reading, simulator), 1)
+    plan = planned(Request("record.csv", reading, simulator))
     methods = {method.name: method for method in plan.methods}
     assert {"simulator-as-given", "residual-grey-box-state-space-conditioned"} <= methods.keys()
     sent = pickle.loads(pickle.dumps(methods["grey-box"])).fit(plan.record)

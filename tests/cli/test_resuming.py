@@ -8,7 +8,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,25 +15,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import lfilter
 
 from reproduction.__main__ import main as reproduce
 from splitband.cli import main
 from splitband.runtime.files import CHECKPOINTS
-from tests.cli.test_interrupting import command_line
-from tests.runtime.test_processes import eventually
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork") or sys.platform == "darwin",
     reason="kills a forked process; on macOS forking after threads is unsafe",
 )
 
-QUICK = "--epochs 10 --hidden 8,6 --window 40 --warmup 12 --train 150"
 COMMANDS = {
-    "fit": f"fit record.csv --method split-gru-conditioned {QUICK}",
-    "compare": f"compare record.csv --methods gru,split-gru,mean {QUICK} --seeds 1 --jobs 1",
-    "benchmark": "benchmark list.csv --methods gru,mean --epochs 12 --hidden 4,3 --window 40 "
-    "--warmup 12 --seeds 1 --jobs 1",
+    "fit": "fit record.csv --method split-gru-conditioned --epochs 10 --hidden 8,6 --window 40 "
+    "--warmup 12 --train 150",
+    "compare": "compare record.csv --methods gru,split-gru,mean --hidden 4,3 --rounds 1 --jobs 1",
     "reproduction": "reproduction table learning-based --systems i --methods split-gru "
     "--seeds 1 --epochs 8 --jobs 1",
 }
@@ -49,9 +43,10 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.3 * t)
     y += 0.05 * np.random.default_rng(0).standard_normal(200)
     pd.DataFrame({"time": t, "a": y}).to_csv(tmp_path / "record.csv", index=False)
-    (tmp_path / "list.csv").write_text("record,name,train\nrecord.csv,a,150\nrecord.csv,b,120\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
+    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_ROUND", 3)
+    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_STEPS", 3)
 
 
 def begin(line: str, operation: Callable[[], None] | None = None) -> int:
@@ -133,23 +128,40 @@ def without_times(found: Any) -> Any:
     return [*map(without_times, found)] if isinstance(found, list | tuple) else found
 
 
-@pytest.mark.parametrize(
-    ("command", "kills"),
-    [
-        *[(command, 2) for command in COMMANDS if command != "compare"],  # a list is compared, too
-        *[pytest.param(command, 20, marks=pytest.mark.soak) for command in COMMANDS],
-    ],
-)
-def test_a_command_killed_between_file_operations_ends_with_the_same_numbers(
-    command: str, kills: int, tmp_path: Path
+@pytest.mark.parametrize("command", [each for each in COMMANDS if each != "compare"])
+def test_a_training_killed_between_file_operations_ends_with_the_same_numbers(
+    command: str, tmp_path: Path
 ) -> None:
-    line = f"{COMMANDS[command]} --out {tmp_path}"
+    line, kills = f"{COMMANDS[command]} --out {tmp_path}", 2
     operations = operations_of(f"{line}/whole")
     for _ in range(kills):
         operations_of(f"{line}/killed", killed_before=operations // (kills + 1))
     rest = operations_of(f"{line}/killed")
     assert rest < 0.6 * operations  # it has gone on, and not begun anew
     assert_same(command, tmp_path / "killed", tmp_path / "whole")
+
+
+def test_a_comparison_goes_on_from_its_finished_trainings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line, out = f"{COMMANDS['compare']} --out", tmp_path / "killed"
+    assert main(shlex.split(f"{line} {tmp_path / 'whole'}")) == 0
+
+    def finished() -> set[Path]:
+        found = (out / CHECKPOINTS).glob("*.safetensors")
+        return {path for path in found if path.name[0] != "."}
+
+    def kill() -> None:
+        if len(finished()) == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    assert killed(begin(f"{line} {out}", kill))
+    kept = {path: path.stat().st_mtime_ns for path in finished()}
+    assert len(kept) == 2
+    capsys.readouterr()
+    assert main(shlex.split(f"{line} {out}")) == 0
+    assert "going on: 2 finished trainings kept" in capsys.readouterr().out
+    assert_same("compare", out, tmp_path / "whole")
 
 
 @pytest.mark.soak
@@ -172,56 +184,3 @@ def test_a_command_killed_at_random_moments_ends_with_the_same_numbers(
         else:
             assert_same(command, tmp_path / "killed", tmp_path / "whole")
             shutil.rmtree(tmp_path / "killed")
-
-
-def write_driven(cases: int) -> None:
-    """Resonances, each faster than the one before, under a force that jumps; and a list of them."""
-    rng = np.random.default_rng(0)
-    for i in range(cases):
-        force = np.repeat(rng.choice([-1.0, 1.0], 20), 10)
-        y = lfilter([0.1], [1, -1.9 * np.cos(0.1 + 0.02 * i), 0.9], force)
-        y += 0.02 * rng.standard_normal(200)
-        table = pd.DataFrame({"time": 0.1 * np.arange(200), "a": y, "force": force})
-        table.to_csv(f"driven-{i}.csv", index=False)
-    rows = [f"driven-{i}.csv,force" for i in range(cases)]
-    Path("driven.csv").write_text("\n".join(["record,inputs", *rows]))
-
-
-@pytest.mark.soak
-def test_a_list_of_24_cases_killed_twice_ends_with_the_same_table(tmp_path: Path) -> None:
-    write_driven(24)
-    line = (
-        "benchmark driven.csv --methods gru,linear,mean,persistence --epochs 3 --seeds 1 --jobs 1"
-    )
-    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
-    with command_line(f"{line} --out {whole}") as running:
-        assert running.wait() == 0
-
-    def finished() -> dict[Path, bytes]:
-        return {path: path.read_bytes() for path in stopped.glob("*/results.json")}
-
-    def at_work_after(cases: int) -> bool:
-        """Whether so many are finished, and the network of the next one is trained in part."""
-        trained = stopped.glob(f"*/{CHECKPOINTS}/**/*.safetensors")
-        return len(finished()) >= cases and any(trained)
-
-    kept: dict[Path, bytes] = {}
-    for cases in (8, 16):
-        with command_line(f"{line} --out {stopped}") as running:
-            eventually(partial(at_work_after, cases), seconds=3600)
-            os.killpg(running.pid, signal.SIGKILL)
-        assert running.returncode == -signal.SIGKILL
-        assert kept.items() <= finished().items()
-        kept = finished()
-        assert cases <= len(kept) < 24
-        assert not (stopped / "table.csv").exists()
-    with command_line(f"{line} --out {stopped}") as running:
-        assert running.wait() == 0
-    assert kept.items() <= finished().items()  # none of them was computed again
-    found, expected = (
-        pd.read_csv(each / "table.csv", index_col="name").drop(columns="seconds")
-        for each in (stopped, whole)
-    )
-    assert len(found) == 24
-    pd.testing.assert_frame_equal(found, expected, check_exact=True)
-    assert_same("benchmark", stopped, whole)

@@ -115,7 +115,7 @@ def test_what_is_fitted_in_closed_form_goes_on_as_python_says(method: str, tmp_p
     history = read("history.csv", columns=["a"], inputs=["force"])
     expected = sb.load(out).predict(25, history, u=FORCE[50:75]).y
     np.testing.assert_allclose(written(tmp_path / "ahead.csv")[["a"]], expected, rtol=1e-12)
-    np.testing.assert_allclose(expected[:, 0], A[50:75], atol=0.7)
+    assert np.corrcoef(expected[:, 0], A[50:75])[0, 1] > 0.9
 
 
 def test_an_interval_that_is_saved_with_a_model_is_written(

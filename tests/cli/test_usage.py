@@ -4,7 +4,6 @@ import shlex
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import splitband as sb
 from splitband.cli.usage import usage
@@ -23,7 +22,7 @@ OUT = Path("out")
 def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
     u = np.zeros((200, nu)) if nu else None
     record = sb.Record(np.zeros((200, 1)), 0.1, u=u, start=start, name=name)
-    return Plan.of(record, (), sb.Setup(150, sb.Settings()))
+    return Plan(record, 150, 50, (), sb.Settings())
 
 
 def test_the_trained_model_is_simulated_with_what_was_given() -> None:
@@ -36,7 +35,7 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     )
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--cutoff auto --method gru --out out/model-of-all"
+        "--like out --out out/model-of-all"
     )
     assert "sb.load('out/model')" in python
     assert "u=u" in python
@@ -50,13 +49,13 @@ def test_inputs_to_come_are_asked_for_where_the_record_does_not_say_when_they_ar
 
 
 def test_a_network_is_trained_again_as_it_was_found() -> None:
-    """What decides how to train is in the file; the record and the device are not."""
+    """What decides how to train is in the folder; the record and the device are not."""
     given = GIVEN | {"budget": "1m", "hidden": 8, "device": "cuda"}
     model = sb.Single(sb.GRU(8), sb.Settings())
     _, (_, fit), *_ = usage("compare", given, OUT, planned(1), model).commands
     assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--settings out/recommended.json --device cuda --method gru --out out/model-of-all"
+        "--like out --device cuda --out out/model-of-all"
     )
 
 
@@ -83,8 +82,7 @@ def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     assert found.asked == "splitband demo --out demo"
 
 
-@pytest.mark.parametrize("command", ["demo", "benchmark"])
-def test_a_command_without_a_record_has_no_example(command: str) -> None:
-    found = usage(command, {"listed": "a list.csv", "out": "out"})
+def test_a_command_without_a_record_has_no_example() -> None:
+    found = usage("demo", {"out": "my demo"})
     assert not found.commands
-    assert found.asked == f"splitband {command} 'a list.csv' --out out"
+    assert found.asked == "splitband demo --out 'my demo'"

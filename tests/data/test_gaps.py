@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -57,11 +58,21 @@ def test_a_sample_whose_input_is_not_known_does_not_count_as_measured() -> None:
         np.arange(10.0).reshape(5, 2),
         np.array([[1.0, 0], [NAN, 0], [3, 0], [3, np.inf], [3, 1]]),
     )
-    found = with_gaps(holed(y, 4, channel=1), u=u)
+    with pytest.warns(UserWarning, match=r"input 'u[01]' .* 1 of 5 .*row [13]\)"):
+        found = with_gaps(holed(y, 4, channel=1), u=u)
     np.testing.assert_array_equal(
         found.seen, [[0, 1], [NAN, NAN], [NAN, NAN], [NAN, NAN], [NAN, NAN]]
     )  # fmt: skip
-    np.testing.assert_array_equal(found.u, [[1, 0], [2, 0], [3, 0], [3, 0.5], [3, 1]])
+    np.testing.assert_array_equal(found.u, [[1, 0], [1, 0], [3, 0], [3, 0], [3, 1]])
+
+
+def test_a_command_is_held_through_a_long_gap_and_the_line_says_so() -> None:
+    """As a zero-order hold, with pandas as an oracle."""
+    u = np.array([NAN, 0, 0, NAN, NAN, NAN, NAN, 5, 5, NAN])
+    with pytest.warns(UserWarning, match="6 of 10 samples .rows 0, 3 to 6, 9. and is held"):
+        found = with_gaps(np.ones(10), u=u)
+    assert found.u is not None
+    np.testing.assert_array_equal(found.u[:, 0], pd.Series(u).ffill().bfill())
 
 
 def test_the_noise_free_signal_is_known_in_gaps_too() -> None:
@@ -100,5 +111,5 @@ def test_what_stands_in_for_a_gap_across_the_end_of_a_slice_knows_nothing_of_lat
     methods = ["mean", "persistence", "seasonal-naive"]
     found = [compare(with_gaps(each), methods, SETUP) for each in (y, later)]
     for method in methods:
-        a, b = (each[method][0].ahead for each in found)
+        a, b = (each.fits[method][0].ahead for each in found)
         np.testing.assert_array_equal(a, b)

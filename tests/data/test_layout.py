@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import read
-from splitband.data.reading import ReadingWarning
+from splitband.data.gaps import ReadingWarning
 from tests.data.support import message, text_file
 
 Y = np.sin(np.arange(12) / 3).round(3)
@@ -80,6 +80,8 @@ INFLUX = (
         ("comsol.txt", "% t T\n" + table(lambda i: f"{i} {{y}}"), 1, "T", {}),
         ("frame.csv", ",0,1\n" + table(lambda i: f"{i},{i},{{y}}"), 1, "1",
          {"time_column": "0"}),
+        ("numbered.csv", "time,1,2\n" + table(lambda i: f"{i},{i},{{y}}"), 1, "2",
+         {"columns": "2"}),
         ("several.csv", "X,1\nForce,T\ns,mm\n" + table(lambda i: f"{i},{{y}}"), 1, "T [mm]",
          {"header_row": 2, "time_column": "Force"}),
         ("skip.csv", "1,2\n3,4\ntime,T\n" + table(lambda i: f"{i},{{y}}"), 1, "T",
@@ -106,7 +108,9 @@ def test_headers_of_instruments(
         ("Rate,100 Hz\nu,y\n1,2\n2,3\n", {}, "lines 1 and 2 may all hold the names"),
         ("y\nmm\n1\n2\n", {}, "lines 1 and 2 may all hold the names of the columns: header_row=1"),
         ("Logger X1\n1,2\n2,3\n", {}, "line 1 holds 1 name, line 2 2 cells: skip_rows=1"),
-        ("y\n0,5\n1,5\n", {}, "line 1 holds 1 name, line 2 2 cells"),  # decimal commas
+        ("y\n0,5\n1,5\n", {}, "line 1 holds 1 name, line 2 2 cells"),
+        ("u y\n0,5 0,5 1\n1,5 2,5 1\n", {}, "line 1 holds 2 names, line 2 3 cells"),
+        ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs"),
         ("time x\n1 0.5 2\n2 1 3\n", {}, "line 1 holds 2 names, line 2 3 cells"),
         ("Name;a;Name;b\nUnit;;Unit;\n\n0;1;0;2\n1;2;1;3\n", {}, "'Name [Unit]' stands 2 times"),
         ("time,y\n0,1\n1,2\ntime,y\n2,3\n", {}, "row 2 holds 'time' (line 4)"),
@@ -114,6 +118,7 @@ def test_headers_of_instruments(
         ("# rig\n\ntime,y\n0,1\n1,OL\n2,3\n", {}, "row 1 holds 'OL' (line 5); missing (--missing)"),
         ("1,2\n3,4\ntime,y\n0,1\n1,2\n", {"sampling_time": 1}, "row 2 holds 'time' (line 3)"),
         ("time,y\n0,1\n1,2\n2,3\n", {"header_row": 0, "time_column": 0}, "holds 'time' (line 1)"),
+        ("time,y\n1,0,5\n2,1,6\n", {"header_row": 1}, "a name for each column: it has 2, line 2"),
         ("time,y\n0,1\n1,2\n", {"header_row": 5}, "header_row is 5, but there are 4 lines"),
         ("time,y\n0,1\n1,2\n", {"skip_rows": 9}, "it holds no data"),
         ("time,y\n0,1\n1,2\n", {"skip_rows": -1}, "skip_rows must be a number of lines"),
@@ -159,6 +164,11 @@ def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
     )
     with pytest.raises(ValueError, match="skip_rows and header_row are for text"):
         read(frame, skip_rows=1)
+
+
+def test_whole_numbers_from_0_on_are_data(tmp_path: Path) -> None:
+    found = read(text_file(tmp_path, "0,1\n1,4\n2,9\n"), sampling_time=1)
+    np.testing.assert_array_equal(found.y, [[0, 1], [1, 4], [2, 9]])
 
 
 def test_a_column_is_found_without_its_unit(tmp_path: Path) -> None:

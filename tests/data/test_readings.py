@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import read
-from splitband.data.reading import ReadingWarning
+from splitband.data.gaps import ReadingWarning
 from tests.data.support import message, stamped, text_file
 
 
@@ -44,10 +44,15 @@ def test_a_date_and_a_time_of_the_day(
     np.testing.assert_array_equal(found.y[:, 0], np.arange(48))
 
 
-def test_serial_days_and_fractions_of_a_day_are_one_stamp(tmp_path: Path) -> None:
+def test_serial_days_beside_fractions_of_a_day_are_to_be_added_first(tmp_path: Path) -> None:
     rows = "".join(f"{45292 + i // 24},{i % 24 / 24:.9f},{i}\n" for i in range(48))
-    with pytest.warns(ReadingWarning, match="Excel's serial days, read as dates from 2024-01-01"):
-        assert read(text_file(tmp_path, f"Date,Time,y\n{rows}")).sampling_time == 3600
+    path = text_file(tmp_path, f"Date,Time,y\n{rows}")
+    assert "must increase: row 24" in message(path)
+    assert "must hold numbers or dates: row 0 holds '45292 0.0'" in message(
+        path, time_column="Date,Time"
+    )
+    found = read(path, time_column="", sampling_time=3600, columns="y")
+    assert (len(found), found.start) == (48, None)
 
 
 def test_a_whole_date_needs_no_time_of_the_day(tmp_path: Path) -> None:
@@ -128,7 +133,7 @@ def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step:
         ([f"{i / 86400:.11f}" for i in range(20)], {1 / 86400: "seconds", 1: "fractions of a day"}),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore::splitband.data.reading.ReadingWarning")
+@pytest.mark.filterwarnings("ignore::splitband.data.gaps.ReadingWarning")
 def test_stamps_that_mean_several_things_are_refused_with_all_of_them(
     tmp_path: Path, stamps: Sequence[object], others: dict[float, str]
 ) -> None:

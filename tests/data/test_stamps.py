@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import Record, read
-from splitband.data.reading import ReadingWarning
+from splitband.data.gaps import Gaps, ReadingWarning
 from tests.data.support import U, iso, message, stamped, text_file
 
 
@@ -101,6 +101,49 @@ def test_rounded_stamps_are_even_but_a_gap_is_not(
     found = read(stamped(tmp_path, stamps)).sampling_time
     assert found == pytest.approx(step, rel=1 / rows**1.5)
     assert "must be even" in message(stamped(tmp_path, stamps[:25] + stamps[26:]))
+
+
+CUT = [3 * row // 2 for row in range(60)]
+HOLED = CUT[:20] + CUT[40:]
+
+
+@pytest.mark.parametrize("gaps", ["refuse", "mask"])
+@pytest.mark.parametrize("rows", [7, 8, 59, 60])
+def test_stamps_cut_to_units_almost_as_long_as_a_step(
+    tmp_path: Path, gaps: Gaps, rows: int
+) -> None:
+    """1.5 s cut to whole seconds: 0, 1, 3, 4, 6, 7, 9 s, of which no row is missing."""
+    found = read(stamped(tmp_path, CUT[:rows]), gaps=gaps)
+    assert (len(found), found.measured) == (rows, None)
+    assert found.sampling_time == pytest.approx(1.5, rel=1 / rows**1.5)
+    minutes = [f"{12 + each // 60}:{each % 60:02d}:00" for each in CUT[:rows]]
+    found = read(stamped(tmp_path, minutes), gaps=gaps)
+    assert found.sampling_time == pytest.approx(90, rel=1 / rows**1.5)
+
+
+def test_rows_that_are_missing_from_stamps_cut_to_units(tmp_path: Path) -> None:
+    found = read(stamped(tmp_path, HOLED), gaps="mask")
+    assert found.sampling_time == pytest.approx(1.5, rel=1e-3)
+    np.testing.assert_array_equal(np.flatnonzero(~found.complete), np.arange(20, 40))
+
+
+@pytest.mark.parametrize("gaps", ["refuse", "mask"])
+def test_rows_missing_at_even_distances_may_be_a_longer_step(tmp_path: Path, gaps: Gaps) -> None:
+    """A loop of 1.1 s whose stamps are cut, or every eleventh row lost; few may be by chance."""
+    path = stamped(tmp_path, [11 * row // 10 for row in range(60)])
+    said = message(path, gaps=gaps)
+    assert all(each in said for each in ("every 1 s with", "every 1.1 s, cut to 1 s", "--sampling"))
+    assert read(path, gaps=gaps, sampling_time=1.1).measured is None
+    lost = read(path, gaps="mask", sampling_time=1.0)
+    assert (len(lost), int((~lost.complete).sum())) == (65, 5)
+    few = stamped(tmp_path, [row for row in range(60) if row not in (20, 40)])
+    assert read(few, gaps="mask").sampling_time == 1
+
+
+@pytest.mark.parametrize("rate", [24, 48, 72, 96, 144])
+def test_rates_whose_steps_are_parts_of_a_day_too(tmp_path: Path, rate: int) -> None:
+    found = read(stamped(tmp_path, [f"{row / rate:.5f}" for row in range(500)]))
+    assert found.sampling_time == pytest.approx(1 / rate, rel=1e-6)
 
 
 def test_the_rounding_of_the_last_stamp_does_not_set_the_step(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 
 from splitband.data import read
-from splitband.data.reading import ReadingWarning
+from splitband.data.gaps import ReadingWarning
 from tests.data.support import message, text_file
 
 Y = np.sin(np.arange(40) / 3).round(3)
@@ -79,7 +79,7 @@ def test_files_that_are_read(
          {"header_row": 1, "columns": "y"}, 1),
         (table(lambda i: f"{i + 0.5}", "0,1\n"), "line 1 may hold names or numbers: header_row=1",
          {"header_row": 1, "time_column": "0"}, 1),
-        (table(lambda i: f"{i},{i / 2}", ",1,2\n"), "line 1 may hold names or numbers",
+        (table(lambda i: f"{i + 0.5},{i / 2}", ",1,2\n"), "line 1 may hold names or numbers",
          {"header_row": 1, "time_column": "1"}, 0.5),
         ("Key,Value\n" * 450 + table(str), "no time column", {"header_row": 451}, 1),
         (table(lambda i: f"2024-03-01,{100 * (i % 24)}", "Date,Time,y\n"), "as 09:30", OFF, 1),
@@ -96,7 +96,7 @@ def test_files_that_are_read(
         (table(lambda i: f"{i}h0m"), "row 0 holds '0h0m' (line 2)", None, 0),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore::splitband.data.reading.ReadingWarning")
+@pytest.mark.filterwarnings("ignore::splitband.data.gaps.ReadingWarning")
 def test_files_that_are_refused_with_what_to_do(
     tmp_path: Path, text: str, words: str, remedy: dict[str, Any] | None, step: float
 ) -> None:
@@ -106,6 +106,44 @@ def test_files_that_are_refused_with_what_to_do(
         found = read(path, **remedy)
         assert found.sampling_time == pytest.approx(step, rel=1e-6)
         np.testing.assert_array_equal(found.y[:, -1], Y)
+
+
+@pytest.mark.parametrize("words", ["# rig A, test 3\n", "% Ann Lee, pump\n"])
+def test_a_comment_of_several_words_is_no_header_unless_it_is_said_to_be(
+    tmp_path: Path, words: str
+) -> None:
+    path = text_file(tmp_path, table(lambda i: f"{i / 8}", words))
+    said = message(path)
+    assert "line 1 is a comment" in said
+    assert "header_row=1" in said
+    check(path, 1, None, ("0", "1"), header_row=0, **OFF)
+    check(path, 1, None, tuple(words[2:-1].split(", ")), header_row=1, **OFF)
+    told = text_file(tmp_path, table(lambda i: f"{i / 8}", f"{words}# tank level [m], y\n"))
+    check(told, 1, None, ("tank level [m]", "y"), **OFF)
+
+
+def test_one_column_that_pandas_wrote_without_a_name(tmp_path: Path) -> None:
+    frame = pd.DataFrame(Y + 0.0005)
+    path = text_file(tmp_path, frame.to_csv(index=False))
+    said = message(path, sampling_time=1)
+    assert "line 1 may hold names or numbers" in said
+    for row, values in ((1, frame[0]), (0, [0.0, *frame[0]])):
+        found = read(path, header_row=row, sampling_time=1)
+        np.testing.assert_array_equal(found.y[:, 0], values)
+    for column in (frame[0], frame[0].rename(7), pd.Series(np.arange(40) % 4, name=3)):
+        found = read(text_file(tmp_path, column.to_csv()), sampling_time=1)
+        assert found.columns == (str(column.name or 0),)
+        np.testing.assert_array_equal(found.y[:, 0], column)
+
+
+@pytest.mark.parametrize("head", ["", "time y\n"])
+@pytest.mark.parametrize("zone", ["", ",25"])
+def test_times_and_decimal_commas_between_blanks(tmp_path: Path, head: str, zone: str) -> None:
+    """10:00:00 0,5 is half a unit, not a 5 after "10:00:00 0"."""
+    rows = "".join(f"10:00:{i:02d}{zone} {str(Y[i]).replace('.', ',')}\n" for i in range(40))
+    found = read(text_file(tmp_path, head + rows), time_column="time" if head else "0")
+    assert found.sampling_time == 1
+    np.testing.assert_array_equal(found.y[:, 0], Y)
 
 
 def test_names_may_be_like_the_words_below(tmp_path: Path) -> None:

@@ -7,20 +7,17 @@ import pytest
 import scipy
 
 from splitband import Record, Settings
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Errors, Run, median_run
+from splitband.evaluation.comparison import median_fit
+from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.setup import Options, Setup, default_names, usual_names
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
-from splitband.forecasters.prediction import Prediction
 from splitband.metrics import channel_rmse
 from splitband.report.pictures import rollouts
-from tests.support import compare, forecasters, settled, try_out
+from tests.records import Setup
+from tests.support import compare, forecasters
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
 SETUP = Setup(
@@ -50,7 +47,8 @@ def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
 def test_the_trial_scores_by_what_was_measured() -> None:
     """Nobody has the noise-free samples."""
     known, unknown = (
-        try_out(r, ["mean"], SETUP) for r in (record(), replace(record(), y_true=None))
+        compare(r, ["mean"], SETUP).require_trial()
+        for r in (record(), replace(record(), y_true=None))
     )
     assert known.errors == unknown.errors
 
@@ -79,57 +77,57 @@ def test_the_trial_looks_at_nothing_after_the_training_part() -> None:
     methods = ["split-gru-conditioned", "simulator-affine", "seasonal-naive"]
     y = record().y.copy()
     y[TRAIN:] += 100
-    expected = try_out(record(), methods, SETUP)
-    found = try_out(replace(record(), y=y), methods, SETUP)
+    expected = compare(record(), methods, SETUP).require_trial()
+    found = compare(replace(record(), y=y), methods, SETUP).require_trial()
     assert found.recommended == expected.recommended
     assert found.intervals == expected.intervals
     assert found.errors == expected.errors
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_the_setup_looks_at_nothing_after_the_training_part(simulated: bool) -> None:
+def test_the_plan_looks_at_nothing_after_the_training_part(simulated: bool) -> None:
     r = record() if simulated else replace(record(), y_sim=None)
     y = r.y.copy()
     y[TRAIN:] += 100
-    assert Options().decided(replace(r, y=y), TRAIN) == Options().decided(r, TRAIN)
+    found, expected = (plan(each, TRAIN) for each in (replace(r, y=y), r))
+    assert found.as_json() == expected.as_json()
+    assert found.names == expected.names
 
 
 def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
     useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
     r = replace(record(), y_sim=useless)
-    setup = Options().decided(r, TRAIN)
-    assert setup.bands.choice is not None
-    assert setup.bands.choice.simulator_helps is False
-    assert setup.bands.cutoff == Options().decided(replace(r, y_sim=None), TRAIN).bands.cutoff
-    methods = usual_names(r, setup.bands)
-    assert "split-gru-conditioned" in methods
-    assert "simulator" in methods
-    assert not set(methods) & set(HYBRIDS)
-    good = Options().decided(record(), TRAIN)
-    assert usual_names(record(), good.bands) == default_names(with_simulator=True)
+    planned = plan(r, TRAIN)
+    assert planned.bands.choice is not None
+    assert planned.bands.choice.simulator_helps is False
+    assert planned.bands.cutoff == plan(replace(r, y_sim=None), TRAIN).bands.cutoff
+    assert "split-gru-conditioned" in planned.names
+    assert "simulator" in planned.names
+    assert not {*planned.names} & {*HYBRIDS}
+    assert plan(record(), TRAIN).names == default_names(with_simulator=True)
 
 
 def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
     u = np.random.default_rng(2).standard_normal((LENGTH, 1))
     r = replace(record(), u=u)
-    methods = usual_names(r, Options().decided(r, TRAIN).bands)
+    methods = plan(r, TRAIN).names
     assert sorted(methods) == sorted(default_names(with_simulator=True, with_inputs=True))
     driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
-    (found,) = compare(driven, ["linear"], SETUP)["linear"]
+    (found,) = compare(driven, ["linear"], SETUP).fits["linear"]
     assert "1 input and" in found.description
 
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
-    alone = Options().decided(replace(record(), y_sim=None), TRAIN)
-    assert Options().decided(record(), TRAIN, methods=["split-gru", "mean"]) == alone
-    assert Options().decided(record(), TRAIN, methods=["filtered-gru"]) != alone
+    alone = plan(replace(record(), y_sim=None), TRAIN).bands
+    assert plan(record(), TRAIN, ["split-gru", "mean"]).bands == alone
+    assert plan(record(), TRAIN, ["filtered-gru"]).bands != alone
 
 
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
-    trial = try_out(record(), SINES, SETUP)
+    trial = compare(record(), SINES, SETUP).require_trial()
     assert trial.recommended == "harmonic"
     methods = ["persistence", "seasonal-naive", "simulator", "simulator-affine"]
-    simulated = try_out(record(noise=0.3), methods, SETUP)
+    simulated = compare(record(noise=0.3), methods, SETUP).require_trial()
     assert simulated.recommended == "simulator-affine"
     assert simulated.errors[simulated.recommended] == min(simulated.errors.values())
 
@@ -152,18 +150,18 @@ def test_what_is_not_fitted_in_the_end_cannot_be_recommended() -> None:
 
 
 def test_what_draws_nothing_runs_once() -> None:
-    runs = compare(record(), ["gru", "mean"], SETUP, seeds=(3, 4))
-    assert [run.seed for run in runs["gru"]] == [3, 4]
-    assert len(runs["mean"]) == 1
+    fits = compare(record(), ["gru", "mean"], SETUP, seeds=2).fits
+    assert [fit.seed for fit in fits["gru"]] == [0, 1]
+    assert len(fits["mean"]) == 1
 
 
 def test_several_seeds_are_tried_out_by_their_median() -> None:
     r = record()
-    trial = try_out(r, ["gru"], SETUP, seeds=(0, 1, 2))
+    trial = compare(r, ["gru"], SETUP, seeds=2).require_trial()
     part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_samples(90, 120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     question = Question(part, origins, TRAIN)
-    found = [backtest(shorter, question, seed).predictions for seed in (0, 1, 2)]
+    found = [backtest(shorter, question, seed).forecasts for seed in (0, 1)]
     medians = {o.at: np.median([each[o].y for each in found], axis=0) for o in origins}
     left = np.concatenate([part.y[start:] - y for start, y in medians.items()])
     assert trial.errors["gru"] == pytest.approx((np.sqrt(np.mean(left**2)),), rel=1e-5)
@@ -174,7 +172,7 @@ def test_each_channel_counts_the_same_in_the_recommendation() -> None:
     noise = np.random.default_rng(0).standard_normal((LENGTH, 1))
     ramp = np.linspace(0, 1, LENGTH)[:, None]
     both = Record(np.hstack([1e6 * noise, ramp]), DT)
-    trial = try_out(both, ["mean", "persistence"], SETUP)
+    trial = compare(both, ["mean", "persistence"], SETUP).require_trial()
     assert trial.errors["mean"][0] < trial.errors["persistence"][0]
     assert trial.recommended == "persistence"
 
@@ -183,7 +181,7 @@ def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> No
     r = record()
     begins = (90, 96, 102, 108)
     left = np.concatenate([r.y[start:TRAIN] - r.y[start - 1] for start in begins])
-    trial = try_out(r, ["persistence", "mean"], SETUP)
+    trial = compare(r, ["persistence", "mean"], SETUP).require_trial()
     assert trial.errors["persistence"] == pytest.approx((np.sqrt(np.mean(left**2)),))
     left = np.concatenate([r.y[start:TRAIN] - r.y[:start].mean() for start in begins])
     assert trial.errors["mean"] == pytest.approx((np.sqrt(np.mean(left**2)),))
@@ -195,9 +193,9 @@ def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
     covered, width = [], []
     for seed in range(8):
         r = record(seed, noise=0.2)
-        runs = compare(r, ["harmonic"], SETUP)
-        interval = settled(try_out(r, ["harmonic"], SETUP), runs).intervals["harmonic"]
-        left = r.y[TRAIN:] - runs["harmonic"][0].ahead
+        found = compare(r, ["harmonic"], SETUP)
+        interval = found.require_trial().intervals["harmonic"]
+        left = r.y[TRAIN:] - found.fits["harmonic"][0].ahead
         covered.append(interval.coverage(left))
         width.append(interval.half_widths(len(left)).mean())
     assert 0.85 <= np.mean(covered) <= 0.95
@@ -209,7 +207,8 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     noise = 0.02 * np.random.default_rng(3).standard_normal((LENGTH, 1))
     season = np.sin(2 * np.pi * np.arange(LENGTH) / 40)[:, None] ** 3
     r = Record(season + noise, DT)
-    interval = try_out(r, ["seasonal-naive"], SETUP).intervals["seasonal-naive"]
+    found = compare(r, ["seasonal-naive"], SETUP)
+    interval = found.require_trial().intervals["seasonal-naive"]
     assert interval.half_widths(1).max() < 0.15
 
 
@@ -217,37 +216,39 @@ def test_a_seed_that_goes_astray_hardly_moves_the_median() -> None:
     """The error is that of the median prediction, not the median of the errors."""
     r = record()
     assert r.y_true is not None
-    start, ahead = r.y_true[WARMUP:], r.y_true[TRAIN:]
+    compared = compare(r, ["mean"], SETUP)
+    (fit,) = compared.fits["mean"]
     off = [(300.0, 0.1), (0.0, 0.2), (-0.2, -50.0)]
-    runs = [
-        Run(
-            "gru",
-            Errors(abs(a), abs(b)),
-            Prediction(start + a, r[:WARMUP].grid.after(len(start)), r.columns),
-            Prediction(ahead + b, r[:TRAIN].grid.after(len(ahead)), r.columns),
-            fit=FitReport(seed, 2.0),
+    fits = [
+        replace(
+            fit,
+            forecasts={
+                origin: replace(each, y=r.y_true[origin.at :] + apart)
+                for (origin, each), apart in zip(fit.forecasts.items(), of_seed, strict=True)
+            },
+            seconds=2.0,
         )
-        for seed, (a, b) in enumerate(off)
+        for of_seed in off
     ]
-    median = median_run(Plan.of(r, (), SETUP), runs)
-    np.testing.assert_allclose(median.from_start.y, start, atol=1e-12)
-    np.testing.assert_allclose(median.ahead, ahead + 0.1, atol=1e-12)
-    assert median.total_rmse == pytest.approx(0, abs=1e-12)
-    assert median.forecast_rmse == pytest.approx(0.1)
-    assert median.fit.seconds == 6.0
+    median = median_fit(fits)
+    np.testing.assert_allclose(median.from_start.y, r.y_true[WARMUP:], atol=1e-12)
+    np.testing.assert_allclose(median.ahead, r.y_true[TRAIN:] + 0.1, atol=1e-12)
+    assert compared.errors(median).total == pytest.approx(0, abs=1e-12)
+    assert compared.errors(median).forecast == pytest.approx(0.1)
+    assert median.seconds == 6.0
 
 
 def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
     r = record()
     units = np.array([1.0, 1e4])
     both = Record(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
-    runs = compare(both, ["mean", "harmonic"], SETUP)
-    for (found,) in runs.values():
+    compared = compare(both, ["mean", "harmonic"], SETUP)
+    for (found,) in compared.fits.values():
         of_channels = channel_rmse(both.y[-len(found.from_start) :], found.from_start.y)
-        assert np.linalg.norm(of_channels) == pytest.approx(found.total_rmse)
+        assert np.linalg.norm(of_channels) == pytest.approx(compared.errors(found).total)
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
-    picture = rollouts(Comparison(Plan.of(both, (), SETUP), runs))
+    picture = rollouts(compared)
     for ax in picture.axes:
         if not ax.lines:
             continue

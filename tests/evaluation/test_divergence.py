@@ -11,12 +11,8 @@ import pandas as pd
 import pytest
 import torch
 
-import splitband.forecasters.network
 from splitband import GRU, Record, Settings
 from splitband.cli import main
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
 from splitband.forecasters.learned import Single
@@ -25,7 +21,8 @@ from splitband.forecasters.simulation import Calibrated
 from splitband.models import Residual
 from splitband.report.results import results
 from splitband.training import fit
-from tests.support import compare, settled, try_out
+from tests.records import Setup
+from tests.support import compare
 
 DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
@@ -67,36 +64,38 @@ def test_a_training_that_diverges_later_is_still_found() -> None:
 
 
 def test_a_method_that_diverges_does_not_end_the_others() -> None:
-    runs = compare(RECORD, [DIVERGING, "filtered-gru", "persistence"], SETUP)
-    assert [*runs] == ["filtered-gru", "persistence"]
-    assert list(runs.failed) == ["gru"]
-    assert "training of the network diverged in epoch 1" in runs.failed["gru"]
-    with pytest.raises(KeyError, match="gru: training of the network diverged"):
-        _ = runs["gru"]
+    found = compare(RECORD, [DIVERGING, "filtered-gru", "persistence"], SETUP)
+    assert [*found.fits] == ["filtered-gru", "persistence"]
+    failed = found.require_trial().failed
+    assert [*failed] == ["gru"]
+    assert "training of the network diverged in epoch 1" in failed["gru"]
 
 
 @pytest.mark.usefixtures("broken_mean")
 def test_a_baseline_that_raises_is_neither_tried_nor_recommended() -> None:
     methods = ["mean", "persistence", CALIBRATED]
-    trial = try_out(RECORD, methods, SETUP)
-    runs = compare(RECORD, methods, SETUP)
-    final = settled(trial, runs)
-    assert trial.failed == final.failed == {"mean": "SVD did not converge"}
-    assert {*final.errors} == {*final.final} == {"persistence", CALIBRATED}
-    assert final.recommended == CALIBRATED
-    found = results(Comparison(Plan.of(RECORD, (), SETUP), runs, final))
-    assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
+    found = compare(RECORD, methods, SETUP)
+    trial = found.require_trial()
+    assert trial.failed == {"mean": "SVD did not converge"}
+    assert {*trial.errors} == {*trial.final} == {"persistence", CALIBRATED}
+    assert found.recommended == CALIBRATED
+    assert results(found)["methods"]["mean"] == {"failed": "SVD did not converge"}
 
 
 def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     methods = ["persistence", CALIBRATED]
-    trial = try_out(RECORD, methods, SETUP)
-    assert trial.recommended == CALIBRATED
-    monkeypatch.setattr(Calibrated, "learn", _raising)
-    final = settled(trial, compare(RECORD, methods, SETUP))
-    assert (final.recommended, [*final.failed]) == ("persistence", [CALIBRATED])
+    assert compare(RECORD, methods, SETUP).recommended == CALIBRATED
+    learn = Calibrated.learn
+
+    def learn_from_less(self: Calibrated, records: Any, **options: Any) -> Any:
+        return (_raising if len(records[0]) == TRAIN else learn)(self, records, **options)
+
+    monkeypatch.setattr(Calibrated, "learn", learn_from_less)
+    found = compare(RECORD, methods, SETUP)
+    assert (found.recommended, [*found.require_trial().failed]) == ("persistence", [CALIBRATED])
+    assert CALIBRATED in found.require_trial().scores
 
 
 def test_of_several_seeds_those_that_could_be_fitted_count(
@@ -107,16 +106,16 @@ def test_of_several_seeds_those_that_could_be_fitted_count(
             raise FloatingPointError("diverged")
         return fit(*arguments)
 
-    monkeypatch.setattr(splitband.forecasters.network, "fit", diverging)
-    runs = compare(RECORD, ["gru"], SETUP, seeds=(0, 1, 2))
-    assert [run.seed for run in runs["gru"]] == [0, 2]
-    assert runs["gru"][0].description.endswith("; seed 1 failed: diverged")
-    assert runs.failed == {}
+    monkeypatch.setattr("splitband.training.fit", diverging)
+    found = compare(RECORD, ["gru"], SETUP, seeds=3)
+    assert [fit.seed for fit in found.fits["gru"]] == [0, 2]
+    assert found.fits["gru"][0].description.endswith("; seed 1 failed: diverged")
+    assert found.require_trial().failed == {}
 
 
 def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Mean, "learn", _raising)
-    expected = "no method could be fitted; gru: training of the network diverged.*; mean: SVD did"
+    expected = "no method could be fitted; mean: SVD did.*; gru: training of the network diverged"
     with pytest.raises(ValueError, match=expected):
         compare(RECORD, [DIVERGING, "mean"], SETUP)
 
@@ -171,7 +170,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        "splitband.evaluation.setup.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
+        "splitband.evaluation.plan.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
     )
     assert main(files("forecast begun.csv --steps 50")) == 0
     assert "mean: no result: SVD did not converge" in capsys.readouterr().out

@@ -7,10 +7,12 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import Bands, Record, Settings, Setup
+from splitband import Bands, Record, Settings
 from splitband.baselines.identification import identified
 from splitband.evaluation.candidates import candidates
 from splitband.metrics import ExtrapolationWarning, rmse
+from tests.records import Setup
+from tests.support import compare
 
 SHORT = Settings(40, 10, 1)
 SETUP = Setup(300, SHORT, Bands(0.6, 1, 2))
@@ -32,12 +34,12 @@ def linear() -> sb.Linear:
 
 
 def test_baselines_learn_from_all_records(linear: sb.Linear) -> None:
-    found = sb.compare(STILL, 300, ["mean"], others=[MOVED], tests=[TEST], setup=SETUP)
-    (mean,) = found.runs["mean"]
+    found = compare(STILL, ["mean"], SETUP, others=[MOVED], tests=[TEST])
+    (mean,) = found.fits["mean"]
     both = np.concatenate([STILL.y[:300], MOVED.y]).mean()
     assert mean.tests[0].y[0, 0] == pytest.approx(both)
     y = linear.predict(390, TEST[:10], other_record=True).y
-    assert rmse(np.asarray(y), TEST.y[10:]) < 0.1 * mean.errors.tests[0]
+    assert rmse(np.asarray(y), TEST.y[10:]) < 0.1 * found.errors(mean).tests[0]
 
 
 def test_an_input_within_the_range_of_any_training_record_is_not_warned_of(
@@ -49,7 +51,7 @@ def test_an_input_within_the_range_of_any_training_record_is_not_warned_of(
 
 
 def test_what_depends_on_the_time_says_that_it_knows_but_one_record() -> None:
-    found = sb.compare(STILL, 300, ["seasonal-naive", "mean"], others=[MOVED], setup=SETUP)
+    found = compare(STILL, ["seasonal-naive", "mean"], SETUP, others=[MOVED])
     assert "fitted to the first record only" in found.table["note"]["seasonal-naive"]
     assert "first record" not in found.table["note"]["mean"]
 
@@ -72,9 +74,9 @@ def test_records_of_one_run_say_what_the_whole_of_it_says() -> None:
 def test_a_constant_record_needs_no_band_where_no_method_has_one() -> None:
     constant = Record(np.full(200, 7.0), 0.1, u=TEST.u[:200] if TEST.u is not None else None)
     found = sb.compare(constant, 150, ["linear", "mean"])
-    for runs in found.runs.values():
-        np.testing.assert_allclose(runs[0].ahead, 7.0)
-    assert found.setup.bands == Bands()
+    for fits in found.fits.values():
+        np.testing.assert_allclose(fits[0].ahead, 7.0)
+    assert found.plan.bands == Bands()
 
 
 def test_a_method_that_cannot_be_fitted_does_not_take_the_others_along() -> None:
@@ -88,12 +90,12 @@ def test_a_method_that_cannot_be_fitted_does_not_take_the_others_along() -> None
 
 
 def test_windows_that_nobody_chose_fit_into_the_shortest_record() -> None:
-    more, quick = [MOVED[:60]], sb.Options(changes={"epochs": 1})
-    result = sb.compare(STILL, 300, ["gru"], others=more, setup=quick)
-    assert result.setup.settings.window == 60
-    assert [*result.runs] == ["gru"]
+    more = [MOVED[:60]]
+    result = sb.compare(STILL, 300, ["gru"], others=more, settings={"epochs": 1}, seeds=1)
+    assert result.plan.settings.window == 60
+    assert [*result.fits] == ["gru"]
     network = sb.Single(sb.StateSpace(2, 2), settings=SHORT)
-    tried = {c.settings.window for c in candidates(network, STILL, more)}
+    tried = {c.settings.window for c in candidates(network, False, STILL, more, 0)}
     assert max(tried) <= 60
     with pytest.raises(ValueError, match="window must fit into the training record run 1 of 60 sa"):
         sb.Single(sb.GRU(2), settings=replace(SHORT, window=61)).fit(STILL, *more)

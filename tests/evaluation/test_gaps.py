@@ -21,7 +21,7 @@ from tests.records import (
     record,
     with_gaps,
 )
-from tests.support import asked, compare, settled, simulated, try_out, untrained
+from tests.support import asked, compare, simulated, untrained
 
 Array = npt.NDArray[np.float64]
 
@@ -35,13 +35,14 @@ def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() ->
         known = np.isfinite(y)
         records.append(Record(np.where(known, y, standing), DT, measured=known))
     first, other = (compare(each, methods, SETUP) for each in records)
-    trials = [settled(try_out(each, methods, SETUP), first) for each in records]
+    trials = [each.require_trial() for each in (first, other)]
     for method in methods:
-        a, b = first[method][0], other[method][0]
+        a, b = first.fits[method][0], other.fits[method][0]
         np.testing.assert_array_equal(a.ahead, b.ahead)
-        assert (a.total_rmse, a.forecast_rmse) == (b.total_rmse, b.forecast_rmse)
-        assert a.total_rmse == pytest.approx(error_of(y[-len(a.from_start) :], a.from_start.y))
-        assert a.forecast_rmse == pytest.approx(error_of(y[TRAIN:], a.ahead))
+        errors = first.errors(a)
+        assert errors == other.errors(b)
+        assert errors.total == pytest.approx(error_of(y[-len(a.from_start) :], a.from_start.y))
+        assert errors.forecast == pytest.approx(error_of(y[TRAIN:], a.ahead))
         left = y[TRAIN:] - a.ahead
         half = trials[0].intervals[method].half_widths(len(left))
         inside = [abs(e) <= h for e, h in zip(left.flat, half.flat, strict=True) if not np.isnan(e)]
@@ -55,7 +56,7 @@ def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() ->
 def test_held_out_errors_count_what_was_measured() -> None:
     train = 80  # of which the last 20, 16, 12 and 8 are held out
     y = holed(record().y, 64, slice(70, 74))
-    trial = try_out(with_gaps(y), ["persistence"], replace(SETUP, train=train))
+    trial = compare(with_gaps(y), ["persistence"], replace(SETUP, train=train)).require_trial()
     last = {60: y[59], 64: y[63], 68: y[67], 72: y[69]}
     left = np.concatenate([y[start:train] - value for start, value in last.items()])
     assert trial.errors["persistence"] == pytest.approx((np.sqrt(np.nanmean(left**2)),))
@@ -67,7 +68,7 @@ def test_simulations_warm_up_before_a_gap_or_after_it() -> None:
     model = untrained("gru", r, SETUP, 0)
     fit(model, r[:TRAIN], QUICK, seed=0)
     later = [TRAIN + 2, TRAIN + 20, TRAIN + 25]
-    found = asked("gru", r, SETUP, later=later).predictions
+    found = asked("gru", r, SETUP, later=later).forecasts
 
     def ahead(start: int) -> Array:
         assert np.isfinite(y[start - WARMUP : start]).all()

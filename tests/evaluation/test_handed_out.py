@@ -13,11 +13,14 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Forecaster, Known, Record, Settings, Setup
-from splitband.evaluation.setup import Options
+from splitband import GRU, Bands, Forecaster, Known, Record, Settings
+from splitband.evaluation import candidates
+from splitband.forecasters.backtest import for_trial
 from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
-from tests.runtime.test_executors import Elsewhere
+from splitband.runtime.workers import Workers
+from tests.records import Setup
+from tests.support import compare
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, WARMUP = 0.1, 160, 12
@@ -32,12 +35,17 @@ def record(samples: int = 200) -> Record:
 
 @cache
 def compared() -> sb.Comparison:
-    return sb.compare(record(), methods=["split-gru", "gru", "mean"], seeds=3, setup=SETUP)
+    return compare(record(), ["split-gru", "gru", "mean"], SETUP, seeds=3)
+
+
+def forecast(methods: Sequence[Forecaster | str] | str, **options: Any) -> sb.Forecast:
+    """30 samples after the record."""
+    return sb.forecast(record(), 30, methods, **SETUP.options, **options)
 
 
 @pytest.mark.parametrize("name", ["split-gru", "mean"])
 def test_a_method_can_be_fitted_again_and_says_the_same(name: str) -> None:
-    model = compared().forecaster(name)
+    model = compared().trained(name).untrained()
     assert model.fitted is None
     model.fit(record()[:TRAIN], seed=0)
     np.testing.assert_allclose(model.predict(40).y, compared().medians[name].ahead, atol=1e-12)
@@ -74,7 +82,7 @@ def test_the_interval_of_what_is_handed_out_is_that_of_the_page(tmp_path: Path) 
     """A forecast that the final training has changed is doubted by the model, too."""
     y = 0.01 * np.random.default_rng(0).standard_normal(200)
     y[:100] += np.linspace(5, 0, 100)
-    result = sb.compare(Record(y, DT), methods=[Fickle()], seeds=1, setup=SETUP)
+    result = compare(Record(y, DT), [Fickle()], SETUP)
     shown = result.predictions["fickle"]
     assert (widths(shown) > 1).all()
     np.testing.assert_allclose(widths(result.model.predict(40, level=0.9)), widths(shown))
@@ -94,14 +102,13 @@ class Wild(Fickle):
 
 def test_a_failed_training_is_left_out_of_a_comparison_and_of_a_forecast() -> None:
     """By its simulation of the training record."""
-    compared = sb.compare(record(), methods=[Wild()], setup=SETUP)
-    forecast = sb.forecast(record(), 30, [Wild()], setup=replace(SETUP, train=200))
-    assert [run.seed for run in compared.runs["wild"]] == [0, 2]
-    assert forecast.seeds == (0, 2)
-    np.testing.assert_array_equal(forecast.prediction.y, 0)
-    assert "seed 1 left out: training error" in forecast.description
-    every = sb.forecast(record(), 30, [Wild()], seeds=3, setup=replace(SETUP, train=200))
-    assert every.seeds == (0, 1, 2)
+    compared = sb.compare(record(), TRAIN, [Wild()], **SETUP.options)
+    found = forecast([Wild()])
+    assert [fit.seed for fit in compared.fits["wild"]] == [0, 2]
+    assert found.seeds == (0, 2)
+    np.testing.assert_array_equal(found.prediction.y, 0)
+    assert "seed 1 left out: training error" in found.description
+    assert forecast([Wild()], seeds=3).seeds == (0, 1, 2)
 
 
 @pytest.mark.parametrize("methods", [["mean", "persistence"], [Fickle()]])
@@ -114,58 +121,48 @@ def test_a_comparison_beyond_the_record_is_refused_before_anything_is_fitted(met
 def test_what_was_trained_elsewhere_is_handed_out() -> None:
     below = sb.Single(GRU(3), SETTINGS)
     methods: list[Forecaster | str] = ["gru", sb.Residual(below, GRU(4)), "mean"]
-    with Elsewhere() as executor:
-        work = sb.Work(executor=executor)
-        result = sb.compare(record(), methods=methods, seeds=2, setup=SETUP, work=work)
-    for name in result.runs:
+    with Workers(1) as executor:
+        result = compare(record(), methods, SETUP, seeds=2, executor=executor)
+    for name in result.fits:
         ahead = result.trained(name).predict(40).y
         np.testing.assert_allclose(ahead, result.medians[name].ahead, atol=1e-12)
 
 
-def test_processes_find_the_numbers_of_this_one_and_report() -> None:
-    shares: list[float] = []
-    alone, found = (
-        sb.forecast(record(), 30, ["gru"], seeds=2, setup=replace(SETUP, train=200), work=work)
-        for work in (sb.Work(), sb.Work(2, progress=lambda at: shares.append(at.share)))
-    )
-    # Not to the bit: torch rounds some sums by where in memory their terms lie.
-    np.testing.assert_allclose(found.prediction.y, alone.prediction.y, rtol=1e-5, atol=1e-6)
-    assert shares[-1] == 1
-
-
 def test_the_recommended_method_is_fitted_to_the_whole_record_where_that_is_asked_for() -> None:
-    result = sb.compare(record(), methods=["gru"], seeds=2, setup=SETUP, refit=True)
-    again = result.forecaster().fit(record(), seed=0)
+    result = compare(record(), ["gru"], SETUP, seeds=2, refit=True)
+    again = result.trained().untrained().fit(record(), seed=0)
     np.testing.assert_allclose(result.model.predict(30).y, again.predict(30).y, atol=1e-12)
 
 
 def test_a_forecast_hands_out_its_model_and_what_it_was_made_with() -> None:
-    found = sb.forecast(record(), 30, ["gru"], seeds=2, setup=replace(SETUP, train=200))
+    found = forecast(["gru"], seeds=2)
     handed_out = found.model.predict(30, level=0.9)
     np.testing.assert_allclose(handed_out.y, found.prediction.y, atol=1e-12)
     np.testing.assert_allclose(widths(handed_out), widths(found.prediction), atol=1e-12)
-    again = found.forecaster.fit(record(), seed=0)
+    again = found.model.untrained().fit(record(), seed=0)
     np.testing.assert_allclose(again.predict(30).y, found.prediction.y, atol=1e-12)
 
 
-def test_it_is_trained_as_the_search_has_found() -> None:
-    setup = replace(Options().decided(record(), TRAIN), settings=SETTINGS, search=sb.Search(2.0))
-    result = sb.compare(record(), methods=[sb.Single(GRU(4))], setup=setup)
-    model = result.forecaster()
+def test_it_is_trained_as_the_search_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candidates, "FIRST_ROUND", 2)
+    monkeypatch.setattr(candidates, "FIRST_STEPS", 2)
+    result = sb.compare(record(), TRAIN, [sb.Single(GRU(4))], settings={"warmup": 10}, rounds=2)
+    model = result.trained().untrained()
     members = model.templates if isinstance(model, sb.Ensemble) else [model]
-    # The final training may be longer than any trial.
+    # The final training has other numbers of steps, and no need of a shorter window.
     said = [each.training.rpartition(", ")[0] for each in result.attempts]
-    assert {each.training_in_words().rpartition(", ")[0] for each in members} <= {*said}
-    assert len(members) == len(result.runs["gru"])
+    tried = [for_trial(each, TRAIN).training_in_words() for each in members]
+    assert {each.rpartition(", ")[0] for each in tried} <= {*said}
+    assert len(members) == len(result.fits["gru"])
 
 
 def test_what_was_not_compared_is_not_handed_out() -> None:
     with pytest.raises(ValueError, match="name must be one of split-gru, gru, mean, got linear"):
-        compared().forecaster("linear")
+        compared().trained("linear")
 
 
 def test_the_parts_of_a_median_over_seeds_add_up_to_it() -> None:
-    median, runs = compared().medians["split-gru"], compared().runs["split-gru"]
+    median, runs = compared().medians["split-gru"], compared().fits["split-gru"]
     assert len(runs) == 3
     assert median.forecast is not None
     for each in (median.from_start, median.forecast):
@@ -174,20 +171,15 @@ def test_the_parts_of_a_median_over_seeds_add_up_to_it() -> None:
 
 
 def test_reasons_to_doubt_one_seed_are_reasons_to_doubt_the_median() -> None:
-    first, second, _ = (run.from_start for run in compared().runs["gru"])
+    first, second, _ = (fit.from_start for fit in compared().fits["gru"])
     median = median_of([replace(first, warnings=("a", "b")), replace(second, warnings=("b", "c"))])
     assert median.warnings == ("a", "b", "c")
-
-
-def test_the_setup_of_a_forecast_is_for_all_of_the_record() -> None:
-    with pytest.raises(ValueError, match="train must be that of setup, 160, got 200"):
-        sb.forecast(record(), 30, ["mean"], setup=SETUP)
 
 
 @pytest.mark.parametrize("seeds", [0, -1])
 def test_there_is_a_seed_at_least(seeds: int) -> None:
     with pytest.raises(ValueError, match=f"seeds must be at least 1, got {seeds}"):
-        sb.compare(record(), methods=["mean"], seeds=seeds, setup=SETUP)
+        compare(record(), ["mean"], SETUP, seeds=seeds)
 
 
 def test_the_bands_suit_the_methods_that_are_compared() -> None:
@@ -196,7 +188,7 @@ def test_the_bands_suit_the_methods_that_are_compared() -> None:
     split = sb.Split(GRU(3), GRU(3), settings=SETTINGS)
     result = sb.compare(simulated, TRAIN, [split], seeds=1)
     alone = sb.compare(record(), TRAIN, [split.clone()], seeds=1)
-    assert result.setup.bands == alone.setup.bands
+    assert result.plan.bands == alone.plan.bands
 
 
 def test_a_first_warm_up_after_the_training_part_does_not_hide_the_forecast() -> None:
@@ -205,11 +197,10 @@ def test_a_first_warm_up_after_the_training_part_does_not_hide_the_forecast() ->
     measured = ~np.isnan(y)
     gaps = Record(np.nan_to_num(y), DT, measured=measured)
     setup = replace(SETUP, settings=replace(SETTINGS, warmup=20))
-    result = sb.compare(gaps, methods=["mean"], setup=setup)
-    (run,) = result.runs["mean"]
-    assert run.forecast is not None
-    assert len(run.forecast) == 40
-    assert len(run.from_start) < 40
+    (fit,) = compare(gaps, ["mean"], setup).fits["mean"]
+    assert fit.forecast is not None
+    assert len(fit.forecast) == 40
+    assert len(fit.from_start) < 40
 
 
 def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
@@ -218,7 +209,7 @@ def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
     measured[110:TRAIN, 1] = False
     broken = Record(y, DT, columns=("a", "b"), measured=measured)
     with pytest.raises(ValueError, match="the last quarter of the 160 training samples"):
-        sb.compare(broken, methods=["gru"], setup=SETUP)
+        compare(broken, ["gru"], SETUP)
 
 
 class _Diverging(Forecaster):
@@ -248,18 +239,20 @@ class _DivergingLater(_Diverging):
 def test_a_method_of_which_every_last_training_fails_does_not_end_a_comparison() -> None:
     result = sb.compare(record(), TRAIN, methods=[_DivergingLater(), sb.Mean()])
     assert result.recommended == "mean"
-    assert [*result.runs] == ["mean"]
-    assert "no result: it diverged" in result.table["note"]["diverging"]
+    assert {*result.fits} == {"diverging", "mean"}
+    (note,) = result.clock.notes
+    assert "(it diverged): its results are those of three quarters" in note
 
 
 def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:
-    result = sb.compare(record(), methods=[_Diverging()], seeds=3, setup=SETUP)
-    assert [run.seed for run in result.runs["diverging"]] == [0, 2]
-    again = result.forecaster("diverging").fit(record()[:TRAIN], seed=0)
+    result = compare(record(), [_Diverging()], SETUP, seeds=3)
+    assert [fit.seed for fit in result.fits["diverging"]] == [0, 2]
+    again = result.trained("diverging").untrained().fit(record()[:TRAIN], seed=0)
     np.testing.assert_array_equal(again.predict(40).y, result.medians["diverging"].ahead)
-    forecast = sb.forecast(record(), 30, [_Diverging()], seeds=3, setup=replace(SETUP, train=200))
-    again = forecast.forecaster.fit(record(), seed=0)
-    np.testing.assert_array_equal(again.predict(30).y, forecast.prediction.y)
+    found = forecast([_Diverging()], seeds=3)
+    assert found.seeds == (0, 2)
+    again = found.model.untrained().fit(record(), seed=0)
+    np.testing.assert_array_equal(again.predict(30).y, found.prediction.y)
 
 
 def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
@@ -267,12 +260,12 @@ def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
     t = DT * np.arange(400)
     simulated = Record(np.sin(1.03 * t), DT, y_sim=np.sin(t))
     setup = replace(SETUP, train=300)
-    result = sb.compare(simulated, methods=[sb.Calibrated(terms=["clock"])], setup=setup)
+    result = compare(simulated, [sb.Calibrated(terms=["clock"])], setup)
     with pytest.warns(ExtrapolationWarning, match="output ends too early"):
-        found = result.forecaster().fit(simulated[:300]).predict(100)
+        found = result.trained().untrained().fit(simulated[:300]).predict(100)
     np.testing.assert_array_equal(found.y, result.medians["simulator-clock"].ahead)
 
 
 def test_a_method_goes_by_its_name_alone() -> None:
-    assert [*sb.compare(record(), methods="mean", setup=SETUP).runs] == ["mean"]
+    assert [*sb.compare(record(), methods="mean").fits] == ["mean"]
     assert sb.forecast(record(), 30, "mean").method == "mean"

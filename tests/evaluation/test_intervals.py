@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,10 @@ import numpy.typing as npt
 import pytest
 import scipy
 
+from splitband import Forecaster, Known
 from splitband.data import Record
-from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.setup import Options
+from splitband.evaluation.run import compare
 from splitband.forecasters.intervals import HeldOut, Interval
-from tests.support import compare, settled, try_out
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50
@@ -95,7 +94,7 @@ RECORDS: dict[str, tuple[Callable[[np.random.Generator], Array], Any, float, flo
 
 
 def fitted(y: Array, forecast: Callable[[Array, int], Array], train: int = 400) -> Interval:
-    """From forecasts at six shares of the training part, as `try_out` makes them."""
+    """From forecasts at six shares of the training part, as a comparison makes them."""
     cuts = [round(share * train) for share in (0.5, 0.625, 0.75, 0.8, 0.85, 0.9)]
     left = [(y[cut:train] - forecast(y[:train], cut))[:, None] for cut in cuts]
     return of_errors(left, y[:train, None])
@@ -179,17 +178,34 @@ def test_no_errors_are_named(none: list[Array]) -> None:
         of_errors(none, RECORD)
 
 
-def test_change_and_disagreement_of_seeds_add_up_in_the_interval_of_a_network() -> None:
-    held_out = HeldOut.of([0.1 * errors(200, 0.0, 1)], RECORD)
-    names = frozenset({"gru"})
-    early = {"gru": [np.zeros((20, 1))]}
-    trial = Trial({"gru": (1.0,)}, {"gru": 1.0}, names, held_out={"gru": held_out}, early=early)
-    seeds = [np.full((20, 1), 3.0), np.full((20, 1), 5.0)]
-    for of_seeds, variance in ((seeds[:1], 9), (seeds, 16 + 2)):
-        found = trial.settled({"gru": of_seeds}, {}).intervals["gru"]
-        mean = found.half_widths(20).mean()
-        assert mean == pytest.approx(NORMAL * np.sqrt(variance))
-    assert trial.settled({"gru": [0.01 * seeds[0]]}, {}).intervals == trial.intervals
+class Changing(Forecaster):
+    """Forecasts 0 when fitted to few samples, and a value for each seed when fitted to all."""
+
+    name, random, refits = "changing", True, False
+    final: tuple[float, ...] = ()
+
+    def extrapolate(self, known: Known) -> Array:
+        fitted = self.require_fitted()
+        whole = len(fitted.record) == 400
+        return np.full((known.steps, 1), self.final[fitted.report.seed] if whole else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("final", "variance"), [((3.0,), 9), ((3.0, 5.0), 16 + 2), ((0.03,), None)]
+)
+def test_change_and_disagreement_of_seeds_add_up_in_the_interval_of_a_network(
+    final: tuple[float, ...], variance: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Changing, "final", final)
+    y = 50 * errors(420, 0.0, 1)
+    y[300:] /= 500
+    held_out = compare(Record(y, 0.1), 400, [Changing()], seeds=len(final)).require_trial().held_out
+    found = held_out["changing"].interval(0.9).half_widths(20)
+    if variance is None:  # a change that the held-out errors explain
+        expected = replace(held_out["changing"], doubt=np.zeros((20, 1))).interval(0.9)
+        np.testing.assert_array_equal(found, expected.half_widths(20))
+    else:
+        assert found.mean() == pytest.approx(NORMAL * np.sqrt(variance))
 
 
 def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
@@ -198,11 +214,9 @@ def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
     for seed in range(4):
         y = SEASON + 0.2 * np.random.default_rng(seed).standard_normal(1000)
         record = Record(y[:, None], 0.1)
-        setup = Options().decided(record, 400)
-        runs = compare(record, ["seasonal-naive"], setup)
-        found = settled(try_out(record, ["seasonal-naive"], setup), runs)
-        interval = found.intervals["seasonal-naive"]
-        left = record.y[400:] - runs["seasonal-naive"][0].ahead
+        found = compare(record, 400, "seasonal-naive")
+        interval = found.require_trial().intervals["seasonal-naive"]
+        left = record.y[400:] - found.fits["seasonal-naive"][0].ahead
         inside.append(interval.coverage(left))
         widths.append(interval.half_widths(600).mean() / np.quantile(abs(left), 0.9))
     assert 0.85 <= np.mean(inside) <= 0.95

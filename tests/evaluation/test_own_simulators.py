@@ -10,10 +10,12 @@ import pytest
 
 import splitband as sb
 from splitband import GRU, Bands, Record, Settings
+from tests.records import Setup
+from tests.support import compare
 
 DT, WARMUP = 0.1, 12
 SETTINGS = Settings(40, WARMUP, 1, 16)
-SETUP = sb.Setup(160, SETTINGS, Bands(0.6, 1, 2))
+SETUP = Setup(160, SETTINGS, Bands(0.6, 1, 2))
 pytestmark = pytest.mark.filterwarnings("error")
 
 
@@ -41,28 +43,25 @@ def test_a_test_record_is_simulated_by_its_own_clock() -> None:
         [sb.Simulation(simulator), sb.Residual(sb.Simulation(simulator), GRU(3), settings=SETTINGS)]
         for simulator in (sb.Function(slow, start="record"), None)
     )
-    found = sb.compare(record, methods=own, tests=tests, seeds=1, setup=SETUP)
-    expected = sb.compare(
-        known(record), methods=brought, tests=[*map(known, tests)], seeds=1, setup=SETUP
-    )
+    found = compare(record, own, SETUP, tests=tests)
+    expected = compare(known(record), brought, SETUP, tests=[*map(known, tests)])
     for mine, theirs in zip(own, brought, strict=True):
         for one, other in zip(
-            found.runs[mine.name][0].tests, expected.runs[theirs.name][0].tests, strict=True
+            found.fits[mine.name][0].tests, expected.fits[theirs.name][0].tests, strict=True
         ):
             np.testing.assert_allclose(one.y, other.y, atol=1e-6)
-    (simulated,) = found.runs[own[0].name]
-    assert simulated.errors.tests == pytest.approx([0.2 / np.sqrt(2)] * 2, rel=0.1)
+    (simulated,) = found.fits[own[0].name]
+    assert found.errors(simulated).tests == pytest.approx([0.2 / np.sqrt(2)] * 2, rel=0.1)
 
 
 def test_further_records_have_the_simulator_at_their_own_times() -> None:
     record, others = rig(160, 0.0), [rig(230, 0.0), rig(120, 77.0)]
     model = sb.Residual(sb.Function(slow, start="record"), GRU(3), settings=SETTINGS)
-    found = sb.compare(record, methods=[model], others=others, tests=[rig(90, 5.0)], seeds=1,
-                       setup=SETUP)  # fmt: skip
+    found = compare(record, [model], SETUP, others=others, tests=[rig(90, 5.0)])
     alone = model.clone().fit(record, *others)
     test = rig(90, 5.0)
     expected = alone.predict(len(test) - WARMUP, test[:WARMUP], other_record=True).y
-    np.testing.assert_allclose(found.runs[model.name][0].tests[0].y, expected, atol=1e-6)
+    np.testing.assert_allclose(found.fits[model.name][0].tests[0].y, expected, atol=1e-6)
 
 
 def test_an_export_that_covers_both_days_says_each_of_them() -> None:
@@ -79,17 +78,17 @@ def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
     """Not those for two networks, which a setup holds where the record brings no simulator."""
     record = rig(200, 0.0)
     model = sb.Filtered(sb.Function(slow, start="record"), GRU(3), settings=SETTINGS)
-    chosen = sb.compare(record, 160, [model], seeds=1).forecaster().fit(record[:160])
+    chosen = sb.compare(record, 160, [model], seeds=1).model
     alone = model.clone().fit(record[:160])
     assert isinstance(chosen, sb.Filtered)
     assert isinstance(alone, sb.Filtered)
     assert chosen.trained_in == alone.trained_in
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_simulator_that_fails_is_a_row_that_says_why(jobs: int) -> None:
+@pytest.mark.parametrize("cores", [1, 2])
+def test_a_simulator_that_fails_is_a_row_that_says_why(cores: int) -> None:
     """Whatever it is: a lambda could not be sent to another process."""
     broken = sb.Simulation(sb.Function(lambda time: 1 / np.zeros(0)[0] + time, start=0))
-    result = sb.compare(rig(200, 3.0), methods=[broken, sb.Mean()], setup=SETUP, work=sb.Work(jobs))
+    result = compare(rig(200, 3.0), [broken, sb.Mean()], SETUP, cores=cores)
     assert result.recommended == "mean"
     assert "index 0 is out of bounds" in result.require_trial().failed["simulator"]

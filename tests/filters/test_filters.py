@@ -118,7 +118,19 @@ def test_torch_gives_the_numbers_of_numpy_as_a_tensor(shape: tuple[int, ...]) ->
     for low, low_torch in zip(pair.split(x), pair.split(torch.from_numpy(x)), strict=True):
         assert isinstance(low, np.ndarray)
         assert isinstance(low_torch, Tensor)
-        np.testing.assert_array_equal(low, low_torch.numpy())
+        np.testing.assert_allclose(low, low_torch.numpy(), rtol=0, atol=TIGHT)
+
+
+@pytest.mark.parametrize("dim", [0, 1, 2])
+def test_torch_gives_the_numbers_of_numpy_one_way(dim: int) -> None:
+    b, a = butterworth(CUTOFF, RATE, 3)
+    x, first = noise(10, 11, 12), noise(10, 11, 12).take(range(3), dim)
+    given = torch.from_numpy(x)
+    for start in ONE_WAY:
+        y = lfilter(b, a, given, start=start, dim=dim).numpy()
+        np.testing.assert_allclose(lfilter(b, a, x, start=start, dim=dim), y, rtol=0, atol=TIGHT)
+    y = lfilter(b, a, given, first=torch.from_numpy(first), dim=dim).numpy()
+    np.testing.assert_allclose(lfilter(b, a, x, first=first, dim=dim), y, rtol=0, atol=TIGHT)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -9,8 +9,8 @@ import pandas as pd
 
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, Settings
-from splitband.evaluation.setup import Setup
 from splitband.forecasters.names import QUICK, Sizes
+from tests.records import Setup
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20

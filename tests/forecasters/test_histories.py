@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from benchmarks import inputs as records
+from benchmarks import kinds as records
 from splitband import Record, Settings
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 

@@ -11,7 +11,7 @@ import scipy.stats
 
 from splitband.forecasters.intervals import HeldOut, Interval
 from tests.records import LENGTH, SETUP, TRAIN, holed, with_gaps
-from tests.support import try_out
+from tests.support import compare
 
 Array = npt.NDArray[np.float64]
 
@@ -65,5 +65,5 @@ def test_a_channel_without_an_error_has_no_interval(channel: Any) -> None:
 def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:
     y = holed(np.random.default_rng(6).standard_normal((LENGTH, 1)), slice(20, 60))
     apart = np.sqrt(2) * scipy.stats.norm.ppf(0.95)
-    interval = try_out(with_gaps(y), ["mean"], SETUP).intervals["mean"]
+    interval = compare(with_gaps(y), ["mean"], SETUP).require_trial().intervals["mean"]
     assert interval.most[0] == pytest.approx(apart * np.nanstd(y[:TRAIN]))

@@ -99,6 +99,20 @@ def test_another_simulator_than_the_one_of_the_model_is_said_to_be(tmp_path: Pat
         sb.load(tmp_path, simulator=sb.Function(sine, key="two"))
 
 
+@pytest.mark.parametrize(("saved", "given"), [(3.0, None), (None, 3.0), ("record", 0)])
+def test_a_simulator_with_another_start_is_refused(saved: Any, given: Any, tmp_path: Path) -> None:
+    """The function is the same, and has no key."""
+    model = sb.Simulation(sb.Function(sine, start=saved)).fit(RECORD)
+    model.save(tmp_path)
+    with pytest.raises(
+        ValueError, match=r"must have start=.* model was saved, got start="
+    ) as found:
+        sb.load(tmp_path, simulator=sb.Function(sine, start=given))
+    assert all(f"start={json.dumps(each or 0.0)}" in str(found.value) for each in (saved, given))
+    again = sb.load(tmp_path, simulator=sb.Function(sine, start=saved)).predict(STEPS)
+    np.testing.assert_array_equal(again.y, model.predict(STEPS).y)
+
+
 class Constant:
     """A simulator of the user's own, which has no parameters and says what it is."""
 

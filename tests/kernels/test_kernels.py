@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from splitband.kernels import euler_rollout, gru_rollout, state_space_rollout
+from splitband.kernels.euler_mlp import euler_rollout
+from splitband.kernels.gru import gru_rollout
+from splitband.kernels.state_space import state_space_rollout
 from splitband.networks import GRU, EulerMLP, StateSpace, free_run
 
 Sizes = tuple[int, int, int, int, int, int]

@@ -80,11 +80,11 @@ ON_A_BASE = ("filtered-linear-gru-conditioned", "residual-periodic-gru")
 )
 def test_no_method_learns_from_samples_after_the_training_part(method: Any) -> None:
     given, later = record(nu=1 if "linear" in method else 0), TRAIN + 5
-    expected = asked(method, given, SETUP, later=[later]).predictions
-    found = asked(method, with_other_samples(given, TRAIN), SETUP).predictions
+    expected = asked(method, given, SETUP, later=[later]).forecasts
+    found = asked(method, with_other_samples(given, TRAIN), SETUP).forecasts
     for origin in (first_origin(given, TRAIN, WARMUP), Origin(TRAIN, TRAIN)):
         np.testing.assert_array_equal(found[origin].y, expected[origin].y)
-    found = asked(method, with_other_samples(given, later), SETUP, later=[later]).predictions
+    found = asked(method, with_other_samples(given, later), SETUP, later=[later]).forecasts
     origin = Origin(TRAIN, later)
     np.testing.assert_array_equal(found[origin].y, expected[origin].y)
 

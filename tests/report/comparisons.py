@@ -13,10 +13,9 @@ import pandas as pd
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast, forecast
-from splitband.evaluation.protocols import Runs
 from splitband.evaluation.run import compare
-from splitband.evaluation.setup import Setup
-from splitband.evaluation.trials import SearchAttempt
+from splitband.evaluation.search import Attempt
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
 
@@ -40,20 +39,30 @@ def compared(
     tests: Sequence[Record] = (),
 ) -> Comparison:
     """Compared for real; of other methods than these the colours would be others."""
-    setup = Setup(train, Settings(30, WARMUP, 1), Bands(0.5, 1, 2))
-    found = compare(r, methods=[setup.forecaster(m) for m in methods], setup=setup, tests=tests)
-    return replace(found, attempts=(SearchAttempt("gru", "8 hidden units", 2, 0.25),))
+    found = compare(
+        r, train, [*methods], settings=Settings(30, WARMUP, 1), bands=Bands(0.5, 1, 2), tests=tests
+    )
+    return replace(found, attempts=(Attempt(1, "gru", "8 hidden units", 0, 0.25),))
+
+
+def with_report(fit: Fit, report: FitReport, **changes: Any) -> Fit:
+    """A fit with other predictions, and another report of its training."""
+    model = fit.fitted.clone()
+    vars(model).update(vars(fit.fitted))
+    model.fitted = replace(fit.fitted.require_fitted(), report=report)
+    return replace(fit, seed=report.seed, model=model, **changes)
 
 
 def as_if_trained(found: Comparison, method: str = "persistence") -> Comparison:
     """With training losses of two seeds, and two parts, as a model of two bands has them."""
-    (run,) = found.runs[method]
-    y = run.from_start.y
-    parts = replace(run.from_start, components={"low band": 0.75 * y, "high band": 0.25 * y})
+    (fit,) = found.fits[method]
+    y, first = fit.from_start.y, next(iter(fit.forecasts))
+    parts = replace(fit.from_start, components={"low band": 0.75 * y, "high band": 0.25 * y})
     losses = {"low band": [1.0, 0.4, 0.2], "high band": [1.0, 0.9]}
-    fits = [FitReport(seed, 1.0, losses, ("high band: a note",)) for seed in (0, 1)]
-    runs = dict(found.runs) | {method: [replace(run, from_start=parts, fit=fit) for fit in fits]}
-    return replace(found, runs=Runs(runs))
+    reports = [FitReport(seed, 1.0, losses, ("high band: a note",)) for seed in (0, 1)]
+    said = {**fit.forecasts, first: parts}
+    fits = [with_report(fit, report, forecasts=said) for report in reports]
+    return replace(found, fits={**found.fits, method: fits})
 
 
 @cache
@@ -74,5 +83,5 @@ def everything() -> Comparison:
 def forecasted() -> Forecast:
     """Of a record without time stamps whose samples are counted."""
     r = replace(record(), sampling_time=1.0)
-    setup = Setup(len(r), Settings(30, WARMUP, 1), Bands(0.05, 1, 2))
-    return forecast(r, 40, [setup.forecaster(m) for m in ("mean", "persistence")], setup=setup)
+    settings, bands = Settings(30, WARMUP, 1), Bands(0.05, 1, 2)
+    return forecast(r, 40, ["mean", "persistence"], settings=settings, bands=bands)

@@ -9,10 +9,12 @@ from typing import Any
 import html5lib
 import numpy as np
 import pytest
+import scipy.signal
 
+import splitband as sb
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.report.benchmark import Row
+from splitband.report.numbers import number
 from splitband.report.page import comparison, document
 from splitband.report.page import document as report
 from splitband.report.page.charts import Axis
@@ -36,20 +38,13 @@ def everything() -> Comparison:
 def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One of each kind."""
     folder = tmp_path_factory.mktemp("pages")
-    rows = [
-        Row("good", "test", "gru", 0.2, "linear", 0.1, 0.9, 3.0),
-        Row("no error", "test", "gru", None, "", None, None, 3.0),
-        Row(comparisons.NASTY, failed="the file is empty"),
-    ]
     used = Usage([("Fit it", "splitband fit 'a <b>'")], "splitband compare 'a <b>'")
     report.of_comparison(everything, folder / "comparison", used)
     report.of_forecast(comparisons.forecasted(), folder / "forecast", used)
-    report.of_rows(rows, folder / "benchmark", used)
-    report.of_rows(rows[2:], folder / "failures", used)
     return {page.name: page for page in folder.iterdir()}
 
 
-@pytest.mark.parametrize("kind", ["comparison", "forecast", "benchmark", "failures"])
+@pytest.mark.parametrize("kind", ["comparison", "forecast"])
 def test_each_page_is_well_formed_and_readable(pages: dict[str, Path], kind: str) -> None:
     """Landmarks, one first heading, no level left out, captions, words for every plot."""
     tree = parsed(pages[kind])
@@ -77,7 +72,6 @@ def test_names_are_escaped(pages: dict[str, Path]) -> None:
     tree = parsed(pages["comparison"])
     assert comparisons.NASTY in tree.find(".//h1").text
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
-    assert "<script>alert" not in pages["benchmark"].read_text(encoding="utf-8")
 
 
 def test_the_page_says_what_it_must(pages: dict[str, Path], everything: Comparison) -> None:
@@ -167,3 +161,27 @@ def test_a_diverging_method_is_drawn_to_the_edge(tmp_path: Path) -> None:
     r = Record(r.y, r.sampling_time, y_sim=np.where(np.arange(len(r)) > 250, 1e60, 0.0))
     comparisons.compared(r, ("mean", "simulator")).report(tmp_path / "page.html")
     parsed(tmp_path / "page.html")
+
+
+def test_the_linear_model_shows_its_orders_and_its_gain_with_its_error(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(400)
+    y = scipy.signal.lfilter([0.0, 0.5, 0.2], [1.0, -1.5, 0.7], u)
+    record = Record(y + 0.1 * rng.standard_normal(400), 0.1, u=u, inputs=("force",))
+    found = comparisons.compared(record, ("linear", "mean"), 300)
+    found.report(tmp_path / "report.html")
+    model = found.trained("linear")
+    assert isinstance(model, sb.Linear)
+    (section,) = [s for s in parsed(tmp_path / "report.html").iter("section")
+                  if s.get("id") == "linear"]  # fmt: skip
+    figures = {
+        " ".join("".join(f.find("figcaption").itertext()).split()): f.find("div").get("aria-label")
+        for f in section.iter("figure")
+    }
+    singular, held_out, gain = figures
+    assert singular == "Singular values; dashed: the order 2"
+    assert f"2: {number(float(model.model.values[1]))}" in figures[singular]
+    least = 100 * model.model.held_out[model.model.orders.index(2)]
+    assert f"2: {number(float(least))}" in figures[held_out]
+    assert gain == "Gain, force to y"
+    assert "95 % interval" in figures[gain]

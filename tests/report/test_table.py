@@ -12,7 +12,6 @@ import pytest
 from splitband import rmse
 from splitband.cli import showing
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Runs
 from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words
@@ -25,15 +24,15 @@ SCALE = 1000.0
 
 def of_two_seeds(found: Comparison, method: str = "mean", apart: float = 0.2) -> Comparison:
     """Two seeds of a method whose errors cancel in their median, but not in either of them."""
-    (run,) = found.runs[method]
-    assert run.forecast is not None
-    runs = []
+    (fit,) = found.fits[method]
+    fits = []
     for seed, sign in enumerate((-1, 1)):
-        start = replace(run.from_start, y=run.from_start.y + sign * apart)
-        ahead = replace(run.forecast, y=run.forecast.y + 2 * sign * apart)
-        each = replace(run, from_start=start, forecast=ahead, fit=FitReport(seed, 1.0))
-        runs.append(each)
-    return replace(found, runs=Runs(dict(found.runs) | {method: runs}))
+        said = {
+            origin: replace(each, y=each.y + (1 + (origin.at == origin.fitted)) * sign * apart)
+            for origin, each in fit.forecasts.items()
+        }
+        fits.append(comparisons.with_report(fit, FitReport(seed, 1.0), forecasts=said))
+    return replace(found, fits={**found.fits, method: fits})
 
 
 @pytest.fixture(scope="module")
@@ -70,12 +69,12 @@ def page_text(comparison: Comparison, folder: Path) -> str:
 
 
 def test_errors_are_of_the_median_of_seeds_with_their_spread_beside(seeds: Comparison) -> None:
-    record, train = seeds.record, seeds.setup.train
+    record, train = seeds.record, seeds.plan.train
     shown = column(seeds, "forecast RMSE")
     level = record.y[:train].mean()
     expected = rmse(record.y[train:], np.full((len(record) - train, 1), level))
     assert shown.values["mean"] == pytest.approx(expected)
-    alone = [rmse(record.y[train:], run.ahead) for run in seeds.runs["mean"]]
+    alone = [rmse(record.y[train:], run.ahead) for run in seeds.fits["mean"]]
     assert shown.spreads == {"mean": pytest.approx(np.std(alone, ddof=1))}
     assert np.mean(alone) > 1.05 * expected  # what was shown before
 
@@ -98,8 +97,8 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     trial = seeds.require_trial()
     final = {best: trial.final[best], other: trial.final[other]}
     scores = {best: 0.1, other: 9.0}
-    two = Runs({name: seeds.runs[name] for name in final})
-    found = replace(seeds, runs=two, trial=replace(trial, final=final, scores=scores))
+    two = {name: seeds.fits[name] for name in final}
+    found = replace(seeds, fits=two, trial=replace(trial, final=final, scores=scores))
     assert found.recommended == best
     shown = column(found, "forecast fit %")
     said = " ".join(words.afterwards(found))
@@ -111,7 +110,7 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
 
 
 def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:
-    record, train = scales.record, scales.setup.train
+    record, train = scales.record, scales.plan.train
     terminal, page = printed(scales), page_text(scales, tmp_path)
     for i, channel in enumerate(record.columns):
         held = np.full(len(record) - train, record.y[train - 1, i])
@@ -158,7 +157,7 @@ def test_a_channel_that_was_never_measured_after_training_has_no_number() -> Non
 
 
 def test_fit_is_what_matlab_prints_for_each_output(scales: Comparison) -> None:
-    record, train = scales.record, scales.setup.train
+    record, train = scales.record, scales.plan.train
     for i, channel in enumerate(record.columns):
         y, held = record.y[train:, i], record.y[train - 1, i]
         expected = 100 * (1 - np.linalg.norm(y - held) / np.linalg.norm(y - y.mean()))

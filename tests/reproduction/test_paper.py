@@ -18,18 +18,18 @@ from reproduction import published
 from reproduction.__main__ import main
 from reproduction.costs import progress
 from reproduction.jobs import SYSTEMS, Job
-from reproduction.runs import as_run, complete, load, training_seconds, whole_rmse
+from reproduction.runs import as_fit, complete, load, training_seconds, whole_rmse
 from reproduction.settings import HYBRID
 from reproduction.specs import SPECS, lines
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.evaluation.work import RunProgress
 from splitband.forecasters.known import Known
 from splitband.metrics import rmse
 from splitband.models import Signals, Split
 from splitband.runtime.files import CHECKPOINTS
+from splitband.training import Checkpoint
 
 Array = npt.NDArray[np.float64]
 
@@ -60,12 +60,13 @@ def test_a_row_is_run_and_stands_beside_the_papers(folder: Path) -> None:
 def test_a_file_holds_what_was_predicted(folder: Path) -> None:
     job = Job("i", "split-gru", 1, epochs=2)
     record = job.record
-    found = as_run(load(job, folder / "runs"), record)
+    facts = load(job, folder / "runs")
+    found = as_fit(facts, record)
     truth = record.y_true
     assert truth is not None
-    assert rmse(truth[30:], found.from_start.y) == pytest.approx(found.total_rmse, abs=1e-3)
-    assert rmse(truth[250:], found.ahead) == pytest.approx(found.forecast_rmse, abs=1e-3)
-    first = as_run(load(replace(job, seed=0), folder / "runs"), record).from_start
+    assert rmse(truth[30:], found.from_start.y) == pytest.approx(facts["total_rmse"], abs=1e-3)
+    assert rmse(truth[250:], found.ahead) == pytest.approx(facts["forecast_rmse"], abs=1e-3)
+    first = as_fit(load(replace(job, seed=0), folder / "runs"), record).from_start
     np.testing.assert_allclose(sum(first.components.values()), first.y, atol=2e-3)
 
 
@@ -232,17 +233,21 @@ def test_an_rnn_run_that_was_killed_ends_with_the_same_bits(
     monkeypatch.setitem(SYSTEMS, "v", short)
     job = Job("v", "filtered-rnn", epochs=4)
 
-    def kill(at: RunProgress) -> None:
-        if at.share == 0.5:
+    offer, epochs = Checkpoint.offer, list[str]()
+
+    def kill_in_second(self: Checkpoint, key: str, *state: Any) -> None:
+        epochs.append(key)
+        if len(epochs) == 2:
             raise Killed
+        offer(self, key, *state)
 
     complete([job], tmp_path / "whole")
+    monkeypatch.setattr(Checkpoint, "offer", kill_in_second)
     with pytest.raises(Killed):
-        complete([job], tmp_path / "killed", 1, kill)
+        complete([job], tmp_path / "killed")
     assert not (tmp_path / "killed" / job.path).exists()
-    shares: list[float] = []
-    complete([job], tmp_path / "killed", 1, lambda at: shares.append(at.share))
-    assert shares == [0.5, 0.75, 1.0]  # the epoch in which it died has no checkpoint
+    complete([job], tmp_path / "killed")
+    assert len(epochs) == 2 + 3  # the epoch in which it died has no checkpoint
     whole, went_on = (load(job, tmp_path / name) for name in ("whole", "killed"))
     assert went_on["resumed"] is True
     for name in ("total_rmse", "forecast_rmse", "losses", "from_start", "components"):
@@ -258,7 +263,7 @@ def test_the_whole_trajectory_counts_the_warm_up_too() -> None:
         # A network takes the measured samples over; a simulator has its own there.
         start = record.y if method == "residual-gru" else record.y_sim
         assert start is not None
-        whole = np.concatenate([start[:50], as_run(facts, record).from_start.y])
+        whole = np.concatenate([start[:50], as_fit(facts, record).from_start.y])
         assert rmse(record.truth, whole) == pytest.approx(whole_rmse(facts, job), abs=1e-3)
 
 

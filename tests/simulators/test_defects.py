@@ -44,7 +44,7 @@ def test_an_equation_that_raises_wherever_a_search_begins_ends_at_once(
     with pytest.raises(ValueError, match="must run at its start values.*(" + message + ")"):
         sb.GreyBox(ode).check(RECORD)
     with pytest.raises(ValueError, match=message):  # in place of a network that is trained
-        sb.compare(RECORD, setup=sb.Options(simulator=ode))
+        sb.compare(RECORD, simulator=ode)
 
 
 def test_an_equation_that_raises_elsewhere_is_fitted() -> None:

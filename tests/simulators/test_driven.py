@@ -285,8 +285,8 @@ def test_a_comparison_runs_each_record_with_its_own_inputs() -> None:
 
     result = sb.compare(record(STEPS), methods=[sb.Simulation(Own()), sb.Mean()], others=[
         record(WAVE)], tests=[record(GATE), record(-STEPS)], seeds=1)  # fmt: skip
-    simulated = result.runs["simulator"][0]
-    assert max(*simulated.errors.tests, simulated.errors.total) < 2e-3
+    errors = result.errors(result.fits["simulator"][0])
+    assert max(*errors.tests, errors.total) < 2e-3
     y = result.model.predict(10, u=ONE[:10]).y  # with inputs that it was not run for
     np.testing.assert_allclose(np.diff(y[:, 0]), 1.0)
 

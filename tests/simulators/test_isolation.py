@@ -8,7 +8,7 @@ import pytest
 
 from splitband.simulators import run
 from splitband.simulators.isolation import Isolated
-from tests.runtime.test_processes import alive, eventually
+from tests.runtime.test_workers import alive, eventually
 
 FUNCTIONS = """
 import ctypes

@@ -114,6 +114,23 @@ def keyword(time: Array, *, u: Array | None = None) -> Array:
     return optional(time, u)
 
 
+class Tolerant:
+    """Run with or without inputs, by the arguments that there are."""
+
+    def simulate(self, *args: Array) -> Array:
+        return optional(*args)
+
+
+class Told(Tolerant):
+    """Say that it takes the inputs."""
+
+    driven = True
+
+
+def drag(time: Array, u0: float = 1.0) -> Array:
+    return u0 * time
+
+
 def named(time: Array, u: Array | None = None) -> Array:
     return optional(time, u)
 
@@ -124,6 +141,10 @@ DATED = record(np.sin(TIME), None, start=pd.Timestamp("2024-01-01 00:00:07"))
 REFUSED: dict[str, tuple[Callable[[], Any], sb.Record, str]] = {
     "inputs by another name": (lambda: sb.Function(optional), DRIVEN, "inputs=None.*call it u"),
     "inputs by keyword": (lambda: sb.Function(keyword), DRIVEN, "u=None.*without a [*] before"),
+    "any number of arguments": (Tolerant, DRIVEN, r"[*]args is the record's inputs.*call it u"),
+    "an input's name for a constant": (
+        lambda: sb.Function(drag), record(lag(STEPS), STEPS, inputs=("u0",)), "u0=1.0 is the",
+    ),
     "no inputs": (lambda: sb.Function(lambda time, u: u.sum(axis=1)), ALONE, "record has none"),
     "parameters in the inputs' place": (
         lambda: sb.Ode(lambda t, x, p: [-p[0] * x[0]], [1.0], parameters={"k": (0.1, 5)}),
@@ -143,6 +164,8 @@ def test_what_may_mean_two_things_is_refused(what: str) -> None:
 
 def test_the_remedies_work() -> None:
     np.testing.assert_allclose(simulated(sb.Function(named), DRIVEN), DRIVEN.y)
+    np.testing.assert_allclose(simulated(Told(), DRIVEN), DRIVEN.y)
+    np.testing.assert_array_equal(simulated(Tolerant(), ALONE), 0 * ALONE.y)
     np.testing.assert_allclose(simulated(sb.Function(np.sin, start=7), DATED)[:, 0],
                                np.sin(TIME + 7))  # fmt: skip
 
@@ -168,12 +191,16 @@ def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
     monkeypatch.chdir(tmp_path)
     built(Path("Plant.fmu").resolve(), inputs=("a",), output="y")
     Path("sim.py").write_text("def f(time, inputs=None): return 0 * time\n"
+                              "def g(*args): return 0 * args[0]\n"
+                              "h = lambda *args: g(*args)\n"
                               "def rhs(t, x, u): return [u[0] - x[0]]\n")  # fmt: skip
     frame = pd.DataFrame({"time": TIME, "w": WAVE, "v": STEPS, "y": lag(STEPS)})
     frame.to_csv("rig.csv", index=False)
     line = shlex.split("spectrum rig.csv --inputs w,v --columns y --out out --simulator")
     assert main([*line, "Plant.fmu", "--simulator-inputs", ",a"]) == 0
-    for simulator, message in (("sim.py:f", "call it u"), ("sim.py:rhs", "(t, x, u, p)"),
+    for simulator, message in (("sim.py:f", "call it u"), ("sim.py:g", "*args is the"),
+                               ("sim.py:h", "*args is the"),
+                               ("sim.py:rhs", "(t, x, u, p)"),
                                ("Plant.fmu", "w, v, in their order")):  # fmt: skip
         capsys.readouterr()
         assert main([*line, simulator]) != 0

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from splitband import Record, Settings
-from splitband.evaluation.setup import Setup
 from splitband.models import Model
+from splitband.runtime.keys import key_of
 from splitband.training import History, Progress, fit
-from splitband.training.checkpoints import Checkpoint, key_of
+from splitband.training.checkpoints import Checkpoint
 from splitband.training.network import MOST_RESTARTS, NetworkTraining
-from tests.records import QUICK, SETUP, TRAIN, record
+from tests.records import QUICK, SETUP, TRAIN, Setup, record
 from tests.support import untrained
 
 RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)

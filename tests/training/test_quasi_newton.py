@@ -13,7 +13,7 @@ from splitband import Record, Settings, Single, StateSpace
 from splitband.models import Model
 from splitband.training import History, Progress, fit, quasi_newton
 from splitband.training.checkpoints import Checkpoint
-from splitband.training.quasi_newton import QuasiNewton, end_to_end, samples_in_a_step
+from splitband.training.quasi_newton import QuasiNewton, end_to_end
 from tests.records import SETUP, TRAIN, holed, record, standing_in
 from tests.streams import Leaky
 from tests.support import untrained
@@ -81,21 +81,17 @@ def test_every_sample_after_the_first_warmup_is_in_a_window(
 ) -> None:
     for halved in (0, 10_000):
         monkeypatch.setattr(quasi_newton, "HALVED", halved)
-        chosen = end_to_end(torch.arange(samples - window + 1), window, warmup)
+        chosen = end_to_end(torch.arange(samples - window + 1), window, warmup, 10_000)
         predicted = {n for start in chosen.tolist() for n in range(start + warmup, start + window)}
         assert predicted == set(range(warmup, samples))
-        reckoned = samples_in_a_step(samples, window, warmup)
-        assert abs(reckoned - len(chosen) * window) <= window
 
 
-def test_of_a_long_record_some_windows_are_left_out_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(quasi_newton, "MOST_SAMPLES", 100)
-    chosen = end_to_end(torch.arange(991), 10, 0)
+def test_of_a_long_record_some_windows_are_left_out_evenly() -> None:
+    chosen = end_to_end(torch.arange(991), 10, 0, 100)
     assert len(chosen) == 10
     assert chosen[0] == 0
     assert chosen[-1] == 990
     assert np.ptp(np.diff(chosen.numpy())) <= 10
-    assert samples_in_a_step(1000, 10, 0) == 100
 
 
 def test_it_gets_further_than_as_many_epochs() -> None:

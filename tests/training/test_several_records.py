@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from splitband import GRU, Progress, Record
-from splitband.evaluation.plan import Plan, check
+from splitband.evaluation.plan import plan
 from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
 from splitband.training import fit
 from splitband.training.checkpoints import Checkpoint
 from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
-from tests.support import asked, compare, forecasters, run, untrained
+from tests.support import asked, compare, untrained
 from tests.training.support import GAPS, fitted, parameters
 
 
@@ -46,11 +46,10 @@ def test_several_records_train_another_model_than_each_alone() -> None:
     a, b = record(seed=0)[:TRAIN], record(seed=1)[:TRAIN]
     both, alone = fitted([a, b]), fitted(a)
     assert not torch.equal(parameters(both), parameters(alone))
-    found = asked("gru", record(), SETUP, others=[b]).predictions[Origin(TRAIN, TRAIN)].y
-    np.testing.assert_array_equal(
-        found, compare(record(), ["gru"], SETUP, others=[b])["gru"][0].ahead
-    )
-    assert not np.array_equal(found, run("gru", record(), SETUP).ahead)
+    found = asked("gru", record(), SETUP, others=[b]).forecasts[Origin(TRAIN, TRAIN)].y
+    compared = compare(record(), ["gru"], SETUP, others=[b])
+    np.testing.assert_array_equal(found, compared.fits["gru"][0].ahead)
+    assert not np.array_equal(found, asked("gru", record(), SETUP).ahead)
 
 
 def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
@@ -70,7 +69,7 @@ def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
 )
 def test_other_records_must_be_of_the_same_kind(other: Record, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        check(Plan.of(record(), forecasters(["gru"], SETUP), SETUP, [other]))
+        plan(record(), TRAIN, ["gru"], others=[other], **SETUP.options)
 
 
 def test_a_network_without_a_simulator_trains_on_records_with_and_without_one() -> None:

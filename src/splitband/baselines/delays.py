@@ -1,6 +1,7 @@
-"""Estimate the dead time of each input at each output, in samples.
+"""Estimate the delay of each input at each output: the sample where its impulse response begins.
 
-A delay of many samples would cost a linear model as many states and a network as long a memory.
+The dead time of a held input is one sample less, as it acts one sample late by itself. A delay of
+many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
 cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); the linear
 model then moves it to where its error is least (`baselines.linear`).
@@ -80,7 +81,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
         of_input = _whitener(inputs)
         white = [_through(of_input, x) for x in inputs]
         for k in range(ny):
-            outputs = [_through(of_input, _filled(y[:, k])) for y, _ in records]
+            outputs = [_through(of_input, filled(y[:, k])) for y, _ in records]
             of_output = _whitener(outputs)
             left = [_through(of_output, x) for x in outputs]
             # A slow output under noise loses an input's effect together with its slowness.
@@ -139,8 +140,8 @@ def _acts_before(
     return bool(power > least * max(left, floor))
 
 
-def _filled(y: Array) -> Array:
-    """Fill gaps by linear interpolation."""
+def filled(y: Array) -> Array:
+    """Fill gaps by linear interpolation; a channel without a sample is 0."""
     rows = np.flatnonzero(~np.isnan(y))
     return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
 

@@ -50,7 +50,8 @@ class LinearModel:
     by : What was minimised, "output error" or "prediction error".
     orders, held_out : Orders that were tried, and the held-out simulation error of each, as a share
         of the outputs' standard deviations.
-    values : Singular values of the data.
+    values : Singular values of the data. These three are empty where outputs are modelled one by
+        one, because their delays differ.
     silent : Angles, in radians per sample, of poles that no input excites.
     accuracy : Standard errors; None after a deadline.
     """
@@ -113,14 +114,17 @@ class LinearModel:
         return len(self.a)
 
     def delay(self, output: int, input_: int) -> int:
-        """Return the delay from an input to an output in samples, the least of several."""
+        """Return the sample at which the response of an output to an input's impulse begins.
+
+        It is the least of several, and 0 for what acts after less than `delays.SHORTEST` samples.
+        """
         acts = self._acts(output)
         found = [d for (i, d), on in zip(self.taps, acts, strict=True) if i == input_ and on]
         return min(found, default=0)
 
     @property
     def delays(self) -> tuple[int, ...]:
-        """Return the least delay of each input, `nu` of them."""
+        """Return the least delay of each input over the outputs, `nu` of them."""
         return tuple(min(d for i, d in self.taps if i == j) for j in range(self.nu))
 
     def _acts(self, output: int) -> Any:
@@ -166,6 +170,18 @@ class LinearModel:
         forced = tapped @ self.b.T + self.drift
         x = states(self.a, forced, first)
         return x @ self.c.T + tapped @ self.d.T + self.offset, self.a @ x[-1] + forced[-1]
+
+    def in_units(self, y_mean: Array, y_scale: Array, u_mean: Array, u_scale: Array) -> LinearModel:
+        """Return the model of signals y_mean + y_scale y and u_mean + u_scale u."""
+        both, into = np.outer(y_scale, y_scale), u_scale[[i for i, _ in self.taps]]
+        return replace(
+            self,
+            b=self.b / into, c=self.c * y_scale[:, None], d=self.d * y_scale[:, None] / into,
+            offset=y_mean + y_scale * self.offset, gain=self.gain / y_scale,
+            noise=self.noise * both, mean=u_mean + u_scale * self.mean,
+            error=self.error * y_scale, spread=self.spread * both, scale=self.scale * y_scale,
+            accuracy=self.accuracy and self.accuracy.in_units(y_scale, u_scale),
+        )  # fmt: skip
 
     def observed(self, u: Array, y: Array) -> Array:
         """Return the state after the first training record, by the Kalman filter, `(n,)`."""
@@ -329,7 +345,6 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         return np.concatenate([getattr(m, name) for m in models])
 
     accuracies = [m.accuracy for m in models if m.accuracy is not None]
-    least = min(models, key=lambda m: len(m.orders))
     return LinearModel(
         diagonal("a"),
         diagonal("b"),
@@ -351,9 +366,6 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         joined("scale")[back],
         sum(m.integrators for m in models),
         " and ".join(dict.fromkeys(m.by for m in models)),
-        least.orders,
-        least.held_out,
-        least.values,
-        tuple(angle for m in models for angle in m.silent),
-        Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None,
+        silent=tuple(angle for m in models for angle in m.silent),
+        accuracy=(Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None),
     )

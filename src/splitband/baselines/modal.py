@@ -128,9 +128,14 @@ class Blocks:
         pairs[self.single, 0] = self.a[self.single, 0]
         return np.asarray(np.concatenate([pairs[:, 0], pairs[~self.single, 1]]))
 
+    @property
+    def kept(self) -> Flags:
+        """Return which of two states a block there are: a first-order block has one."""
+        return np.stack([np.ones(len(self.a), bool), ~self.single], axis=1).ravel()
+
     def matrices(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D, without states that a first-order block does not have."""
-        kept = np.stack([np.ones(len(self.a), bool), ~self.single], axis=1).ravel()
+        kept = self.kept
         companions = [np.array([row, [1.0, 0.0]]) for row in self.a]
         a = scipy.linalg.block_diag(*companions)[np.ix_(kept, kept)] if len(self.a) else np.zeros(
             (0, 0)

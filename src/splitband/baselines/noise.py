@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.baselines.modal import Run, blocks_of
@@ -36,27 +35,31 @@ _CHANCE = 1e-6
 """Probability that errors without effect do so. By eye."""
 
 
-class Noise(NamedTuple):
-    """Hold the gain K `(states, ny)` and the covariance of e `(ny, ny)`."""
-
-    gain: Array
-    covariance: Array
-
-
 def innovations(a: Array, c: Array, gain: Array, errors: Array) -> Array:
     """Return the prediction errors `(time, ny)` of simulation errors `(time, ny)`."""
     x = states(a - gain @ c, errors @ gain.T, np.zeros(len(a)))
     return errors - x @ c.T
 
 
-def fitted_noise(
+@np.errstate(all="ignore")
+def covariance(
+    a: Array, c: Array, gain: Array, errors: Sequence[Array], seen: Sequence[Array]
+) -> Array:
+    """Return the covariance of prediction errors `(ny, ny)`; arguments as of `fitted_gain`."""
+    left = np.concatenate(
+        [innovations(a, c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
+    )
+    return np.asarray(left.T @ left / np.maximum(np.concatenate(seen).sum(axis=0), 1))
+
+
+def fitted_gain(
     a: Array,
     c: Array,
     spread: Array,
     errors: Sequence[Array],
-    seen: Sequence[npt.NDArray[np.bool_]],
-) -> Noise:
-    """Return the filter that predicts best, for the errors of a simulation.
+    seen: Sequence[Array],
+) -> Array:
+    """Return the gain K `(states, ny)` that predicts best, for the errors of a simulation.
 
     The gains of a Riccati equation, with process noise in proportion to the states' covariance in
     the record, are the start; a small gain is then refined entry by entry.
@@ -65,20 +68,15 @@ def fitted_noise(
     ----------
     a, c : Of the simulated system.
     spread : Covariance of its states in the record, `(states, states)`.
-    errors, seen : Simulation errors of each record, 0 in gaps, and where outputs were measured,
+    errors, seen : Simulation errors of each record, 0 in gaps, and 1 where outputs were measured,
         `(time, ny)` each.
     """
-    count = np.maximum(sum(s.sum(axis=0) for s in seen), 1)
-
-    def found(gain: Array) -> list[Array]:
-        with np.errstate(all="ignore"):
-            return [innovations(a, c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
 
     def cost(gain: Array) -> float:
         observer = a - gain @ c
         if len(a) and abs(np.linalg.eigvals(observer)).max() > 1 - _MARGIN and gain.any():
             return np.inf
-        power = sum((e**2).sum(axis=0) for e in found(gain)) / count
+        power = np.diag(covariance(a, c, gain, errors, seen))
         return float(np.log(np.maximum(power, 1e-24)).sum()) if np.isfinite(power).all() else np.inf
 
     together = np.concatenate(errors)
@@ -93,8 +91,7 @@ def fitted_noise(
     best = min(gains if stable else gains[1:] or gains, key=cost)
     if best.any() and best.size <= _FREE:
         best = _refined(best, cost)
-    left = np.concatenate(found(best))
-    return Noise(best, (left.T @ left) / count)
+    return best
 
 
 def _refined(gain: Array, cost: Callable[[Array], float]) -> Array:

@@ -14,12 +14,11 @@ import scipy
 
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.systems import states as simulated
+from splitband.baselines.systems import whitening
 from splitband.runtime.arrays import Array
 
 _FASTEST, _SLOWEST = 0.5, 0.95
 """Range of the poles of additional states that the output does not depend on. By eye."""
-_RANK = 1e-6
-"""Variances below this share of the largest one are raised to it before scaling. By eye."""
 _RIDGE = 1e-6
 """Ridge penalty of the state estimator, as a share of the regressors' mean square. By eye."""
 
@@ -71,10 +70,7 @@ def realised(
     middle = np.append(model.centre, np.zeros(more))
     starts = [first, *[middle] * (len(inputs) - 1)]
     runs = [simulated(a, u @ b.T + drift, x) for x, u in zip(starts, inputs, strict=True)]
-    together = np.concatenate(runs)
-    variance, axes = np.linalg.eigh(together.T @ together / len(together))
-    size = np.sqrt(np.maximum(variance, _RANK * max(variance[-1], np.finfo(float).tiny)))
-    into, out = axes.T / size[:, None], axes * size
+    into, out = whitening(np.concatenate(runs))
     offset = model.offset - model.d @ model.mean
     return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset,
                        tuple(run @ into.T for run in runs))  # fmt: skip

@@ -17,8 +17,9 @@ from splitband.runtime.arrays import Array
 
 _STEPS = 8
 """Most attempts to find a step that lowers the error. By eye."""
-_CONVERGED = 1e-5
-"""A fit ends when an iteration lowers the logarithm of the error by less. By eye."""
+_CONVERGED = 0.1
+"""A fit ends when an iteration raises the log-likelihood by less. A parameter without effect raises
+it by 1/2 on average: smaller steps are within the noise."""
 _RIDGE = 1e-10
 """Share of their diagonal that the normal equations gain, as some directions change nothing."""
 _EXACT = 1e-10
@@ -46,6 +47,12 @@ class Solution:
     def cost(self) -> float:
         """Return the sum over outputs of the logarithm of the RMS error."""
         return float(np.log(np.maximum(self.scale, _EXACT)).sum())
+
+    def matrices(self, step: Array | None = None) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D without the constant input, after a `step` of the values."""
+        blocks = self.blocks if step is None else self.blocks.moved(step)
+        a, b, c, d = blocks.matrices()
+        return (a, b[:, :-1], c, d[:, :-1]) if blocks.constant else (a, b, c, d)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +216,6 @@ def refined(
     iterations: int,
     first: Sequence[Array] | None = None,
     limit: float = 1.0,
-    converged: float = _CONVERGED,
 ) -> Solution:
     """Return the locally best system, with complex poles below `limit` in absolute value.
 
@@ -220,6 +226,7 @@ def refined(
         at = linear_solution(blocks, runs)
     else:
         at = evaluated(blocks, runs, [*first] or zero)
+    samples = sum(float(run.seen.sum()) for run in runs) / len(at.scale)
     damping, free = 1e-4, blocks.free
     for _ in range(iterations):
         found = equations(at, runs, free)
@@ -233,7 +240,7 @@ def refined(
             return at
         gain, at = at.cost - new.cost, new
         damping = max(damping / 10, 1e-12)
-        if gain < converged:
+        if samples * gain < _CONVERGED:
             break
     return at
 

@@ -7,6 +7,10 @@ import scipy
 
 from splitband.runtime.arrays import Array
 
+_LEAST = 1e-12
+"""Least mean square of a direction of the states, as a share of the largest, which is scaled to 1:
+with less of it there is rounding."""
+
 
 def states(a: Array, forced: Array, first: Array) -> Array:
     """Return x_0, x_1, ... of x_{t+1} = A x_t + f_t, `(time, states)`.
@@ -57,3 +61,17 @@ def root_of(covariance: Array) -> Array:
     """Return a square root R of a covariance R R', `(n, n)`."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
+
+
+def whitening(visited: Array) -> tuple[Array, Array]:
+    """Return T and its inverse, for which the states T x are uncorrelated, of mean square 1.
+
+    `visited`: states in the records, `(time, states)`; where an unstable model leaves the range of
+    numbers, T is the unit matrix.
+    """
+    unit = np.eye(visited.shape[1])
+    if not np.isfinite(visited).all():
+        return unit, unit
+    power, axes = np.linalg.eigh(visited.T @ visited / len(visited))
+    size = np.sqrt(np.maximum(power, _LEAST * max(power.max(initial=0.0), 1e-300)))
+    return axes.T / size[:, None], axes * size

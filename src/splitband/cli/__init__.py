@@ -20,7 +20,7 @@ from splitband.cli import clock
 COMMANDS = {
     "demo": "See what the package does, in about a minute.",
     "compare": "Compare models of a record, and recommend one.",
-    "benchmark": "Compare models on many records, in one table.",
+    "summary": "Put the results of many records into one table.",
     "forecast": "Forecast beyond the end of a record, with an interval.",
     "fit": "Train one model on a record and save it.",
     "simulate": "Predict with a saved model, from a measured history.",
@@ -59,7 +59,6 @@ class Commands(TyperGroup):
         if self.listing:
             return typer.core.TyperCommand(cmd_name, help=COMMANDS[cmd_name])
         command = getattr(import_module(f"splitband.cli.{cmd_name}"), cmd_name)
-        clock.loaded()
         if isinstance(command, typer.Typer):
             return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
@@ -114,6 +113,12 @@ def splitband(
     context.with_resource(import_module("splitband.cli.showing").saying(quiet, json))
 
 
+GONE = {
+    "--effort": " (it is gone: --rounds N fixes the work, --budget TIME the time)",
+    "--settings": " (it is gone: --like DIR takes the settings of an earlier result or model)",
+    "'benchmark'.": " It is gone: a loop over compare, then splitband summary DIR...",
+}
+"""What to use in place of options and commands of earlier versions."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C: the convention of shells, and what typer returns."""
 
@@ -131,11 +136,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except TyperException as error:
         # Without a command typer has printed the help, and its message is empty.
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
-        return _complain((error.format_message().strip() or nothing) + _value(error, given))
+        said = error.format_message().strip()
+        without_guess = said.partition(" (Possible")[0]
+        for old, now in GONE.items():
+            if without_guess.endswith(old):
+                return _complain(without_guess + now)
+        return _complain((said or nothing) + _value(error, given))
     except EXPECTED as error:
         return _complain(in_words(error))
     if status == INTERRUPTED:
-        _complain("stopped; no file is half written, and the same command goes on from here")
+        _complain(
+            "stopped; no file is half written, and the same command goes on from what is finished"
+        )
     return status if isinstance(status, int) else 0
 
 
@@ -166,8 +178,8 @@ def _complain(message: str) -> int:
 
 OPTIONS = (
     "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "history",
-    "horizon", "inputs", "level", "methods", "order", "precision", "settings", "simulator",
-    "steps", "train", "warmup", "window",
+    "horizon", "inputs", "level", "methods", "order", "precision", "rounds", "seed", "seeds",
+    "simulator", "steps", "train", "warmup", "window",
 )  # fmt: skip
 """Arguments of the library that are options of the same name here."""
 

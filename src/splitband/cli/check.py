@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import records, setups, showing
+from splitband.cli import records, showing
+from splitband.cli.comparing import check_device
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
 from splitband.cli.options.records import FileOptions, ModelArgument
@@ -46,7 +47,7 @@ def check(
     model = forecasters.load(model_dir)
     past = records.history_of(record, "--record", model.require_fitted().record, files)
     model = opened_with_simulator(model, model_dir, simulator, past, 0, files.time_column)
-    setups.check_device(device)
+    check_device(device)
     model.to(device)
     responses = None
     with showing.warnings_as_lines():

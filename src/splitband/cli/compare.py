@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import showing
-from splitband.cli.comparing import Request, command_of, compared, planned, save, workers
+from splitband.cli import INTERRUPTED, showing
+from splitband.cli.comparing import Request, command_of, planned, workers
+from splitband.cli.live import compared, save
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cluster, Jobs
 from splitband.evaluation.comparison import Comparison
@@ -25,16 +26,16 @@ def compare(
     context: typer.Context,
     asked: Request,
     jobs: Jobs = None,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for results, pictures and page.")
-    ] = Path("out"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for results and page.")] = Path(
+        "out"
+    ),
     cluster: Cluster = None,
 ) -> None:
     """Compare models of a record, and recommend one.
 
     Every method is trained on the first --train samples and predicts the rest, and with --test
     other records. The table shows fit % and RMSE. OUT gets a page to send on (report.html),
-    pictures, predictions and results.json.
+    predictions and results.json.
 
     The recommended method is chosen on training samples only: trained on three quarters of them,
     it predicts the last quarter best. An interval around its forecast should hold 90 % of what is
@@ -43,25 +44,30 @@ def compare(
     OUT/model is the recommended method as it was trained, for `splitband simulate`; --refit trains
     it on the whole record.
 
-    --budget or --effort limit the search for how to train; --window, --epochs, --learning-rate,
-    --lr-milestones and --recipe constant-rate replace it. --calibrate and --conditioned add rows.
+    How networks are trained is searched round by round until --budget is over: a table after
+    every round, and OUT/model is the best model so far. Ctrl-C ends with what there is. --rounds
+    limits the work in place of the time; --window, --epochs, --learning-rate, --lr-milestones,
+    --recipe constant-rate and --like replace the search. --calibrate and --conditioned add rows.
     """
-    with workers(jobs, cluster) as work:
-        result = compared(planned(asked, work.cores), work, out)
-    show(result, out, save(result, out, command_of(context)))
+    plan, facts = planned(asked), command_of(context)
+    with workers(jobs, cluster) as where:
+        result = compared(plan, where, out, facts)
+    show(result, out, save(result, out, facts))
+    if result.interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 def show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the table, the recommendation with its reason, warnings, and how to use the model."""
-    setup, trial, best = result.setup, result.require_trial(), result.recommended
+    plan, trial, best = result.plan, result.require_trial(), result.recommended
     said = {}
     for name, note in remarks(result).items():
-        kind = words.in_words(name, result.forecasters)
+        kind = words.in_words(name, result.methods)
         said[name] = f"{kind}; {note}" if name in trial.trained and kind and note else note or kind
     showing.methods(_title(result), columns(result), said, best)
-    showing.console.print(result.time.in_words())
-    kind = words.in_words(best, result.forecasters)
-    why = " ".join(words.why(trial, setup.train))
+    showing.console.print(result.clock.in_words())
+    kind = words.in_words(best, result.methods)
+    why = " ".join(words.why(trial, plan.train))
     showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
     _show_bands(result)
     for message in words.warnings(result):
@@ -72,12 +78,12 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
         showing.console.print(f"residual tests: {tested.verdict()}")
     for what, command in used.commands[:1]:
         showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
-    showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults and picture: {out}/")
+    showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults: {out}/")
     showing.results_of(out)
 
 
 def _title(result: Comparison) -> str:
-    record, train = result.record, result.setup.train
+    record, train = result.record, result.plan.train
     truth = "the noise-free signal" if record.y_true is not None else "what was measured"
     return (
         f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to "
@@ -87,8 +93,8 @@ def _title(result: Comparison) -> str:
 
 def _show_bands(result: Comparison) -> None:
     """Print the cut-off of the recommended model, and whether hybrids were left out."""
-    bands, training = result.setup.bands, result.plan.training
-    network = result.forecasters[result.recommended].network
+    bands, training = result.plan.bands, result.plan.training
+    network = result.methods[result.recommended].network
     splits = network is not None and network.bands is not None
     if splits and bands.cutoff is not None and bands.downsampling is not None:
         below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)

@@ -1,26 +1,19 @@
-"""Plan what the options of a command ask for, and carry it out, for all commands that fit."""
+"""Plan what the options of a command ask for, for all commands that fit."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from splitband.cli import clock, records, setups, showing
+from splitband.cli import records
 from splitband.cli.options.groups import panel
-from splitband.cli.options.models import (
-    AUTO,
-    Conditioned,
-    Methods,
-    ModelOptions,
-    Seeds,
-    SettingsFile,
-)
+from splitband.cli.options.models import AUTO, Conditioned, Like, Methods, ModelOptions, Seeds
 from splitband.cli.options.records import (
     FurtherRecords,
     RecordArgument,
@@ -28,33 +21,24 @@ from splitband.cli.options.records import (
     TestRecords,
 )
 from splitband.cli.options.simulators import Calibrate, SimulatorOptions, SimulatorOrBaseOptions
+from splitband.cli.options.values import hidden, milestones, names, seconds
 from splitband.cli.simulators import adjustable, load_further, with_own_parameters, with_simulator
-from splitband.cli.usage import usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
-from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.run import run
-from splitband.evaluation.saved_settings import SavedSettings
-from splitband.evaluation.setup import default_names
-from splitband.evaluation.work import Work
+from splitband.evaluation.plan import Plan, default_names, plan
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import BASES, GREY_BOX, TRAINED, named, with_base, with_variants
-from splitband.report import results
-from splitband.report.page.parts import Usage
-from splitband.runtime.cluster import Cluster, silence
-from splitband.runtime.files import CHECKPOINTS
+from splitband.forecasters.names import (
+    BASES,
+    GREY_BOX,
+    TRAINED,
+    Sizes,
+    known,
+    with_base,
+    with_variants,
+)
 from splitband.runtime.threads import available_cores
-
-WRITING, AS_STARTING = 2.0, 1.5
-"""Estimated time to write pictures and page: seconds, plus a multiple of the command's start-up
-time, which measures how fast and how busy the machine is. By eye, checked against `python -m
-benchmarks.budget`."""
-NUMBER, USUAL_START = 3e-6, 3.0
-"""Seconds to write a number of a table if a command starts within `USUAL_START` s. By eye."""
-MOST = 0.4
-"""Largest share of a budget that is reserved for writing results. By eye."""
+from splitband.training import Settings
 
 
 @dataclass(frozen=True)
@@ -89,37 +73,32 @@ class Request:
             "--refit", help="Fit the recommended method to the whole record for OUT/model."
         ),
     ] = False
-    settings: SettingsFile = None
+    like: Like = None
 
 
 def planned(
-    asked: Request,
-    cores: int,
-    steps: int = 0,
-    future_inputs: Path | None = None,
-    fitting: bool = False,
+    asked: Request, steps: int = 0, future_inputs: Path | None = None, fitting: bool = False
 ) -> Plan:
     """Read the records and simulators that the options name, and return the plan for them.
 
     Parameters
     ----------
     asked : The options.
-    cores : Cores on which a budget is spent.
     steps, future_inputs : Samples to forecast beyond the record, all of which is training data, and
         the file of the inputs there.
     fitting : Fit a single method, by default to the whole record, and forecast nothing.
     """
     reading, simulator = asked.reading, with_own_parameters(asked.simulator)
-    saved = setups.load_settings(asked.settings, asked.model)
-    options = setups.options_of(asked.model, cores, saved)
-    record = records.load_record(asked.record, reading, saved)
+    options = plan_options(asked.model)
+    model = None if asked.like is None else _like(asked)
+    record = records.load_record(asked.record, reading, model)
     hybrid = simulator.parameters is None and (
         simulator.simulator is not None or record.y_sim is not None
     )
-    names = _names(replace(asked, simulator=simulator), record, saved, fitting)
-    expected = [named(name) for name in names or default_names(hybrid, record.nu > 0)]
+    found = _names(replace(asked, simulator=simulator), record, model, fitting)
+    usual = default_names(hybrid, record.nu > 0) if found is None else found
+    expected = [known(each) if isinstance(each, str) else each for each in usual]
     calibrates = any(method.calibrates for method in expected)
-    fitted = adjustable(simulator)
     past = steps if hybrid and simulator.simulator not in BASES else 0
     if steps:
         u = records.inputs_ahead(future_inputs, record, steps, reading)
@@ -130,43 +109,104 @@ def planned(
     train = len(record) if steps or (fitting and asked.train is None) else asked.train
     if train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
-    found = plan(
+    done = plan(
         record,
         train,
-        names,
+        found,
         horizon=0 if fitting else steps or asked.horizon,
         others=others,
         tests=tests,
+        initial=asked.testing.initial,
+        simulator=adjustable(simulator),
         seeds=asked.seeds,
-        setup=replace(options, simulator=fitted, initial=asked.testing.initial),
         refit=asked.refit,
+        **options,
     )
-    for method in found.methods:
+    for method in done.methods if asked.model.device != "cpu" else ():
         method.to(asked.model.device)
-    return found
+    return done
+
+
+def plan_options(given: ModelOptions) -> dict[str, Any]:
+    """Return the arguments of `plan` for the options of filters, networks, training and time."""
+    check_device(given.device)
+    changes = {
+        each.name: getattr(given, each.name)
+        for each in fields(Settings)
+        if getattr(given, each.name, None) is not None
+    }
+    if given.lr_milestones is not None:
+        changes["milestones"] = milestones(given.lr_milestones)
+    sizes = None
+    if given.hidden is not None:
+        high, low = hidden(given.hidden)
+        sizes = Sizes(hidden_high=high, hidden_low=low)
+    cutoff = None if given.cutoff == AUTO else given.cutoff
+    return {
+        "settings": changes,
+        "recipe": given.recipe,
+        "bands": Bands(cutoff, given.order, given.downsampling),
+        "sizes": sizes,
+        "budget": None if given.budget is None else seconds(given.budget),
+        "rounds": given.rounds,
+        "seed": given.seed,
+    }
+
+
+def check_device(name: str) -> None:
+    """Raise ValueError, naming the option, for a device that is not available."""
+    if name == "cpu":
+        return
+    import torch  # noqa: PLC0415  only where another device is asked for
+
+    try:
+        torch.zeros(1, device=name).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"--device must be one that is there, got {name}: {reason}") from None
+
+
+def _like(asked: Request) -> Forecaster:
+    """Return the saved model of --like, whose settings a new training takes."""
+    from splitband.forecasters.saving import load  # noqa: PLC0415  only where a model is loaded
+    from splitband.report.results import MODEL_FOLDER  # noqa: PLC0415
+
+    folder = asked.like
+    assert folder is not None
+    decided = [o for o in ("window", "epochs", "hidden", "budget", "rounds", "lr_milestones")
+               if getattr(asked.model, o) is not None]  # fmt: skip
+    if decided:
+        option = decided[0].replace("_", "-")
+        raise ValueError(
+            f"--{option} must be left out with --like, whose model decides it, got "
+            f"{getattr(asked.model, decided[0])}"
+        )
+    return load(folder / MODEL_FOLDER if (folder / MODEL_FOLDER).is_dir() else folder)
 
 
 def _names(
-    asked: Request, record: Record, saved: SavedSettings | None, fitting: bool
-) -> list[str] | None:
-    """Return the names of the methods that the options select; None if they select none."""
+    asked: Request, record: Record, model: Forecaster | None, fitting: bool
+) -> list[str | Forecaster] | None:
+    """Return the methods that the options select; None if they select none."""
     base = asked.simulator.simulator
+    if model is not None:
+        usual = default_names(record.y_sim is not None, record.nu > 0)
+        others = [] if fitting else [name for name in usual if name not in TRAINED]
+        return [model.untrained(), *others]
     if asked.methods is not None:
-        names = setups.names(asked.methods)
+        found = names(asked.methods)
     elif fitting:
-        names = ["split-gru" if saved is None else saved.method]
-    elif saved is None and not (asked.calibrate or asked.conditioned or base in BASES):
+        found = ["split-gru"]
+    elif not (asked.calibrate or asked.conditioned or base in BASES):
         return None
     else:
-        names = default_names(base is not None or record.y_sim is not None, record.nu > 0)
-        if saved is not None:
-            names = [saved.method, *(name for name in names if name not in TRAINED)]
-    single = fitting and len(names) == 1
-    names = with_variants(names, asked.calibrate, asked.conditioned)
-    names = names[-1:] if single else names
+        found = default_names(base is not None or record.y_sim is not None, record.nu > 0)
+    single = fitting and len(found) == 1
+    found = with_variants(found, asked.calibrate, asked.conditioned)
+    found = found[-1:] if single else found
     if asked.simulator.parameters is not None:
-        return with_base(names, GREY_BOX)
-    return with_base(names, base) if base in BASES else names
+        return [*with_base(found, GREY_BOX)]
+    return [*(with_base(found, base) if base is not None and base in BASES else found)]
 
 
 def _further(
@@ -192,79 +232,38 @@ def _check_needs(methods: Sequence[Forecaster], record: Record) -> None:
 
 
 @contextmanager
-def workers(jobs: int | None, cluster: str | None = None) -> Iterator[Work]:
-    """Yield how trainings are carried out, as --jobs and --cluster say."""
+def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the arguments of `run` that say where trainings run, as --jobs and --cluster ask."""
     if cluster is None:
-        yield Work(jobs or available_cores())
+        yield {"cores": jobs or available_cores()}
         return
     if jobs is not None:
         raise ValueError(
             f"--jobs must be left out with --cluster, where each thread has one, got {jobs}"
         )
-    silence()
     try:
-        executor = Cluster(cluster)
-    except ConnectionError:
+        from distributed import Client, KilledWorker  # noqa: PLC0415  an extra
+        from distributed.client import ClosedClientError  # noqa: PLC0415
+    except ImportError:
+        raise ValueError("--cluster needs Dask: pip install 'splitband[cluster]'") from None
+    try:
+        client = Client(cluster, timeout=5, set_as_default=False)
+    except (OSError, TimeoutError, ValueError):
         raise ValueError(
             "--cluster must be the address of a Dask scheduler that answers, such as "
             f"tcp://10.0.0.5:8786, got {cluster}"
         ) from None
-    with executor:
-        cores = executor.cores
-        if cores == 0:
-            showing.console.print(f"{cluster} has no worker yet: waiting for the first one")
-        yield Work(max(cores, 1), executor=executor)
-
-
-@contextmanager
-def watched(
-    plan: Plan,
-    work: Work,
-    out: Path,
-    label: str,
-    samples: int = 0,
-    began: float | None = None,
-) -> Iterator[Work]:
-    """Yield `work` with a progress bar, the time budget and checkpoints in the folder `out`.
-
-    Parameters
-    ----------
-    plan, work : The plan, and how its trainings are carried out.
-    out : Folder of the results; an interrupted command resumes from its checkpoints.
-    label : Text before the progress bar.
-    samples : Predicted samples of each method that will be written.
-    began : Start of the time that a budget limits; by default the start of the command.
-    """
-    began, seconds, after = clock.began() if began is None else began, None, 0.0
-    if plan.setup.search is not None and plan.setup.search.seconds is not None:
-        starting, seconds = clock.starting(), plan.setup.search.seconds
-        numbers = 2 * samples * plan.record.ny * len(plan.methods)
-        slow = max(starting / USUAL_START, 1.0)
-        after = AS_STARTING * starting + slow * (WRITING + NUMBER * numbers)
-        after = min(after, MOST * seconds)
-    time = TimeBudget.of(seconds, work.cores, began, after)
-    with showing.progress(label, time, out / CHECKPOINTS) as bar:
-        yield replace(work, progress=bar, checkpoints=out / CHECKPOINTS, time=time)
-
-
-def compared(
-    plan: Plan, work: Work, out: Path, label: str = "comparing", began: float | None = None
-) -> Comparison:
-    """Run a planned comparison; the other parameters are those of `watched`."""
-    samples = len(plan.record) + sum(map(len, plan.tests))
-    with watched(plan, work, out, label, samples, began) as busy:
-        return run(plan, busy)
-
-
-def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
-    """Write the results, `facts` first, and remove the checkpoints; return the usage.
-
-    The usage is the commands that use the recommended method, built from the options in `facts`.
-    """
-    used = usage(facts["command"], facts["arguments"], out, comparison.plan, comparison.model)
-    results.save(comparison, out, dict(facts), used)
-    shutil.rmtree(out / CHECKPOINTS)
-    return used
+    with client:
+        client.wait_for_workers(1)
+        client.get_versions(check=True)
+        cores = sum(client.nthreads().values())
+        try:
+            yield {"cores": max(cores, 1), "executor": client.get_executor(pure=False)}
+        except (KilledWorker, ClosedClientError, CancelledError):
+            raise ValueError(
+                "--cluster must be there until the end (the same command goes on from what is "
+                f"finished), the scheduler or the workers are gone, got {cluster}"
+            ) from None
 
 
 def command_of(context: typer.Context) -> dict[str, Any]:

@@ -10,12 +10,12 @@ import typer
 
 from splitband.cli import showing
 from splitband.cli.compare import show
-from splitband.cli.comparing import command_of, compared, save, workers
+from splitband.cli.comparing import command_of, workers
+from splitband.cli.live import compared, save
 from splitband.cli.options.models import Jobs
 from splitband.data.crane import overhead_crane
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import plan
-from splitband.evaluation.setup import Options
 from splitband.forecasters.names import Sizes
 
 TRAIN = 2000
@@ -50,10 +50,11 @@ def demo(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
         f"{TRAIN} of them to learn from"
     )
-    setup = Options(changes=RECIPE, sizes=SIZES)
-    with workers(jobs) as work:
-        result = compared(plan(record, TRAIN, METHODS, seeds=1, setup=setup), work, out)
-    show(result, out, save(result, out, command_of(context)))
+    found = plan(record, TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES)
+    facts = command_of(context)
+    with workers(jobs) as where:
+        result = compared(found, where, out, facts)
+    show(result, out, save(result, out, facts))
     _tell(result)
 
 
@@ -66,7 +67,7 @@ def _tell(result: Comparison) -> None:
     )
     step = result.record.sampling_time
     samples = round(STRETCH / step)
-    truth = result.record.truth[result.setup.train :]
+    truth = result.record.truth[result.plan.train :]
     showing.console.print(
         f"\nforecast of {len(truth) * step:g} s, RMSE of its first and of its last {STRETCH:g} s:"
     )
@@ -75,7 +76,7 @@ def _tell(result: Comparison) -> None:
         first, last = (np.sqrt(np.mean(part**2)) for part in (left[:samples], left[-samples:]))
         showing.console.print(f"{number}. {name}: {first:.2f} m, then {last:.2f} m; {what}")
     best = result.recommended
-    errors = {name: run.forecast_rmse for name, run in result.medians.items()}
+    errors = {name: result.errors(fit).forecast for name, fit in result.medians.items()}
     alone = min(ALONE, key=errors.__getitem__)
     showing.console.print(
         f"whole forecast: {best} {errors[best]:.2f} m; the best of simulator, "

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict, replace
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
+from rich.progress import Progress as BarOfEpochs
 
 from splitband.cli import showing
-from splitband.cli.comparing import Request, planned, watched, workers
+from splitband.cli.comparing import Request, planned, workers
+from splitband.cli.live import running
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Conditioned, Jobs, ModelOptions, SettingsFile
+from splitband.cli.options.models import Conditioned, Jobs, Like, ModelOptions
 from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions
 from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.data.timing import as_json
@@ -25,6 +32,7 @@ from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
+from splitband.training import Progress
 
 
 @with_groups
@@ -41,16 +49,13 @@ def fit(
         str | None,
         typer.Option(
             help="What to fit, out of what `splitband methods` lists.",
-            show_default="that of --settings, or split-gru",
+            show_default="that of --like, or split-gru",
         ),
     ] = None,
     train: Annotated[
         int | None,
         typer.Option(help="Samples at the beginning to train on.", show_default="all"),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights and order of windows.")
-    ] = 0,
     calibrate: Calibrate = False,
     conditioned: Conditioned = False,
     intervals: Annotated[
@@ -62,33 +67,32 @@ def fit(
         ),
     ] = False,
     jobs: Jobs = None,
-    settings: SettingsFile = None,
+    like: Like = None,
 ) -> None:
     """Fit one method to a record and save it.
 
     How a network is trained is found on the last quarter of the samples first, as by `compare`, or
-    said by --settings.
+    as the model of --like was trained.
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
     asked = Request(
         record, reading, simulator, further, model=model, train=train, methods=method,
-        calibrate=calibrate, conditioned=conditioned, settings=settings,
+        calibrate=calibrate, conditioned=conditioned, like=like,
     )  # fmt: skip
-    with workers(jobs) as work:
-        plan = planned(asked, work.cores, fitting=True)
-        with watched(plan, work, out, "fitting") as busy:
-            forecaster = fit_planned(plan, seed, busy)
+    plan = planned(asked, fitting=True)
+    with workers(jobs) as where, running(plan, out, {}, partly=False) as how, _bar() as progress:
+        forecaster = fit_planned(plan, **where, **how, progress=progress)
     if intervals:
         _try_out(forecaster)
-    training, setup = plan.training, plan.setup
+    training, settled = plan.training, plan.as_json()
     fitted, calibration = forecaster.require_fitted(), forecaster.calibration
     training_in_words = forecaster.training_in_words()
     if forecaster.settings is not None:
-        setup = replace(setup, settings=forecaster.settings)
+        settled |= {"settings": asdict(forecaster.settings)}
     facts = {
         "method": forecaster.name,
-        "seed": seed,
+        "seed": plan.seed,
         "record": training.name,
         "more": [other.name for other in plan.others],
         "range": fitted.y_range.tolist(),
@@ -97,7 +101,7 @@ def fit(
         "columns": list(training.columns),
         "inputs": list(training.inputs),
         "input_delays": list(forecaster.delays),
-        "setup": setup.as_json(),
+        "setup": settled,
         "training": training_in_words,
         "calibration": None if calibration is None else asdict(calibration),
         "parameters": forecaster.parameters,
@@ -112,7 +116,7 @@ def fit(
     with staged(out) as new:
         saving.save(forecaster, new, facts)
         write_facts(new, facts | outcome | {"environment": environment()})
-    shutil.rmtree(out / CHECKPOINTS)
+    shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     for note in fitted.report.notes:
         showing.warn(note)
     said = training_in_words or forecaster.describe()
@@ -129,6 +133,24 @@ def fit(
         + f"\nmodel: {out}/"
     )
     showing.results_of(out, page=False)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[Progress], None]]:
+    """Show the epochs of a training, if standard error is a terminal."""
+    bar = BarOfEpochs(
+        "[progress.description]{task.description}", BarColumn(), TaskProgressColumn(),
+        TimeRemainingColumn(), console=Console(stderr=True), transient=True,
+        disable=showing.console.quiet or not sys.stderr.isatty(),
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("training", total=1.0)
+
+        def update(at: Progress) -> None:
+            said = f"{at.task}, epoch {at.epoch} of {at.epochs}, loss {at.loss:.4g}"
+            bar.update(task, completed=at.share, description=said)
+
+        yield update
 
 
 def _try_out(forecaster: Forecaster) -> None:

@@ -9,18 +9,20 @@ from typing import Annotated
 import typer
 
 from splitband.cli import showing
-from splitband.cli.comparing import Request, arguments, planned, watched, workers
+from splitband.cli.comparing import Request, arguments, command_of, planned, workers
+from splitband.cli.live import running
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import (
     Budget,
     Cluster,
     Device,
-    Effort,
     Epochs,
     Jobs,
+    Like,
     ModelOptions,
+    Rounds,
+    Seed,
     Seeds,
-    SettingsFile,
 )
 from splitband.cli.options.records import (
     FurtherRecords,
@@ -60,42 +62,44 @@ def forecast(
     future_inputs: FutureInputs = None,
     epochs: Epochs = None,
     budget: Budget = None,
-    effort: Effort = None,
+    rounds: Rounds = None,
+    seed: Seed = 0,
     device: Device = "cpu",
-    settings: SettingsFile = None,
+    like: Like = None,
     cluster: Cluster = None,
 ) -> None:
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
     Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
-    the record from the rest of it; with --settings, the network of that file and the
-    baselines. What did well is fitted again, on the whole record, and should
+    the record from the rest of it; with --like, the model of that folder and
+    the baselines. What did well is fitted again, on the whole record, and should
     then still forecast the same. A simulator must reach --steps samples beyond the record; a
     record with known inputs needs --future-inputs.
     """
     asked = Request(
-        record, reading, simulator, further, methods=method, seeds=seeds, settings=settings,
-        model=ModelOptions(epochs=epochs, budget=budget, effort=effort, device=device),
+        record, reading, simulator, further, methods=method, seeds=seeds, like=like,
+        model=ModelOptions(
+            epochs=epochs, budget=budget, rounds=rounds, seed=seed, device=device
+        ),
     )  # fmt: skip
-    with workers(jobs, cluster) as work:
-        plan = planned(asked, work.cores, steps, future_inputs)
-        with watched(plan, work, out, "forecasting", steps) as busy:
-            result = run_forecast(plan, busy)
+    plan = planned(asked, steps, future_inputs)
+    facts = command_of(context)
+    with workers(jobs, cluster) as where, running(plan, out, facts, partly=False) as how:
+        result = run_forecast(plan, **where, **how)
     used = usage("forecast", arguments(context.params), out, plan, result.model)
     results.save_forecast(result, out, used)
-    shutil.rmtree(out / CHECKPOINTS)
+    shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     _show(result, out, used)
 
 
 def _show(result: Forecast, out: Path, used: Usage) -> None:
-    showing.console.print(result.time.in_words())
+    showing.console.print(result.clock.in_words())
     trial, record = result.trial, result.record
     said = dict.fromkeys(trial.errors, "") | trial.without_result
     title = f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
     showing.methods(title, tried(trial, record, [*trial.errors]), said, result.method)
     showing.console.print(
-        f"{len(result.prediction)} samples ahead by {result.method}: {out}/forecast.csv, "
-        "forecast.png"
+        f"{len(result.prediction)} samples ahead by {result.method}: {out}/forecast.csv"
     )
     if result.leaves is not None:
         showing.console.print(leaving(result.leaves))

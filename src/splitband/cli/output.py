@@ -79,8 +79,9 @@ def _inputs(context: Any) -> dict[Path, str]:
 
 
 def _files(named: str) -> list[Path]:
-    """Return the files that a value names: a file, or those of a saved model."""
+    """Return the files that a value names: a file, or those of a model, also that of a result."""
     path = Path(parts_of(named)[0])
     if os.path.isfile(path):  # also False for text that cannot be a path
         return [path]
-    return saving.files(path) if os.path.isdir(path) else []
+    folders = [each for each in (path, path / MODEL_FOLDER) if os.path.isdir(each)]
+    return [file for folder in folders for file in saving.files(folder)]

@@ -13,23 +13,23 @@ import numpy.typing as npt
 
 from splitband.cli import showing
 from splitband.cli.options.records import FileOptions, RecordOptions
-from splitband.cli.setups import names
+from splitband.cli.options.values import names
 from splitband.data import Record, aligned, read, resampled
-from splitband.data.gaps import places
+from splitband.data.gaps import ReadingWarning, places
 from splitband.data.named import RECORDS
-from splitband.data.names import described
-from splitband.data.reading import ColumnError, ReadingWarning
+from splitband.data.names import described, same_names
+from splitband.data.reading import ColumnError
 from splitband.data.timing import near_sampling, same_sampling
-from splitband.evaluation.saved_settings import SavedSettings
+from splitband.forecasters.base import Forecaster
 
 _OF_TEXT = ("missing", "skip_rows", "header_row")
 """Options for the layout of a file."""
 
 
-def load_record(name: str, reading: RecordOptions, saved: SavedSettings | None = None) -> Record:
+def load_record(name: str, reading: RecordOptions, like: Forecaster | None = None) -> Record:
     """Return a named record, or read a file, and print its channels and inputs.
 
-    Columns and inputs default to those of --settings (`saved`). Raises ValueError if the record's
+    Columns and inputs default to those of the model of --like. Raises ValueError if the record's
     differ from these.
     """
     if name in RECORDS:
@@ -42,23 +42,31 @@ def load_record(name: str, reading: RecordOptions, saved: SavedSettings | None =
         record = RECORDS[name].make()
         announce(record, name)
     else:
-        record = _of_file(name, reading, saved)
-    if saved is not None:
-        saved.check(record)
+        record = _of_file(name, reading, like)
+    if like is not None:
+        trained = like.require_fitted().record
+        pairs = ((record.columns, trained.columns), (record.inputs, trained.inputs))
+        if not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
+            raise ValueError(
+                f"--like must name a model of such a record: it is for "
+                f"{described(trained.columns, trained.inputs)}, the record has "
+                f"{described(record.columns, record.inputs)}"
+            )
     return record
 
 
-def _of_file(path: str, reading: RecordOptions, saved: SavedSettings | None) -> Record:
+def _of_file(path: str, reading: RecordOptions, like: Forecaster | None) -> Record:
     check_file(path, "RECORD", f" or one of {', '.join(RECORDS)}")
     columns = None if reading.columns is None else names(reading.columns)
     inputs = None if reading.inputs is None else names(reading.inputs)
     needed = ""
-    if saved is not None and saved.columns:
-        needed = f"--settings is for {described(saved.columns, saved.inputs)}"
+    if like is not None:
+        trained = like.require_fitted().record
+        needed = f"the model of --like is for {described(trained.columns, trained.inputs)}"
         if inputs is None:
-            inputs = [name for name in saved.inputs if name not in (columns or ())]
+            inputs = [name for name in trained.inputs if name not in (columns or ())]
         if columns is None:
-            columns = [name for name in saved.columns if name not in inputs]
+            columns = [name for name in trained.columns if name not in inputs]
     record = read_file(
         path,
         "RECORD",
@@ -139,7 +147,7 @@ def read_companion(
         return read_file(path, argument, **others)
 
 
-def like(record: Record, sampling_time: float, what: str) -> Record:
+def sampled_like(record: Record, sampling_time: float, what: str) -> Record:
     """Resample a record to a sampling time that differs from its own by 1 % at most.
 
     Return it unchanged if they differ by more, or if both grids end within half a sample.
@@ -179,7 +187,7 @@ def history_of(file: Path, option: str, record: Record, files: FileOptions) -> R
             f"{file}: no time stamps, the training record has some: taken to begin together; "
             "--time-column names the column"
         )
-    past = like(past, record.sampling_time, str(file))
+    past = sampled_like(past, record.sampling_time, str(file))
     return replace(past, columns=record.columns)
 
 

@@ -6,7 +6,7 @@ import os
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,16 +14,11 @@ from typing import TextIO
 
 from rich.console import Console
 from rich.measure import Measurement
-from rich.progress import BarColumn, Progress, TextColumn
-from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
 
-from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.work import RunProgress
 from splitband.metrics import ExtrapolationWarning
 from splitband.report.table import Column
-from splitband.runtime.deadlines import now
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
 
@@ -107,16 +102,7 @@ def methods(
     With several outputs, a row has a line for each. If the terminal is too narrow, the last
     columns are left out. Remarks on the methods (`said`) follow the table.
     """
-    of_heading: dict[tuple[str, str], list[Column]] = {}
-    for column in listed:
-        of_heading.setdefault((column.heading, column.record), []).append(column)
-    shown, left_out = [*of_heading.values()], list[str]()
-    channels = [*dict.fromkeys(column.channel for column in listed if column.channel)]
-    table = _table(title, shown, channels, [*said], recommended)
-    everywhere = console.options.update(width=10_000)
-    while len(shown) > 1 and Measurement.get(console, everywhere, table).maximum > console.width:
-        left_out.append(shown.pop()[0].heading)
-        table = _table(title, shown, channels, [*said], recommended)
+    table, left_out = fitting(title, listed, [*said], recommended)
     console.print(table)
     if left_out:
         more = ", ".join(dict.fromkeys(left_out[::-1]))
@@ -124,6 +110,23 @@ def methods(
     for name, words in said.items():
         if words:
             console.print(f"{name}: {words}", style="dim")
+
+
+def fitting(
+    title: str, listed: Sequence[Column], names: Sequence[str], recommended: str
+) -> tuple[Table, list[str]]:
+    """Return a table as wide as the terminal, and the headings of the columns left out."""
+    of_heading: dict[tuple[str, str], list[Column]] = {}
+    for column in listed:
+        of_heading.setdefault((column.heading, column.record), []).append(column)
+    shown, left_out = [*of_heading.values()], list[str]()
+    channels = [*dict.fromkeys(column.channel for column in listed if column.channel)]
+    table = _table(title, shown, channels, names, recommended)
+    everywhere = console.options.update(width=10_000)
+    while len(shown) > 1 and Measurement.get(console, everywhere, table).maximum > console.width:
+        left_out.append(shown.pop()[0].heading)
+        table = _table(title, shown, channels, names, recommended)
+    return table, left_out
 
 
 def _table(
@@ -153,60 +156,6 @@ def _table(
         mark = "* " if name == recommended else "  "
         table.add_row(Text(mark + name, style="bold" if mark.strip() else ""), *cells)
     return table
-
-
-@contextmanager
-def progress(
-    label: str, time: TimeBudget, checkpoints: Path
-) -> Iterator[Callable[[RunProgress], None]]:
-    """Show a progress bar for the whole command, with the phase by name, if stderr is a terminal.
-
-    Progress is by estimated cost. The time left is extrapolated from it and the elapsed time, and
-    is at most the time until the deadline. A line before the bar says how many trainings of an
-    earlier command are kept in `checkpoints`.
-    """
-    # Names that begin with a dot are of files that were half written when a command was killed.
-    if kept := len([p for p in checkpoints.rglob("*.safetensors") if p.name[0] != "."]):
-        said = f"resuming: {kept} training{'s' if kept != 1 else ''} kept"
-        if not console.quiet:
-            Console(stderr=True).print(said, markup=False, highlight=False)
-    # The current stage comes last and is cut at the end of the line, as it may be longer.
-    bar = Progress(
-        TextColumn(label),
-        BarColumn(bar_width=20),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[times]}"),
-        TextColumn(
-            "{task.description}",
-            table_column=TableColumn(ratio=1, no_wrap=True, overflow="ellipsis"),
-        ),
-        console=Console(stderr=True),
-        expand=True,
-        transient=True,
-        disable=console.quiet or not sys.stderr.isatty(),
-    )
-    with bar:
-        whole = bar.add_task("", total=1.0, times=_clock(now() - time.began))
-        reached = 0.0
-
-        def update(at: RunProgress) -> None:
-            nonlocal reached
-            reached = max(reached, at.overall)
-            elapsed = now() - time.began
-            times = _clock(elapsed)
-            if reached:
-                remains = elapsed * (1 / reached - 1)
-                if time.limited:
-                    remains = min(remains, max(time.deadline.left, 0.0))
-                times += f", {_clock(remains)} left" if remains >= 1 else ", finishing"
-            said = ": ".join(filter(None, (at.stage, at.method)))
-            bar.update(whole, completed=reached, description=said, times=times)
-
-        yield update
-
-
-def _clock(seconds: float) -> str:
-    return f"{int(seconds) // 60}:{int(seconds) % 60:02}"
 
 
 @contextmanager

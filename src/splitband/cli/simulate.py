@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import records, setups, showing
+from splitband.cli import records, showing
+from splitband.cli.comparing import check_device
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Device
 from splitband.cli.options.records import FileOptions, FutureInputs, ModelArgument
@@ -85,7 +86,7 @@ def simulate(
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
         showing.console.print(begins)
-    setups.check_device(device)
+    check_device(device)
     forecaster.to(device)
     with showing.without_warnings():
         found = forecaster.predict(

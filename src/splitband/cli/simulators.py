@@ -14,23 +14,26 @@ import numpy.typing as npt
 from splitband.cli import showing
 from splitband.cli.options.records import FileOptions, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions, parts_of
-from splitband.cli.records import announce, like, read_companion
-from splitband.cli.setups import names
+from splitband.cli.options.values import names
+from splitband.cli.records import announce, read_companion, sampled_like
 from splitband.data import Grid, Record
+from splitband.data.names import bare_name
 from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.calibration import samples_needed
+from splitband.simulators.function import Function
 from splitband.simulators.isolation import Isolated, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.opening import opened
 from splitband.simulators.parameters import Parameters
 from splitband.simulators.shooting import Adjustable
-from splitband.simulators.sources import arguments_of, check_unnamed, unnamed_in
+from splitband.simulators.sources import arguments_of, check_open, open_arguments_in
 from splitband.simulators.starting import (
     check_start,
+    check_undriven,
     count_arguments,
     is_driven,
     matched,
@@ -139,7 +142,7 @@ def load_further(
             gaps=reading.gaps,
         )
         announce(more, file)
-        more = like(more, record.sampling_time, file)
+        more = sampled_like(more, record.sampling_time, file)
         more = replace(more, name=file if option == "--more" else Path(file).stem)
         if simulators:
             own = replace(options, simulator=simulators[i])
@@ -176,7 +179,7 @@ def opened_simulator(
         outputs = () if function else tuple(columns)
         driven, start = bool(function) and _takes_inputs(file, function), _start_of(options)
         if function and not driven and record.u is not None:
-            check_unnamed(unnamed_in(file, function), text)
+            _check_undriven(file, function, text, record)
         start = start if function else start or 0.0
         return Isolated(file, function or None, outputs, timeout, reads, cache,
                         _inputs_of(options), driven, start)  # fmt: skip
@@ -266,6 +269,15 @@ def _takes_inputs(file: str, name: str) -> bool:
             f"(t, x, u, p): x0_1=0,x0_2=-1:1, or set the p of (time, u, p); got {count} arguments"
         )
     return count > 1
+
+
+def _check_undriven(file: str, name: str, text: str, record: Record) -> None:
+    """Raise ValueError for a function of time alone that may be meant to take the inputs."""
+    inputs = [bare_name(each) for each in record.inputs]
+    if arguments_of(file, name) is not None:
+        check_open(open_arguments_in(file, name, inputs), text)
+    elif callable(function := named_in(file, name)):
+        check_undriven(Function(function), text, inputs)
 
 
 def with_own_parameters(options: AnyOptions) -> AnyOptions:

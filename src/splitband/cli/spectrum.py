@@ -11,20 +11,20 @@ import numpy.typing as npt
 import typer
 from rich.table import Column, Table
 
-from splitband.cli import records, setups, showing
+from splitband.cli import records, showing
 from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Cutoff, ModelOptions, Order
+from splitband.cli.options.models import AUTO, Cutoff, Order
 from splitband.cli.options.records import RecordArgument, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import with_simulator
 from splitband.data import Record
 from splitband.data.named import RECORDS
-from splitband.evaluation.plan import TRAINING_SHARE, check_train
+from splitband.evaluation.plan import TRAINING_SHARE, check_train, chosen_bands
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
-from splitband.report import pictures
 from splitband.runtime.outputs import staged, write_facts
 
 
@@ -63,20 +63,21 @@ def spectrum(
     trained = train or (RECORDS[record].train if record in RECORDS else None)
     trained = trained or int(TRAINING_SHARE * len(whole))
     check_train(whole, trained, 0)
-    setup = setups.options_of(ModelOptions(cutoff, order), 1).decided(whole, trained)
+    given = Bands(None if cutoff == AUTO else cutoff, order)
+    bands = chosen_bands(given, whole[:trained])
     shown = whole[:train]
     rate = shown.sampling_rate
     measured_spectrum = periodogram(shown.y, rate)
-    training_spectrum = periodogram(shown.y[: setup.train], rate)
-    pair = setup.bands.pair(rate)
-    chosen, choice = float(setup.bands.cutoff or 0.0), setup.bands.choice
+    training_spectrum = periodogram(shown.y[:trained], rate)
+    pair = bands.pair(rate)
+    chosen, choice = float(bands.cutoff or 0.0), bands.choice
     low, high = pair.split(shown.y)
     facts: dict[str, Any] = {
         "record": shown.name,
         "sampling_rate": rate,
         "cutoff": chosen,
         "order": pair.order,
-        "train": setup.train,
+        "train": trained,
         "share_below": training_spectrum.share_below(chosen),
         "choice": None if choice is None else asdict(choice),
         "reconstruction_rmse": rmse(shown.y, low + high),
@@ -85,13 +86,15 @@ def spectrum(
     _show_peaks(shown, facts)
     if shown.y_sim is not None:
         facts["simulator"] = _show_simulator(shown, shown.y_sim, chosen, pair.order)
-        training = shown[: setup.train]
+        training = shown[:trained]
         facts["simulator"]["training"] = _warn_of_nothing_to_learn(training, chosen, pair.order)
     if choice is not None:
         showing.console.print(
-            f"by the first {setup.train} samples, the low band kept at every "
-            f"{showing.ordinal(setup.bands.downsampling or 1)} sample: {choice.reason}"
+            f"by the first {trained} samples, the low band kept at every "
+            f"{showing.ordinal(bands.downsampling or 1)} sample: {choice.reason}"
         )
+    from splitband.report import pictures  # noqa: PLC0415  matplotlib is slow to load
+
     drawn = pictures.spectrum(shown, measured_spectrum, chosen, choice)
     with staged(out) as new:
         pictures.save(drawn, new / "spectrum.png")

@@ -13,22 +13,22 @@ from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL_FOLDER, settings_path
+from splitband.report.results import MODEL_FOLDER
 
 _SIMULATOR = (
     "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
 )  # fmt: skip
 _FOUND = (
     "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
-    "lr_milestones", "hidden", "budget", "effort",
+    "lr_milestones", "hidden", "budget", "rounds",
 )  # fmt: skip
-"""Options that a file of --settings replaces."""
+"""Options that --like replaces."""
 _FILES = ("time_column", "missing", "skip_rows", "header_row")
 _FIT = (
     "columns", "inputs", "sampling_time", "gaps", *_FILES, *_SIMULATOR, "parameters", "more",
-    "more_simulator", *_FOUND, "settings", "device",
+    "more_simulator", *_FOUND, "like", "seed", "device",
 )  # fmt: skip
-_USUAL = {"gaps": "refuse", "skip_rows": 0, "recipe": "default", "device": "cpu",
+_USUAL = {"gaps": "refuse", "skip_rows": 0, "recipe": "default", "device": "cpu", "seed": 0,
           "simulator_timeout": PATIENCE}  # fmt: skip
 WIDTH = 80
 """Characters in a line of a command."""
@@ -53,8 +53,7 @@ def usage(
     model : The recommended method as it was trained; None if there is none.
     """
     record = str(given.get("record", ""))
-    of_case = command == "benchmark" and record  # each of its cases is a `compare` run
-    asked = _line(f"splitband {'compare' if of_case else command}", given, [*given])
+    asked = _line(f"splitband {command}", given, [*given])
     if plan is None or model is None:
         return Usage(asked=asked)
     record = record or (plan.record.name if plan.record.name in RECORDS else "")
@@ -62,13 +61,12 @@ def usage(
         return Usage(asked=asked)
     given = {**given, "record": record}
     commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
-    found = settings_path(model, out)
-    if found is not None:
-        given = {k: v for k, v in given.items() if k not in _FOUND} | {"settings": str(found)}
+    if model.random:
+        given = {k: v for k, v in given.items() if k not in _FOUND} | {"like": str(out)}
     if model.name in NAMES:
         if not plan.refit and plan.train < len(plan.record):
             end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
-            fit = _line("splitband fit", given, ["record", *_FIT], end)
+            fit = _line("splitband fit", given, ["record", *_FIT], end[model.random :])
             commands.append(("Fit it to the whole record", fit))
         # A simulator or a user's equation cannot be exported.
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):

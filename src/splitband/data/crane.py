@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid, solve_ivp
+import scipy
 
 from splitband.data.record import Record
 from splitband.runtime.arrays import Array
@@ -36,7 +36,7 @@ def overhead_crane(samples: int = 4000, noise: float = 0.02, seed: int = 0) -> R
     """
     random = np.random.default_rng(seed)
     speed, rope = _operated(samples, random)
-    ideal = cumulative_trapezoid(speed, dx=STEP, initial=0)
+    ideal = scipy.integrate.cumulative_trapezoid(speed, dx=STEP, initial=0)
     load = _swinging(speed, rope)
     return Record(
         load + random.normal(0.0, noise, samples),
@@ -83,7 +83,7 @@ def _swinging(speed: Array, rope: Array) -> Array:
         swing = (torque - 2 * hoisting * rate) / length
         return [velocity, acceleration, rate, swing - DAMPING * rate - DRAG * rate * abs(rate)]
 
-    solved = solve_ivp(
+    solved = scipy.integrate.solve_ivp(
         crane, (0.0, times[-1]), [0.0] * 4, t_eval=times, max_step=STEP, rtol=1e-6, atol=1e-8
     )
     position, _, angle, _ = solved.y

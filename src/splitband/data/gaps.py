@@ -12,11 +12,15 @@ from splitband.runtime.arrays import Array, Flags
 Gaps = Literal["refuse", "mask"]
 
 
-def filled(what: str, values: Array) -> tuple[Array, Flags]:
-    """Interpolate values that are not finite; return the result and a mask of finite values.
+class ReadingWarning(UserWarning):
+    """Warn that a column is left out, that its meaning was inferred, or that gaps were filled."""
 
-    Both have the shape of `values`, `(time, n)`. Interpolation is linear; before the first and
-    after the last finite value of a channel that value is held.
+
+def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
+    """Fill values that are not finite; return the result and a mask of finite values.
+
+    Both have the shape of `values`, `(time, n)`. A gap is a straight line, or the value before it
+    with `hold`; before the first and after the last finite value of a channel that value is held.
 
     Raises ValueError for a channel without finite values.
     """
@@ -26,7 +30,9 @@ def filled(what: str, values: Array) -> tuple[Array, Flags]:
     for channel, seen in enumerate(known.T):
         if not seen.any():
             raise ValueError(f"{what} must have a finite value in channel {channel}: it has none")
-        whole[~seen, channel] = np.interp(index[~seen], index[seen], values[seen, channel])
+        held = np.maximum.accumulate(np.where(seen, index, seen.argmax()))
+        at = held if hold else index
+        whole[~seen, channel] = np.interp(at[~seen], index[seen], values[seen, channel])
     return whole, known
 
 

@@ -22,6 +22,8 @@ _STAMP = re.compile(
     r"[\d:.,TZ+\s/-]*(?:[ap]\.?m\.?|[a-z]{3,4})?[\d:+-]*",
     re.IGNORECASE,
 )
+_TIME_AND_NUMBER = re.compile(r":\d\d(?:[.,]\d+)?\s+(?:\d+|-\d{1,3})$")
+"""A time and the whole part of a number with a decimal comma, 10:00:00 0 of 10:00:00 0,5."""
 _MISSING = {"", "na", "n/a", "#n/a", "#na", "null", "none", "<na>"}
 """Cells that pandas, too, reads as missing values."""
 _BRACKETS = re.compile(r"\(.*\)|\[.*\]")
@@ -74,6 +76,11 @@ class Row:
         return [self.cells[i] if i < len(self.cells) else "" for i in columns]
 
     @property
+    def blanks(self) -> bool:
+        """Return whether a cell without a unit has blanks in it."""
+        return any(" " in cell and not unit_of(cell) for cell in self.cells)
+
+    @property
     def width(self) -> int:
         """Return the number of cells up to the last one that is not empty."""
         return max((i for i, cell in enumerate(self.cells, 1) if cell), default=0)
@@ -101,6 +108,8 @@ _NUMBERS = tuple(re.compile(number_pattern(decimal)) for decimal in SIGNS)
 
 def _is_value(cell: str) -> bool:
     """Return whether a cell holds a number or a date."""
+    if _TIME_AND_NUMBER.search(cell):
+        return False
     try:
         float(cell)
     except ValueError:
@@ -167,9 +176,8 @@ class _Columns:
 
     def mixed(self, row: Row) -> bool:
         """Return whether the row has values among words; 1, 2, 3 may be names."""
-        values = self.values(row)
-        numbered = bool(self.words(row)) and all(map(str.isdigit, values))
-        return bool(values) and not (numbered and not _is_value(row.at(self.numbers)[0]))
+        first, values = row.at(self.numbers)[0], self.values(row)
+        return _is_value(first) or not all(map(str.isdigit, values))
 
     def full(self, row: Row) -> bool:
         """Return whether the row has a name for each column of numbers; the first may have none."""
@@ -234,10 +242,16 @@ def find_head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
     columns.check_unlike(rows if above else rows[1:], below)
     if above is not None:
         columns.check(rows)
+        if above.width < below.width:
+            raise ValueError(
+                f"header_row={above.line} (--header-row) must hold a name for each column: it has "
+                f"{above.width}, line {below.line} has {below.width} cells; header_row=0 with "
+                f"skip_rows={below.line - 1} (--skip-rows) reads without names"
+            )
         return Head(_named(above, rows, below, columns), below.line)
     if rows:
         return _chosen(rows, body, columns)
-    if below.cells == ("", *map(str, range(len(below.cells) - 1))):  # a DataFrame without names
+    if _is_of_pandas(body):
         return Head(below.cells, below.line + 1)
     found = _in_comments(raw, below, sep, columns)
     if found is None:
@@ -262,10 +276,27 @@ def _in_comments(
     rows = [row for row in rows if len(row.cells) == len(below.cells) > 1]
     rows = [row for row in rows if columns.full(row) and not columns.values(row)]
     timed = [row for row in rows if any(map(is_time, row.cells))]
-    if len(timed) == 1 or (len(rows) == 1 and sep != " "):  # blanks also separate words
-        names = (timed or rows)[0]
+    plain = [row for row in rows if not row.blanks]
+    if len(timed) == 1 or (len(plain) == 1 and sep != " "):  # blanks also separate words
+        names = timed[0] if len(timed) == 1 else plain[0]
         return _named(names, rows[rows.index(names) + 1 :], below, columns)
+    if len(rows) == 1 and sep != " ":
+        line = rows[0].line
+        raise ValueError(
+            f"line {line} is a comment, {', '.join(rows[0].cells)}, and may hold the names of the "
+            f"columns: header_row={line} (--header-row) makes it names, header_row=0 a comment"
+        )
     return None
+
+
+def _is_of_pandas(body: Sequence[Row]) -> bool:
+    """Return whether the first row has the names of a DataFrame without names, after its index."""
+    first, *names = body[0].cells
+    index = [row.cells[0] for row in body[1:]]
+    if first or not all(map(str.isdigit, names)):
+        return False
+    counted = index == [str(i) for i in range(len(index))]
+    return counted or names == [str(i) for i in range(len(names))]
 
 
 def _check_no_numbers_for_names(body: Sequence[Row]) -> None:
@@ -273,7 +304,7 @@ def _check_no_numbers_for_names(body: Sequence[Row]) -> None:
     first, *others = body[0].cells
     counted = [first, *others] == [str(i) for i in range(len(others) + 1)]
     later = [cell for row in body[1:] for cell in row.cells[first == "" :]]
-    names = bool(others) and all(map(str.isdigit, others)) and (counted or first == "")
+    names = all(map(str.isdigit, others)) and (counted or first == "")
     if names and later and not any(map(str.isdigit, later)):
         line = body[0].line
         raise ValueError(
@@ -294,16 +325,16 @@ def _chosen(above: Sequence[Row], body: Sequence[Row], columns: _Columns) -> Hea
     full = [row for row in block if columns.full(row)]
     full = full or [row for row in block if row.width == below.width and len(block) == 1]
     cells = max(len(row.cells) for row in body)
-    if not full or all(row.width > cells for row in full):
+    if all(row.width > cells for row in full):
         line, width = block[-1].line, block[-1].width
+        commas = "; decimal commas need ; or tabs between columns, or points in their place"
         raise ValueError(
             f"line {line} holds {width} name{'s'[: width > 1]}, line {below.line} {below.width} "
             f"cells: skip_rows={line} (--skip-rows) leaves it out, header_row=N (--header-row) "
-            "says which line holds the names"
+            f"says which line holds the names{commas if below.width == 2 * width else ''}"
         )
     timed = [row for row in full if any(map(is_time, row.cells))]
-    different = [row for row in full if len({*row.cells}) == len(row.cells)]
-    found = timed or (full if len(full) == 1 else different) or full
+    found = timed or full
     if len(found) > 1:
         raise ValueError(
             f"lines {' and '.join(str(row.line) for row in found)} may all hold the names of the "
@@ -337,7 +368,7 @@ def _named(names: Row, units: Sequence[Row], below: Row, columns: _Columns) -> t
     """Return names with the units of the line below them, such as "x [mm]"."""
     found = list(names.cells)
     several = bool(units) and (units[0].width > 1 or _has_unit_of_time(units[0], names))
-    if several or (units and len(columns.numbers) == 1):
+    if several:
         for i, written, cell in zip(
             columns.numbers, units[0].at(columns.numbers), below.at(columns.numbers), strict=True
         ):

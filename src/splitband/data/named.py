@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy
 
 from splitband.data.crane import overhead_crane
 from splitband.data.public import double_torsion, drill_string
@@ -52,9 +52,8 @@ def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Record:
     def solved(derivative: Callable[[float, Array], Array], state: list[float], rtol: float,
                atol: float) -> Array:  # fmt: skip
         ends = (time[0], time[-1])
-        return np.asarray(
-            solve_ivp(derivative, ends, state, t_eval=time, rtol=rtol, atol=atol).y[0]
-        )
+        run = scipy.integrate.solve_ivp(derivative, ends, state, t_eval=time, rtol=rtol, atol=atol)
+        return np.asarray(run.y[0])
 
     return Record(
         solved(forced, [-2.0, 1.0, 0.31, 0.0], 1e-10, 1e-13),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.columns import Column, has_number, is_text, numbers
-from splitband.data.gaps import Gaps
+from splitband.data.gaps import Gaps, ReadingWarning
 from splitband.data.layout import Layout
 from splitband.data.names import unit_of
 from splitband.data.record import Record
@@ -52,10 +52,6 @@ _Names: TypeAlias = str | int | Sequence[str | int]
 
 class ColumnError(ValueError):
     """Report that a requested column is missing, or that no column is left to model."""
-
-
-class ReadingWarning(UserWarning):
-    """Warn that a column of a file is left out, or that its meaning was inferred."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +109,9 @@ def read(
         refused with all of them, unless `sampling_time` agrees with one.
         Steps may differ by 1 %, or by the rounding of the stamps: one unit in their last printed
         place, both from the mean step and from the straight line through the ends, as long as that
-        unit is below a step. No stamp may be more than half a step away from an even grid. The
-        record's `start` is that of the grid.
+        unit is below a step: 0, 1, 3, 4, 6 s is every 1.5 s, while 1.1 s cut to whole seconds may
+        be rows lost at even distances, which `sampling_time` decides. No stamp may be more than
+        half a step away from an even grid. The record's `start` is that of the grid.
     sampling_time : seconds; by default from the stamps, otherwise a scalar `sampling_time`, `dt`
         or `Ts` of the file. It may deviate from the stamps by half a step over the record.
     fallback_sampling_time : seconds, for a file without any of these.
@@ -221,9 +218,6 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
         )
     if not timed or not is_time_of_day(table[timed[0]]):
         return list(timed[:1])
-    if is_numeric_dtype(table[timed[0]]):  # fractions of Excel's days
-        numeric = [c for c in days if is_numeric_dtype(table[c])]
-        days = [c for c in numeric if table[c].between(2e4, 8e4).all()]
     return [*days[:1], timed[0]]
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from splitband.data.gaps import filled
+from splitband.data.gaps import ReadingWarning, filled, places
 from splitband.data.names import check_names, described, numbered, same_names, unit_of
 from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
 from splitband.data.signals import positive_seconds, require_finite, signal_of
@@ -134,16 +135,28 @@ class Record:
     def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Record:
         """Return a record of y and u that may contain NaN or infinite values.
 
-        These values are interpolated linearly. Where an input is missing, its sample and the next
-        one, which also depends on it, do not count as measured.
+        Missing outputs are interpolated linearly. A missing input keeps its last value, as a
+        command does between samples, with a warning, since this value drives simulators and models.
+        Its sample and the next one, which also depends on it, do not count as measured.
         """
         y, measured = filled("y", signal_of("y", y))
+        known = None
         if u is not None:
-            u, known = filled("u", signal_of("u", u))
+            u, known = filled("u", signal_of("u", u), hold=True)
             if len(u) == len(y):  # the constructor refuses any other length
                 driven = np.asarray(known.all(axis=1, keepdims=True))
                 measured = np.asarray(measured & driven & np.concatenate([driven[:1], driven[:-1]]))
-        return cls(y, sampling_time, u=u, measured=measured, **others)
+        record = cls(y, sampling_time, u=u, measured=measured, **others)
+        for name, lacks in zip(record.inputs, () if known is None else ~known.T, strict=False):
+            if lacks.any():
+                warnings.warn(
+                    f"{record.name or 'the record'}: input {name!r} is missing in {lacks.sum()} of "
+                    f"{len(record)} samples ({places(lacks)}) and is held there at its last value; "
+                    "interpolate it beforehand if it changes smoothly",
+                    ReadingWarning,
+                    stacklevel=2,
+                )
+        return record
 
     def __len__(self) -> int:
         return len(self.y)

@@ -116,9 +116,7 @@ def is_day(column: Column) -> bool:
 
 
 def is_time_of_day(column: Column) -> bool:
-    """Return whether a column holds times without a date: 20:00, 8.00.00 PM, fractions of a day."""
-    if is_numeric_dtype(column):
-        return bool(column.between(0, 1, inclusive="left").all())
+    """Return whether a column holds times without a date: 20:00, 8.00.00 PM."""
     first = str(column.iloc[0]).strip()
     return bool(_TIME_OF_DAY.fullmatch(first) or _DOTTED_TIME.match(first))
 
@@ -133,8 +131,6 @@ def is_clock_number(name: str, column: Column) -> bool:
 
 def joined(date: Column, time: Column) -> Column:
     """Return the dates of one column with the times of the day of another."""
-    if is_numeric_dtype(date) and is_numeric_dtype(time):
-        return date + time
     missing = date.isna() | time.isna()
     days = date.astype(str).str.strip().str.replace(_NO_TIME, "", regex=True)
     times = time.astype(str).str.strip().str.replace(_DOTTED_TIME, r"\1:\2:\3", regex=True)
@@ -187,8 +183,10 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
     """Yield what numbers without a unit may mean other than seconds."""
     step, exact = float(np.median(np.diff(values))), last_place(values) > 1e-5
     common = _steps_in_days(values)
-    # Steps of 3, 4, 6 and 12 minutes are those of 480, 360, 240 and 120 Hz.
-    if common and not exact and 0 <= values[0] < 1 and round(1440 * step) not in (3, 4, 6, 12):
+    # Steps of 3, 4, 6 and 12 minutes are those of 480, 360, 240 and 120 Hz; to five places, 0.86 s
+    # of a day, others are those of 24, 48, 72, 96 and 144 Hz.
+    fine = last_place(values) < 0.9e-5
+    if common and fine and 0 <= values[0] < 1 and round(1440 * step) not in (3, 4, 6, 12):
         yield Reading("fractions of a day", values * _DAY, last_place(values) * _DAY)
     for words, unit in _FINER.items():
         if values.min() * unit > 9.4e8 and values.max() * unit < 2.5e9:  # years 2000 to 2049

@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.options import saved
 
 Stamp: TypeAlias = float | pd.Timestamp
 """Seconds on the clock of a record, or a date, with a time zone or without."""
@@ -98,6 +99,7 @@ def same_sampling(step: float, other: float, samples: int) -> bool:
     return abs(step - other) * samples < 0.5 * min(step, other)
 
 
+@saved
 @dataclass(frozen=True)
 class Grid:
     """Represent a grid of evenly spaced times.

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from torch import Tensor
-
 from splitband.data import Record
-from splitband.forecasters.backtest import Backtest, for_trial
-from splitband.forecasters.initialisation import Earlier, LinearPart
+from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial
+from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
+from splitband.training.settings import ROUND
 
 FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over, from random weights."""
+FIRST_ROUND, FIRST_SAMPLES = 100, 20_000
+"""Iterations of L-BFGS in the first round of a candidate, and samples in each of them. On records
+of more than `SHORT` samples, networks that begin as a linear model have `LONGER` times as many, as
+an iteration of such a small network is quick."""
+LONGER = 4
+"""A round trains this many times as long as all rounds before it together."""
 FREE_RUN_FROM_LINEAR = 150
 """Predicted samples of the shorter window that is tried for networks that begin as a linear model,
 beside the recipe's window."""
@@ -27,111 +32,150 @@ SHORT = 3000
 """Longest record, in samples, for which one window over all of it is tried, too."""
 PENALTIES = 1e-4, 1e-3
 """Penalties to try; the second one only on records of up to `SHORT` samples."""
-LADDER = 100, 400, 1600, 6400
-"""Total iterations of L-BFGS: a candidate has had 100 after its first round, 400 after its second,
-and so on. On records of more than `SHORT` samples, networks that begin as a linear model start with
-the second."""
 
 
-@dataclass(frozen=True, eq=False)
+SETTLED = 0.01
+"""A round that lowers the held-out error by less than this share of it has changed nothing."""
+SETTLING = 0.25
+"""Iterations of a final training, which goes on on all samples, as a share of those before."""
+
+
+@dataclass(eq=False)
 class Candidate:
-    """Hold one method with one choice of sizes and training settings.
+    """Hold a method with one choice of sizes, training settings and seed, and how far it is.
 
     Attributes
     ----------
-    method, network : Name of the method, and the network with its settings.
-    rung : Index of its round in `LADDER`; -1: no further round, as it is trained by Adam alone or
-        has been dropped.
-    score : RMSE of the seeds' median forecast of the held-out samples; infinite before training.
-    done : Forecasts of the held-out samples, by seed.
-    first_label : Label of its first round; empty until the second. Labels contain the iterations
-        and change with each round; this one identifies the candidate.
+    network : Untrained, with the settings of the first round, for the whole training part.
+    seed : Of its initial weights.
+    fits : One for each round that it was trained in.
+    errors : Held-out error after each of them; infinite where the training failed.
     """
 
-    method: str
     network: Network
-    rung: int = -1
-    score: float = math.inf
-    done: Mapping[int, Backtest] = field(default_factory=dict)
-    first_label: str = ""
+    seed: int = 0
+    fits: list[Fit] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
 
     @property
-    def label(self) -> str:
-        """Return its name in progress bars and checkpoints."""
-        return f"{self.method}, {self.network.training_in_words()}"
+    def method(self) -> str:
+        """Return the name of its method."""
+        return self.network.name
 
     @property
     def settings(self) -> Settings:
-        """Return the training settings."""
+        """Return the settings of its first round."""
         assert self.network.settings is not None
         return self.network.settings
 
     @property
-    def iterations(self) -> int:
-        """Return its total iterations of L-BFGS."""
-        return self.settings.quasi_newton or 0
+    def error(self) -> float:
+        """Return its lowest held-out error; infinite before the first round."""
+        return min(self.errors, default=math.inf)
 
-    def continued(self, more: int, weights: Mapping[int, Mapping[str, Tensor]]) -> Network:
-        """Return the network set to continue from these weights, by seed, for `more` iterations."""
-        settings = replace(self.settings, quasi_newton=self.iterations + more)
-        return self.network.trained_as(settings).continued(Earlier(self.iterations, weights))
+    @property
+    def best(self) -> int:
+        """Return the index of the round with that error."""
+        return self.errors.index(self.error)
 
-    def longer(self) -> Candidate | None:
-        """Return the candidate of the next round; None where there is none."""
-        if not 0 <= self.rung < len(LADDER) - 1:
-            return None
-        weights = {seed: done.weights for seed, done in self.done.items()}
-        network = self.continued(LADDER[self.rung + 1] - self.iterations, weights)
-        first_label = self.first_label or self.label
-        return replace(self, network=network, rung=self.rung + 1, done={}, first_label=first_label)
+    @property
+    def seconds(self) -> float:
+        """Return how long its last round took."""
+        return self.fits[-1].seconds
 
-    def options(self) -> dict[str, Any]:
-        """Return all options that may differ between candidates: cells and training settings."""
-        return {**self.network.get_params(), **vars(self.settings)}
+    @property
+    def final_seconds(self) -> float:
+        """Return how long its final training takes: what its share of the iterations took."""
+        took = sum(fit.seconds for fit in self.fits[: self.best + 1])
+        return SETTLING * took / (1 - HELD_OUT_SHARE)
+
+    @property
+    def progressed(self) -> bool:
+        """Return whether its last round lowered the error by more than `SETTLED`."""
+        before = (1 - SETTLED) * min(self.errors[:-1], default=math.inf)
+        return bool(self.errors) and self.errors[-1] < before
+
+    def next(self) -> Network:
+        """Return the network with the settings of its next round."""
+        done, first = len(self.fits), self.settings.quasi_newton or 0
+        return self.going_on(LONGER * first * (1 + LONGER) ** (done - 1)) if done else self.network
+
+    def final(self) -> Network:
+        """Return the network with the settings of its final training, on all samples."""
+        done = sum(_iterations(fit) for fit in self.fits[: self.best + 1])
+        return self.going_on(max(round(SETTLING * done), 1))
+
+    def going_on(self, iterations: int) -> Network:
+        """Return the network with settings to go on for so many iterations of L-BFGS."""
+        usual = Settings.most_samples
+        more = replace(self.settings, epochs=0, quasi_newton=iterations, most_samples=usual)
+        return self.network.trained_as(more)
+
+    def again(self, seed: int) -> Candidate:
+        """Return the same choice with another seed, not trained."""
+        return Candidate(self.network, seed)
+
+    def options(self) -> dict[str, str]:
+        """Return, as text, all options that may differ between candidates of a method."""
+        # As text: cells are modules, which equal only themselves.
+        found: dict[str, Any] = {**self.network.get_params(), **vars(self.settings)}
+        return {name: str(value) for name, value in found.items() if name != "settings"}
+
+
+def _iterations(fit: Fit) -> int:
+    """Return the iterations of L-BFGS that a training has run before it settled or was cut."""
+    settings = fit.fitted.settings
+    assert settings is not None
+    losses = fit.report.losses.values()
+    rounds = max((len(of_network) - settings.epochs for of_network in losses), default=0)
+    return min(max(rounds, 1) * ROUND, settings.quasi_newton or 0)
 
 
 def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate | None:
-    """Return the usual candidate with the changes of both others.
+    """Return a candidate with the changes of both `best` and `other` against the usual one.
 
     None where both change the same option, or `other` changes none.
     """
-    # As text: cells are modules, which equal only themselves.
-    unchanged = {name: str(value) for name, value in usual.options().items()}
+    unchanged = usual.options()
     ours, theirs = (
-        {name: value for name, value in each.options().items() if str(value) != unchanged[name]}
+        {name for name, value in each.options().items() if value != unchanged[name]}
         for each in (best, other)
     )
-    ours.pop("settings", None)
-    theirs.pop("settings", None)
-    if not theirs or ours.keys() & theirs.keys():
+    if not theirs or ours & theirs:
         return None
-    of_training = {name: value for name, value in theirs.items() if name in vars(best.settings)}
-    of_network = {name: value for name, value in theirs.items() if name not in of_training}
-    network = best.network.clone().set_params(**of_network)
-    network = network.trained_as(replace(best.settings, **of_training))
-    rung = max(best.rung, other.rung)
-    return replace(usual, network=network, rung=rung, score=math.inf, done={})
+    trained = {name: getattr(other.settings, name) for name in theirs & {*vars(best.settings)}}
+    network = best.network.clone()
+    network.set_params(
+        **{name: getattr(other.network, name) for name in theirs - {*vars(best.settings)}}
+    )
+    return Candidate(network.trained_as(replace(best.settings, **trained)), usual.seed)
 
 
 def candidates(
-    forecaster: Network, record: Record, others: Sequence[Record] = ()
+    forecaster: Network, sized: bool, record: Record, others: Sequence[Record], seed: int
 ) -> list[Candidate]:
     """Return the candidates for training a network on a record, the most promising one first.
 
     A network that begins as a linear model needs no steps of Adam. Its candidates differ from the
-    first one in size, window, penalty or start, one at a time. On long records they begin with the
-    iterations of the second round, as an iteration of such a small network is quick. For other
-    networks, the first candidate is the default recipe, by Adam alone.
+    first one in size, window, penalty or start, one at a time. Other networks begin with steps of
+    Adam; their candidates differ in window and size.
+
+    Parameters
+    ----------
+    forecaster : With the usual settings.
+    sized : Whether its sizes may be changed, too.
+    record, others : The training records.
+    seed : Of the candidates.
     """
     usual, samples = forecaster.settings, len(record)
     assert usual is not None
     steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
-    finished = replace(usual, epochs=steps, quasi_newton=LADDER[0])
-    size, *sizes = _sizes(forecaster)
+    first = replace(usual, epochs=steps, quasi_newton=FIRST_ROUND, most_samples=FIRST_SAMPLES)
+    size, *sizes = _sizes(forecaster) if sized else [forecaster]
     if record.nu and all(isinstance(cell, LinearPart) for cell in _cells(forecaster)):
-        rung = int(samples > SHORT)
         window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
-        base = replace(finished, window=window, epochs=0, quasi_newton=LADDER[rung])
+        iterations = FIRST_ROUND * (1 if samples <= SHORT else LONGER)
+        base = replace(first, window=window, epochs=0, quasi_newton=iterations)
         settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
         if samples <= SHORT:
             settings.append(replace(base, penalty=PENALTIES[1]))
@@ -139,21 +183,18 @@ def candidates(
             settings.append(replace(base, window=samples, penalty=PENALTIES[0]))
         settings.append(replace(base, epochs=steps, linear_start=False))
         every = [(size, each) for each in settings] + [(other, base) for other in sizes]
-        found = []
     else:
-        rung = 0
         windows = {
             min(usual.warmup + free, usual.window)
             for free in (*FREE_RUNS_FROM_RANDOM, usual.window)
         }
-        settings = [replace(finished, window=window) for window in sorted(windows)]
+        settings = [replace(first, window=window) for window in sorted(windows)]
         every = [(other, each) for each in settings for other in (sizes or [size])]
         every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
-        found = [Candidate(forecaster.name, size.trained_as(usual))]
-    found += [Candidate(forecaster.name, n.trained_as(how), rung) for n, how in every]
     distinct: dict[str, Candidate] = {}
-    for candidate in found:  # windows may become equal on the shorter record of a trial
-        distinct.setdefault(for_trial(candidate.network, samples).training_in_words(), candidate)
+    for network, how in every:  # windows may become equal on the shorter record of a trial
+        shorter = for_trial(network.trained_as(how), samples)
+        distinct.setdefault(shorter.training_in_words(), Candidate(network.trained_as(how), seed))
     return [*distinct.values()]
 
 
@@ -164,7 +205,7 @@ def _cells(forecaster: Network) -> list[Any]:
 def _sizes(forecaster: Network) -> list[Network]:
     """Return the network with each size of its cells to try, the usual one first."""
     cells = _cells(forecaster)
-    if not forecaster.resizable or not all(hasattr(cell, "variants") for cell in cells):
+    if not all(hasattr(cell, "variants") for cell in cells):
         return [forecaster.clone()]
     every = zip(*(cell.variants() for cell in cells), strict=True)
     return [

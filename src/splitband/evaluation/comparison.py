@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,22 +12,38 @@ import numpy as np
 import pandas as pd
 
 from splitband.data import Record
-from splitband.evaluation.budget import TimeBudget
+from splitband.evaluation.clock import Clock
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.protocols import Run, Runs, median_run
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.setup import Setup
-from splitband.evaluation.trials import SearchAttempt
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import tests_of, tests_on
-from splitband.forecasters.ensemble import fitted_ensemble, over_seeds
-from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.prediction import Prediction, median_of
 from splitband.forecasters.residuals import ResidualTests
-from splitband.metrics import Extrapolation, extrapolations, input_range
+from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from splitband.evaluation.search import Attempt
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Hold the RMSE of predictions, in the record's unit.
+
+    Attributes
+    ----------
+    total : From the start.
+    forecast : Of the forecast; NaN where the training part is the whole record.
+    tests : Of each test record; empty for methods that cannot simulate other records.
+    """
+
+    total: float
+    forecast: float
+    tests: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,32 +52,28 @@ class Comparison:
 
     Attributes
     ----------
-    plan : Record, methods and setup of the comparison.
-    runs : Runs of each method, one per seed.
+    plan : Record, methods and settings of the comparison.
+    fits : Final fits of each method, one for each seed; of an interrupted comparison perhaps those
+        of networks that were trained on three quarters of the training part.
     trial : Results on held-out training samples; None without a trial.
-    attempts : Attempts of the search for training settings.
-    forecasters : The unfitted methods with their chosen settings, by name.
-    time : Time that was used, and what was left out for lack of time.
+    attempts : All trainings of the search, round by round.
+    clock : Time that was used, and what the deadline has changed.
     refit : The recommended method refitted to the whole record, if `Plan.refit`.
+    interrupted : Whether Ctrl-C ended the comparison early.
     """
 
     plan: Plan
-    runs: Runs
+    fits: Mapping[str, Sequence[Fit]]
     trial: Trial | None = None
-    attempts: tuple[SearchAttempt, ...] = ()
-    forecasters: Mapping[str, Forecaster] = field(default_factory=dict)
-    time: TimeBudget = field(default_factory=TimeBudget)
+    attempts: tuple[Attempt, ...] = ()
+    clock: Clock = field(default_factory=Clock)
     refit: Forecaster | None = None
+    interrupted: bool = False
 
     @property
     def record(self) -> Record:
         """Return the whole record."""
         return self.plan.record
-
-    @property
-    def setup(self) -> Setup:
-        """Return the options that the methods share."""
-        return self.plan.setup
 
     @property
     def others(self) -> tuple[Record, ...]:
@@ -74,6 +86,11 @@ class Comparison:
         return self.plan.tests
 
     @property
+    def methods(self) -> dict[str, Forecaster]:
+        """Return the methods by name, not fitted."""
+        return {method.name: method for method in self.plan.methods}
+
+    @property
     def recommended(self) -> str:
         """Return the name of the method to use, chosen on training samples alone."""
         return self.require_trial().recommended
@@ -83,7 +100,7 @@ class Comparison:
         """Return the recommended method as it was trained here, ready to predict and to be saved.
 
         It is fitted to the training part, with `refit` to the whole record. A network predicts the
-        median over its seeds.
+        median over its trainings.
         """
         return self.refit or self.trained()
 
@@ -96,48 +113,46 @@ class Comparison:
             For a method that is not among those compared, or could not be fitted.
         """
         name = self.recommended if name is None else name
-        if not self.runs.models.get(name):
-            raise ValueError(f"name must be one of {', '.join(self.runs.models)}, got {name}")
-        return fitted_ensemble(self.runs.models[name], self.require_trial().held_out.get(name))
-
-    def forecaster(self, name: str | None = None) -> Forecaster:
-        """Return a method with its chosen settings, not fitted, to be fitted to a record and saved.
-
-        A network is the median over the same seeds. Fitted with seed 0 to the training part, a
-        method repeats its predictions of this comparison.
-
-        Parameters
-        ----------
-        name : By default that of the recommended method.
-
-        Raises
-        ------
-        ValueError
-            For a method that is not among those compared, or could not be fitted.
-        """
-        name = self.recommended if name is None else name
-        if name not in self.forecasters:
-            raise ValueError(f"name must be one of {', '.join(self.forecasters)}, got {name}")
-        return over_seeds(self.forecasters[name], [run.seed for run in self.runs[name]])
+        if name not in self.fits:
+            raise ValueError(f"name must be one of {', '.join(self.fits)}, got {name}")
+        models = [fit.fitted for fit in self.fits[name]]
+        return fitted_ensemble(models, self.require_trial().held_out.get(name))
 
     @cached_property
-    def medians(self) -> dict[str, Run]:
-        """Return the median of each method's runs over its seeds, by name."""
-        return {name: median_run(self.plan, runs) for name, runs in self.runs.items()}
+    def medians(self) -> dict[str, Fit]:
+        """Return the median of each method's predictions over its trainings, by name."""
+        return {name: median_fit(fits) for name, fits in self.fits.items()}
+
+    def errors(self, fit: Fit) -> Errors:
+        """Return the errors of predictions, against the noise-free truth where it is known."""
+        truth = self.record.truth
+        total = rmse(truth[-len(fit.from_start) :], fit.from_start.y)
+        ahead = rmse(truth[self.plan.train :], fit.ahead) if fit.forecast is not None else np.nan
+        of_tests = zip(self.tests if fit.tests else (), fit.tests, strict=True)
+        return Errors(total, ahead, tuple(rmse(t.truth[-len(p) :], p.y) for t, p in of_tests))
+
+    def leaves(self, name: str) -> int | None:
+        """Return the samples of a method's forecasts before one leaves the training range.
+
+        None where none does; see `metrics.leaves_range`.
+        """
+        fits = [fit for fit in self.fits[name] if fit.forecast is not None]
+        left = [leaves_range(fit.fitted.require_fitted().y_range, fit.ahead) for fit in fits]
+        return min((samples for samples in left if samples is not None), default=None)
 
     @property
     def left_out(self) -> list[str]:
         """Return the methods that cannot simulate the test records."""
-        return [name for name, run in self.medians.items() if self.tests and not run.tests]
+        return [name for name, fit in self.medians.items() if self.tests and not fit.tests]
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:
         """Return the forecast of each method beyond the training part, with its interval."""
         intervals = {} if self.trial is None else self.trial.intervals
         return {
-            name: intervals[name].around(run.forecast) if name in intervals else run.forecast
-            for name, run in self.medians.items()
-            if run.forecast is not None
+            name: intervals[name].around(fit.forecast) if name in intervals else fit.forecast
+            for name, fit in self.medians.items()
+            if fit.forecast is not None
         }
 
     @cached_property
@@ -155,12 +170,12 @@ class Comparison:
 
         NaN without a forecast.
         """
-        errors = self.record.seen[self.setup.train :] - self.medians[name].ahead
+        errors = self.record.seen[self.plan.train :] - self.medians[name].ahead
         return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
         """Return `covers` for each channel."""
-        errors = self.record.seen[self.setup.train :] - self.medians[name].ahead
+        errors = self.record.seen[self.plan.train :] - self.medians[name].ahead
         return self.require_trial().intervals[name].coverages(errors)
 
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
@@ -184,19 +199,17 @@ class Comparison:
         return {}
 
     def _test_residuals(self, name: str) -> tuple[ResidualTests, ...]:
-        run = self.medians[name]
-        if run.tests and self.runs.models.get(name):
+        fit = self.medians[name]
+        if fit.tests:
             return tests_on(self.trained(name), self.tests[0])
-        if run.tests:
-            return tests_of(self.tests[0], run.tests[0])
-        return () if run.forecast is None else tests_of(self.record, run.forecast)
+        return () if fit.forecast is None else tests_of(self.record, fit.forecast)
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:
         """Return the inputs after the training part that exceed their range in training."""
         u, training = self.record.u, [self.plan.training, *self.others]
         seen = [record.u for record in training if record.u is not None]
-        return [] if u is None else extrapolations(*input_range(seen), u[self.setup.train :])
+        return [] if u is None else extrapolations(*input_range(seen), u[self.plan.train :])
 
     def require_trial(self) -> Trial:
         """Return the trial; raises ValueError where none has been made."""
@@ -206,7 +219,8 @@ class Comparison:
 
     def __repr__(self) -> str:
         best = "" if self.trial is None else f", recommended: {self.recommended}"
-        return f"<Comparison of {len(self.runs)} methods on {self.record!r}{best}>"
+        ended = ", interrupted" if self.interrupted else ""
+        return f"<Comparison of {len(self.fits)} methods on {self.record!r}{best}{ended}>"
 
     def __str__(self) -> str:
         """Return the recommendation and the table, which is at most 100 characters wide."""
@@ -230,3 +244,16 @@ class Comparison:
     def report(self, path: str | Path) -> None:
         """Write one self-contained HTML file with summary, table, zoomable plots and settings."""
         provided("page of a comparison")(self, path)
+
+
+def median_fit(fits: Sequence[Fit]) -> Fit:
+    """Return the median prediction over several fits of a method."""
+    first = fits[0]
+    if len(fits) == 1:
+        return first
+    forecasts = {
+        origin: median_of([fit.forecasts[origin] for fit in fits]) for origin in first.forecasts
+    }
+    tests = [median_of(each) for each in zip(*(f.tests for f in fits), strict=True)]
+    seconds = sum(fit.seconds for fit in fits)
+    return replace(first, forecasts=forecasts, tests=tests, seconds=seconds)

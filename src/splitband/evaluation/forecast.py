@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from splitband.data import Record
-from splitband.evaluation.budget import TimeBudget
-from splitband.evaluation.choosing import choose
-from splitband.evaluation.jobs import reasons
+from splitband.evaluation.clock import Clock
+from splitband.evaluation.comparison import median_fit
+from splitband.evaluation.jobs import Runner
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.protocols import models_of, question_of, without_failed
-from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.run import final_fits, with_limits
-from splitband.evaluation.work import Work
-from splitband.forecasters.backtest import Origin
+from splitband.evaluation.recommendation import Trial, judged
+from splitband.evaluation.run import Watch, carried_out
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
-from splitband.forecasters.prediction import Prediction, median_of
+from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.provided import provided
@@ -32,15 +30,15 @@ class Forecast:
 
     Attributes
     ----------
-    plan : Record, methods and setup of the forecast.
+    plan : Record, methods and settings of the forecast.
     model : The recommended method, fitted to the whole record, ready to predict and to be saved.
-    prediction : Its forecast, the median over seeds, with the interval.
+    prediction : Its forecast, the median over its trainings, with the interval.
     trial : Results of all methods on held-out samples.
     description : What its fit has chosen, in words.
-    leaves : Samples before a seed's forecast leaves the range of `metrics.leaves_range`; None if it
-        does not.
+    leaves : Samples before a training's forecast leaves the range of `metrics.leaves_range`; None
+        if it does not.
     inputs_beyond_training : Future inputs that exceed their range in training.
-    time : See `Comparison`.
+    clock : See `Comparison`.
     """
 
     plan: Plan
@@ -50,12 +48,7 @@ class Forecast:
     description: str
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
-    time: TimeBudget = field(default_factory=TimeBudget)
-
-    @property
-    def forecaster(self) -> Forecaster:
-        """Return the recommended method, not fitted, for further fits."""
-        return self.model.clone()
+    clock: Clock = field(default_factory=Clock)
 
     @property
     def record(self) -> Record:
@@ -90,7 +83,10 @@ def forecast(
     steps: int,
     methods: Sequence[Forecaster | str] | str | None = None,
     *,
-    work: Work | None = None,
+    cores: int = 1,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    watch: Watch | None = None,
     **options: Any,
 ) -> Forecast:
     """Forecast beyond the end of a record with the method that does best on its last quarter.
@@ -100,8 +96,8 @@ def forecast(
     record : The training record, all of it. Its known inputs and its simulator's output must reach
         `steps` samples beyond it (`u_beyond`, `beyond`).
     steps : Number of samples to forecast.
-    methods, work : See `compare`.
-    options : Further arguments of `plan`: others, seeds, setup.
+    methods, cores, executor, folder, watch : See `compare`.
+    options : Further arguments of `plan`.
 
     Raises
     ------
@@ -116,40 +112,37 @@ def forecast(
     ('harmonic', (50, 1), (50, 1))
     """
     whole("steps", steps)
-    return run_forecast(plan(record, len(record), methods, horizon=steps, **options), work)
+    planned = plan(record, len(record), methods, horizon=steps, **options)
+    return run_forecast(planned, cores=cores, executor=executor, folder=folder, watch=watch)
 
 
-def run_forecast(plan: Plan, work: Work | None = None) -> Forecast:
-    """Forecast beyond the record of a plan that trains on all of it."""
-    record, steps = plan.record, plan.horizon
-    origin = Origin(plan.train, plan.train)
-    with with_limits(plan, work).staffed() as staff:
-        trial, searched = choose(plan, staff)
-        # Training is slow: only the best network is trained on the whole record.
-        fitted = [m for m in searched.forecasters if m.name in trial.errors]
-        fitted = [m for m in fitted if not m.random or m.name == trial.best_network]
-        questions = {method.name: question_of(plan, method) for method in fitted}
-        backtests, failures = final_fits(plan, questions, searched, trial, staff)
-    done, notes = (backtests, {}) if plan.seeds else without_failed(plan.training, backtests)
-    forecasts = {
-        name: [each.predictions[origin] for each in of_seeds.values()]
-        for name, of_seeds in done.items()
-        if of_seeds
-    }
-    final = {name: [each.y for each in of_seeds] for name, of_seeds in forecasts.items()}
-    trial = trial.settled(final, staff.time.left_out | reasons(failures, forecasts))
+def run_forecast(
+    plan: Plan,
+    *,
+    cores: int = 1,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    watch: Watch | None = None,
+    clock: Clock | None = None,
+) -> Forecast:
+    """Forecast beyond the record of a plan that trains on all of it; see `run`."""
+    with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
+        course = carried_out(plan, runner, watch, clock)
+    plan, fits = course.plan, course.fits()  # with a network on the best baseline
+    trial = judged(plan.training, course.held, fits, course.failed)
     best = trial.recommended
-    fits = [*done[best].values()]
-    left = [leaves_range(each.y_range, each.predictions[origin].y) for each in fits]
-    model = fitted_ensemble(models_of(plan, done)[best], trial.held_out.get(best))
-    u = record.u_beyond
+    ranges = [(fit.fitted.require_fitted().y_range, fit.ahead) for fit in fits[best]]
+    left = [leaves_range(y_range, y) for y_range, y in ranges]
+    model = fitted_ensemble([fit.fitted for fit in fits[best]], trial.held_out.get(best))
+    predicted, u = median_fit(fits[best]).forecast, plan.record.u_beyond
+    assert predicted is not None
     return Forecast(
         plan,
         model,
-        trial.intervals[best].around(median_of(forecasts[best])),
+        trial.intervals[best].around(predicted),
         trial,
-        "; ".join(filter(None, [fits[0].description, *notes.get(best, [])])),
+        fits[best][0].description,
         min((samples for samples in left if samples is not None), default=None),
-        model.require_fitted().inputs_beyond(None if u is None else u[:steps]),
-        staff.time,
+        model.require_fitted().inputs_beyond(None if u is None else u[: plan.horizon]),
+        course.clock,
     )

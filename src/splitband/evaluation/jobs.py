@@ -1,308 +1,266 @@
-"""Fit forecasters and compute their forecasts: one job per forecaster and seed, in any process."""
+"""Run fits as jobs: in this process, in worker processes, or by any executor.
+
+A finished job is a file, by which an interrupted command goes on: asked again for the same, it
+finds the fit. A job that a deadline cut short is not finished.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Container, Mapping, Sequence
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from importlib.metadata import version
 from pathlib import Path
-from statistics import median_low
-from typing import Any
+from typing import Any, Self
 
-from splitband.evaluation.costs import job_cost
-from splitband.evaluation.work import HALF, RunProgress, Work
-from splitband.forecasters.backtest import Backtest, Question, backtest
+from splitband.data import Record
+from splitband.forecasters.backtest import Fit, Origin, Question, as_it_is, backtest
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.caching import Cached
-from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.grey_box import ESTIMATES
-from splitband.forecasters.simulation import CALIBRATIONS
+from splitband.forecasters.saving import packed, unpacked
+from splitband.forecasters.simulation import CALIBRATIONS, simulations, with_own_simulators
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
-from splitband.runtime.processes import map_jobs
-from splitband.training import Checkpoint, Progress
+from splitband.runtime.files import replacing
+from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 
 CACHES: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
-"""Caches whose results are sent to the jobs."""
+"""Fits of simulators that several jobs share."""
 LATE = "left out, as the time was over"
-FAILED = 2.0
-"""A seed whose error is above this multiple of the usual one of the seeds has failed."""
 PATIENCE = 2.0
-"""A job is abandoned so many seconds, plus the time of its forecasts, after its deadline."""
-
-Key = tuple[str, int]
-"""A job: the name of a forecaster, and a seed."""
-Seeds = Sequence[int] | Mapping[str, Sequence[int]]
-"""The seeds of all forecasters, or by name where they differ."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Report why a forecaster could not be fitted with one seed; `late`: for lack of time."""
-
-    method: str
-    seed: int
-    reason: str
-    late: bool = False
-
-
-def reasons(failures: Sequence[Failure], done: Container[str]) -> dict[str, str]:
-    """Return the reason of the first failure of each method that is not in `done`."""
-    return {f.method: f.reason for f in failures[::-1] if f.method not in done}
-
-
-@dataclass(frozen=True)
-class FitOutcome:
-    """Hold the outcome of a job: its forecasts, or why it failed.
-
-    `seconds`: its run time; `fresh`: it trained from start to end, so its time may update the pace.
-    """
-
-    backtest: Backtest | None = None
-    failure: Failure | None = None
-    seconds: float = 0.0
-    fresh: bool = False
-
-    @property
-    def cut(self) -> bool:
-        """Return whether the deadline has changed the outcome."""
-        late = self.failure is not None and self.failure.late
-        return late or (self.backtest is not None and self.backtest.report.cut)
+"""Seconds after its deadline in which a job computes its forecasts, before it is ended; what the
+forecasts of a job have taken, if that is more."""
 
 
 @dataclass(frozen=True, eq=False)
-class FitJobs:
-    """Hold what the jobs of a stage share; a call runs one of them, in any process.
+class Job:
+    """Hold what a fit is asked for.
 
     Attributes
     ----------
-    forecasters, questions : By name.
-    known : Results of each cache in `CACHES`.
-    deadline : When trainings stop and keep the weights that they have then.
-    checkpoints : Folder of checkpoints; a worker that cannot see it trains without.
-    stage : Stage named in progress reports; None: no reports.
-    needed : Job that starts even after the deadline, so that there is a result; None: no such job.
+    forecaster : With its settings; not fitted.
+    question : What to fit it to and to forecast.
+    seed : Of the fit.
+    start : The trained forecaster from which its training goes on; None for a new one.
+    trains : False to forecast with `start` as it is.
+    needed : Whether it starts even after the deadline, so that there is a result.
     """
 
-    forecasters: Mapping[str, Forecaster]
-    questions: Mapping[str, Question]
-    known: Sequence[Mapping[Any, Any]]
-    deadline: Deadline
-    checkpoints: Path | None
-    stage: str | None
-    needed: Key | None
+    forecaster: Forecaster
+    question: Question
+    seed: int = 0
+    start: Forecaster | None = None
+    trains: bool = True
+    needed: bool = False
 
-    def __call__(self, job: Key, report: Callable[[RunProgress], None]) -> tuple[Key, FitOutcome]:
-        """Run a job."""
-        began, (name, seed) = now(), job
-        forecaster, question, stage = self.forecasters[name], self.questions[name], self.stage
-        # Methods that are not trained start even after the deadline, so that there is a result.
-        if self.deadline.over and forecaster.random and job != self.needed:
-            return job, FitOutcome(failure=Failure(name, seed, LATE, late=True))
-        for each, results in zip(CACHES, self.known, strict=True):
-            each.learn(results)
+    @property
+    def method(self) -> str:
+        """Return the name of the method."""
+        return self.forecaster.name
 
-        def watch(at: Progress) -> None:
-            report(RunProgress(name, seed, at.share, at.loss, stage or ""))
+    @cached_property
+    def key(self) -> str:
+        """Return a hash of all that the result depends on, the deadline excepted.
 
-        checkpoint = None
-        if self.checkpoints is not None and forecaster.random and self.checkpoints.is_dir():
-            checkpoint = Checkpoint(checkpoint_path(self.checkpoints, name, seed))
-        fresh = forecaster.random and (checkpoint is None or not checkpoint.path.exists())
-        with within(self.deadline):
-            outcome = _asked(forecaster, question, seed, watch if stage else None, checkpoint)
-        fresh = fresh and outcome.failure is None and not outcome.cut
-        return job, replace(outcome, seconds=now() - began, fresh=fresh)
+        Raises ValueError for a forecaster of the user that cannot be described.
+        """
+        digest = hashlib.sha256(version("splitband").encode())
+        asked = self.question
+        plain = {
+            "seed": self.seed, "end": asked.end, "warmup": asked.warmup, "initial": asked.initial,
+            "origins": [(each.fitted, each.at) for each in asked.origins], "trains": self.trains,
+        }  # fmt: skip
+        digest.update(json.dumps(plain, sort_keys=True).encode())
+        records = [asked.record, *asked.others, *asked.tests]
+        for part in [self.forecaster, *([] if self.start is None else [self.start]), *records]:
+            digest.update(packed(part))
+        return digest.hexdigest()
 
-
-def checkpoint_path(folder: Path, name: str, seed: int) -> Path:
-    """Return the file from which an interrupted training resumes."""
-    name = re.sub(r"[^\w.-]", "_", name)
-    return folder / f"{name}-{seed}.safetensors"
-
-
-def _asked(
-    forecaster: Forecaster,
-    question: Question,
-    seed: int,
-    watch: Callable[[Progress], None] | None,
-    checkpoint: Checkpoint | None,
-) -> FitOutcome:
-    late = False
-    try:
-        return FitOutcome(backtest(forecaster, question, seed, watch, checkpoint))
-    except OSError:
-        raise  # a full disk, or a process ended from outside, concerns every method
-    except DeadlineError as error:
-        reason, late = str(error), True
-    except (FloatingPointError, ValueError) as error:
-        reason = " ".join(str(error).split())
-    except Exception as error:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return FitOutcome(failure=Failure(forecaster.name, seed, reason, late))
-
-
-def run_all(
-    forecasters: Sequence[Forecaster],
-    questions: Mapping[str, Question],
-    seeds: Seeds,
-    work: Work,
-    need_one: bool = True,
-) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """Return the forecasts by method and seed, and the failures.
-
-    `questions` are by name. A forecaster that is not random is fitted once. With `need_one`,
-    ValueError is raised if no forecaster could be fitted.
-    """
-    jobs = {f.name: [(f.name, seed) for seed in _seeds_of(f, seeds)] for f in forecasters}
-    ready: dict[str, Forecaster] = {}
-    done: dict[Key, FitOutcome] = {}
-    for f in forecasters:
+    def run(self) -> Fit:
+        """Return the fit, or one that says why it failed."""
+        began, failure = now(), ""
         try:
-            ready[f.name] = _prepared(f, questions[f.name], work)
-        except ValueError as error:
-            for job in jobs[f.name]:
-                done[job] = FitOutcome(failure=Failure(*job, str(error)))
-    # Networks first, as they take longest, so no long job starts last. Among them, the first seed
-    # of every method precedes all second ones.
-    todo = [job for name in ready for job in jobs[name]]
-    todo.sort(key=lambda job: (not ready[job[0]].random, jobs[job[0]].index(job)))
-    done |= _carried_out(ready, questions, todo, work, need_one)
-    for (name, seed), outcome in done.items():
-        if outcome.cut:
-            work.time.narrowed(f"{work.stage} of {name}{f' (seed {seed})' if seed else ''}")
-    results: dict[str, dict[int, Backtest]] = {name: {} for name in jobs}
-    failures = []
-    for name, seed in (job for of_method in jobs.values() for job in of_method):
-        outcome = done[name, seed]
-        if outcome.backtest is not None:
-            results[name][seed] = outcome.backtest
-        if outcome.failure is not None:
-            failures.append(outcome.failure)
-    if need_one and not any(results.values()):
-        reasons = dict.fromkeys(f"{f.method}: {f.reason}" for f in failures)
-        raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
-    return results, failures
+            if not self.trains and self.start is not None:
+                return as_it_is(self.start, self.question, self.seed)
+            return backtest(self.forecaster, self.question, self.seed, self.start)
+        except OSError:
+            raise  # a full disk concerns every method
+        except DeadlineError:
+            return self.late()
+        except (FloatingPointError, ValueError) as error:
+            failure = " ".join(str(error).split())
+        except Exception as error:
+            failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return Fit(self.method, self.seed, failure=failure, seconds=now() - began)
+
+    def late(self) -> Fit:
+        """Return the fit of a job for which there was no time."""
+        return Fit(self.method, self.seed, failure=LATE, cut=True)
 
 
-def _carried_out(
-    forecasters: Mapping[str, Forecaster],
-    questions: Mapping[str, Question],
-    jobs: Sequence[Key],
-    work: Work,
-    need_one: bool,
-) -> dict[Key, FitOutcome]:
-    """Return the outcome of each job; jobs that run far past the deadline are given up."""
-    time, checkpoints = work.time, None
-    if work.checkpoints is not None:
-        checkpoints = Path(work.checkpoints).absolute()
-        checkpoints.mkdir(parents=True, exist_ok=True)
-    fit = FitJobs(
-        forecasters,
-        questions,
-        [dict(each.results) for each in CACHES],
-        work.deadline,
-        checkpoints,
-        None if work.progress is None else work.stage,
-        jobs[0] if jobs and need_one else None,
-    )
-    costs = {name: job_cost(f, questions[name]) for name, f in forecasters.items()}
-    watch = _Watch(work, {job: costs[job[0]] for job in jobs})
-    # Jobs without training check the deadline themselves, and their results are always needed.
-    patience = Deadline()
-    if any(f.random for f in forecasters.values()):
-        patience = Deadline(work.deadline.at + PATIENCE + time.pace.forecasting)
-    done: dict[Key, FitOutcome] = {}
-    for job, outcome in map_jobs(fit, jobs, work.executor or work.jobs, watch.report, patience):
-        done[job] = outcome
-        if outcome.fresh and outcome.backtest is not None:
-            forecasting = outcome.seconds - outcome.backtest.report.seconds
-            time.pace.measured(costs[job[0]], outcome.seconds, forecasting)
-        watch.finished(job)
-    for job in jobs:
-        done.setdefault(job, FitOutcome(failure=Failure(*job, LATE, late=True)))
-    return done
+def _run(known: Sequence[Mapping[str, Any]], deadline: Deadline, job: Job) -> Fit:
+    """Run a job in any process, with the simulators' fits that are `known`."""
+    if deadline.over and job.trains and not job.needed:
+        return job.late()
+    for cache, results in zip(CACHES, known, strict=True):
+        cache.learn(results)
+    with within(deadline):
+        return job.run()
 
 
-def _seeds_of(forecaster: Forecaster, seeds: Seeds) -> Sequence[int]:
-    """Return the seeds of one forecaster: a single one where it is not random."""
-    if isinstance(seeds, Mapping):
-        seeds = seeds.get(forecaster.name, (0,))
-    return seeds if forecaster.random else seeds[:1]
+def _compile(cell: Any) -> None:
+    """Run a cell forward and back in both precisions, which compiles its kernels."""
+    import torch  # noqa: PLC0415  in a worker
+
+    from splitband.networks import rollout  # noqa: PLC0415
+
+    for dtype in (torch.float32, torch.float64):
+        network = cell.sized(1, 2, 4).to(dtype)
+        y, u = torch.zeros(2, 4, 1, dtype=dtype), torch.zeros(2, 12, 2, dtype=dtype)
+        rollout(network, y, 8, u).sum().backward()
 
 
-def _prepared(forecaster: Forecaster, asked: Question, work: Work) -> Forecaster:
-    """Return the forecaster after computing, once, what all of its jobs share.
-
-    Raises ValueError if the forecaster's own simulator fails.
-    """
-    fits = sorted({origin.fitted for origin in asked.origins})
-    record, ahead = asked.record[: fits[-1]], asked.end - fits[-1]
-    try:
-        forecaster = forecaster.simulated(record, ahead, *asked.others, *asked.tests)
-    except ValueError:
-        if not asked.tests:
-            raise
-        # It may fail for the test records only, which are then left out.
-        forecaster = forecaster.simulated(record, ahead, *asked.others)
-    # These errors are not lost: the job that needs the result computes it again and reports them.
-    workers, folder = work.executor or work.jobs, work.checkpoints
-    first_half = Deadline.after(HALF * work.deadline.left)  # the rest is for the jobs
-    with suppress(ValueError, DeadlineError), within(first_half):
-        for samples in fits:
-            training = [asked.record[:samples], *asked.others]
-            forecaster.prepare(training, workers, None if folder is None else Path(folder))
-    return forecaster
-
-
-class _Watch:
-    """Report the progress of a stage, as a share of the whole command."""
-
-    def __init__(self, work: Work, costs: Mapping[Key, float]) -> None:
-        self._work, self._costs = work, costs
-        self._shares: dict[Key, float] = {}
-
-    def report(self, at: RunProgress) -> None:
-        """Report an epoch."""
-        self._shares[at.method, at.seed] = at.share
-        if self._work.progress is None:
-            return
-        done = sum(share * self._costs.get(key, 0.0) for key, share in [*self._shares.items()])
-        first, last = self._work.span
-        share = done / max(sum(self._costs.values()), 1e-9)
-        self._work.progress(replace(at, overall=first + min(share, 1.0) * (last - first)))
-
-    def finished(self, job: Key) -> None:
-        """Report the end of a job, which may have had no epochs."""
-        if self._shares.get(job, 0.0) < 1.0:
-            self.report(RunProgress(*job, 1.0, float("nan"), self._work.stage))
-
-
-def failed_seeds(
-    reports: Mapping[int, FitReport], errors: Mapping[int, float] | None = None
-) -> dict[int, str]:
-    """Return the seeds of a method that failed in training, and why; if all failed, none of them.
-
-    Their errors are compared with the median, of two seeds with the lower one. The lowest of many
-    may be that of a training that has learned the noise.
+class Runner:
+    """Run jobs on the cores of this machine, or on an executor; keep what is finished.
 
     Parameters
     ----------
-    reports : Fit reports by seed.
-    errors : Errors of the simulations of the training record, by seed. By default the last training
-        losses of all networks together, which are comparable if all seeds are trained alike.
+    cores : Worker processes; with 1, jobs run in this process.
+    executor : Any executor of `concurrent.futures`, such as Dask's `Client.get_executor()`; it
+        stays open. `cores` then says how many jobs it runs side by side.
+    folder : For the files of finished jobs; None keeps none.
     """
-    stable = [seed for seed, report in reports.items() if report.stable]
-    failed = dict.fromkeys(reports.keys() - stable, "it is unstable, and may grow without bound")
-    if not stable:
-        failed, stable = {}, [*reports]
-    if errors is None:
-        errors = {
-            seed: sum(losses[-1] ** 2 for losses in report.losses.values() if len(losses)) ** 0.5
-            for seed, report in reports.items()
+
+    def __init__(
+        self, cores: int = 1, executor: Executor | None = None, folder: Path | None = None
+    ) -> None:
+        self.cores, self.folder = cores, folder
+        self._own = Workers(cores) if executor is None and cores > 1 else None
+        self.executor: Executor | None = executor or self._own
+        self.found = 0
+        """Finished jobs of an earlier command that were found."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._own is not None:
+            self._own.shutdown()
+
+    def compile(self, forecasters: Sequence[Forecaster]) -> None:
+        """Let the workers compile, side by side, the kernels that the networks need.
+
+        Compiled once after installation, they are on the disk.
+        """
+        networks = [each.network for each in forecasters]
+        cells = [getattr(n, name) for n in networks if n is not None for name in n.cells]
+        kinds = [*{type(cell): cell for cell in cells}.values()]
+        for _, future in run_jobs(_compile, kinds if self.executor else [], self.executor):
+            future.exception()  # a user's cell may fail here; its training says why
+
+    def run(
+        self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0
+    ) -> Iterator[tuple[Job, Fit]]:
+        """Yield each job with its fit, as it is done; at the end those that came too late.
+
+        `forecasting`: seconds that the forecasts of a job may take after its training.
+        """
+        todo = []
+        for job in jobs:
+            found = self._kept(job)
+            if found is None:
+                todo.append(job)
+            else:
+                self.found += 1
+                yield job, found
+        known = [dict(each.results) for each in CACHES]
+        patience = Deadline(deadline.at + max(PATIENCE, 2 * forecasting))
+        for job, future in run_jobs(
+            partial(_run, known, deadline), [*todo], self.executor, patience
+        ):
+            todo.remove(job)
+            error = future.exception()
+            if error is None:
+                fit = self._put(job, future.result())
+            elif said := ended_from_outside(error):
+                fit = Fit(job.method, job.seed, failure=said)
+            else:
+                raise error
+            yield job, fit
+        for job in todo:
+            yield job, job.late()
+
+    def _path(self, job: Job) -> Path | None:
+        """Return the file of a job; None where it is not kept."""
+        own = [part.simulator for part in simulations(job.forecaster)]
+        known = all(each is None or hasattr(each, "fingerprint") for each in own)
+        if self.folder is None or not job.forecaster.random or not known:
+            return None
+        with suppress(ValueError):
+            return self.folder / f"{job.key}.safetensors"
+        return None
+
+    def _kept(self, job: Job) -> Fit | None:
+        """Return the fit of a job that an earlier command has finished."""
+        path = self._path(job)
+        if path is None or not path.is_file():
+            return None
+        with suppress(OSError, ValueError, KeyError):
+            said = unpacked(path.read_bytes())
+            model = said["model"]
+            # A saved model holds the end of its training record only, and no simulator.
+            whole = replace(
+                model.require_fitted(),
+                record=job.question.record[: said["samples"]],
+                begin=0,
+                others=tuple(job.question.others),
+                whole=True,
+            )
+            model.fitted = whole
+            with_own_simulators(model, job.forecaster)
+            forecasts = {Origin(*at): each for at, each in said["forecasts"]}
+            return Fit(
+                job.method, job.seed, model, forecasts, said["tests"], said["unfiltered"],
+                said["seconds"], said["notes"],
+            )  # fmt: skip
+        return None
+
+    def _put(self, job: Job, fit: Fit) -> Fit:
+        """Keep a finished fit in its file, and return it; a full disk only loses the file."""
+        path = None if fit.model is None or fit.cut else self._path(job)
+        if path is None or fit.model is None:
+            return fit
+        said = {
+            "model": fit.model,
+            "samples": len(fit.model.require_fitted().record),
+            "forecasts": [((at.fitted, at.at), each) for at, each in fit.forecasts.items()],
+            "tests": [*fit.tests],
+            "unfiltered": {**fit.unfiltered},
+            "seconds": fit.seconds,
+            "notes": fit.notes,
         }
-    usual = median_low(errors[seed] for seed in stable) if stable else 0.0
-    for seed in stable:
-        if usual and errors[seed] > FAILED * usual:
-            failed[seed] = f"training error {errors[seed] / usual:.3g} times the usual one"
-    return failed if len(failed) < len(reports) else {}
+        with suppress(OSError, ValueError):
+            content = packed(said)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as new:
+                new.write_bytes(content)
+        return fit
+
+
+def prepare(
+    forecasters: Sequence[Forecaster],
+    records: Sequence[Record],
+    runner: Runner,
+    deadline: Deadline,
+) -> None:
+    """Fit, once, the simulators that several methods share, side by side on all cores.
+
+    What fails here is not lost: the job that needs it computes it again and says why.
+    """
+    for forecaster in forecasters:
+        with suppress(ValueError, DeadlineError), within(deadline):
+            forecaster.prepare(records, runner.executor or 1, runner.folder)

@@ -1,22 +1,37 @@
-"""Plan and check a whole comparison before anything is computed."""
+"""Plan a comparison: decide every default, and check everything, before anything runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from splitband.data import Record, check_alike, require_records
 from splitband.data.gaps import first_after
-from splitband.evaluation.setup import Options, Setup
-from splitband.forecasters.backtest import first_held_out, for_trial
+from splitband.forecasters.backtest import Origin, Question, first_held_out, first_origin, for_trial
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.grey_box import GreyBox
+from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
 from splitband.runtime.arguments import whole
 from splitband.simulators.identification import check_runs
+from splitband.simulators.shooting import Adjustable
+from splitband.training import Settings, default_warmup
+from splitband.training.recipes import Recipe, recipe_settings
 
 TRAINING_SHARE = 0.75
 """Default share of a record to train on."""
+BUDGET = 120.0
+"""Default wall time of a comparison that searches how to train its networks, in s."""
+LARGEST_SEED = 2**32 - 1
+"""Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
+UNFITTED_SIMULATOR = "simulator-as-given"
+"""Name of a simulator whose parameters are not fitted, but the middles of their ranges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,41 +41,42 @@ class Plan:
     Attributes
     ----------
     record : The measured record, up to its last sample to predict.
-    methods : Forecasters, complete but for what a search may change.
-    setup : Options that they share.
+    train : Length of the training part, in samples.
     horizon : Samples to forecast beyond the training part.
+    methods : Forecasters, complete but for what is searched.
+    settings, bands, sizes : Training settings, bands and sizes of those that had none of their own.
+    searched : Names of the networks whose settings are searched; True: their sizes, too.
+    extended : Whether a network on the best baseline is a method, too, if it is the best one.
     others : Further records to train on.
     tests : Records that nothing is fitted to, with distinct names.
-    seeds : Number of trainings of each network; None: the search decides.
+    initial : Known samples at the beginning of a test record; None: the warm-up.
+    simulator : Simulator whose parameters are fitted, for methods without one.
+    budget : Wall time of the whole comparison in s; None: no limit.
+    rounds : Rounds of the search, in place of a time limit; None: as many as the time allows.
+    seed : Of all random numbers.
+    seeds : Trainings of each network that is not searched; of the others the median of as many,
+        or, with None, of those that did best together.
     refit : Whether the recommended method is refitted to the whole record.
     """
 
     record: Record
-    methods: tuple[Forecaster, ...]
-    setup: Setup
+    train: int
     horizon: int
+    methods: tuple[Forecaster, ...]
+    settings: Settings
+    bands: Bands = field(default_factory=Bands)
+    sizes: Sizes = field(default_factory=Sizes)
+    searched: Mapping[str, bool] = field(default_factory=dict)
+    extended: bool = False
     others: tuple[Record, ...] = ()
     tests: tuple[Record, ...] = ()
+    initial: int | None = None
+    simulator: Adjustable | None = None
+    budget: float | None = None
+    rounds: int | None = None
+    seed: int = 0
     seeds: int | None = None
     refit: bool = False
-
-    @classmethod
-    def of(
-        cls,
-        record: Record,
-        methods: Sequence[Forecaster],
-        setup: Setup,
-        others: Sequence[Record] = (),
-        tests: Sequence[Record] = (),
-    ) -> Plan:
-        """Return an unchecked plan with the given parts and a forecast to the record's end."""
-        horizon = len(record) - setup.train
-        return cls(record, tuple(methods), setup, horizon, tuple(others), tuple(tests))
-
-    @property
-    def train(self) -> int:
-        """Return the length of the training part, in samples."""
-        return self.setup.train
 
     @property
     def training(self) -> Record:
@@ -72,6 +88,49 @@ class Plan:
         """Return the names of the methods."""
         return [method.name for method in self.methods]
 
+    def question(self, forecaster: Forecaster) -> Question:
+        """Return the predictions by which methods are compared.
+
+        *From the start*: warm up on the first samples, simulate to the end. *Forecast*: warm up on
+        the last training samples, simulate beyond them. *Test record*: warm up on its first
+        samples, simulate to its end.
+        """
+        train, warmup = self.train, self.settings.warmup
+        first = first_origin(self.record, train, forecaster.warmup or warmup)
+        origins = [first, Origin(train, train)][: 1 + (self.horizon > 0)]
+        return Question(
+            self.record,
+            origins,
+            train + self.horizon,
+            self.others,
+            self.tests,
+            warmup,
+            self.initial,
+        )
+
+    def on_baseline(self, base: str) -> Plan:
+        """Return the plan with a network on this baseline, which learns what that leaves.
+
+        Not in the paper.
+        """
+        (name,) = with_base(["residual-gru-conditioned"], base)
+        network = named(name, self.sizes).with_defaults(self.settings, self.bands)
+        return replace(
+            self, methods=(*self.methods, network), searched={**self.searched, name: False}
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what was decided, for a result file."""
+        bands = asdict(self.bands)
+        return (
+            {"train": self.train, "settings": asdict(self.settings)}
+            | {name: bands[name] for name in ("cutoff", "order", "downsampling")}
+            | asdict(self.sizes)
+            | ({} if self.simulator is None else {"parameters": str(self.simulator.known)})
+            | {"choice": bands["choice"], "searched": [*self.searched]}
+            | {name: getattr(self, name) for name in ("budget", "rounds", "seed", "seeds")}
+        )
+
 
 def plan(
     record: Record,
@@ -81,8 +140,16 @@ def plan(
     horizon: int | None = None,
     others: Sequence[Record] = (),
     tests: Sequence[Record] = (),
+    initial: int | None = None,
+    settings: Settings | Mapping[str, Any] | None = None,
+    recipe: Recipe = "default",
+    bands: Bands | None = None,
+    sizes: Sizes | None = None,
+    simulator: Adjustable | None = None,
+    budget: float | None = None,
+    rounds: int | None = None,
+    seed: int = 0,
     seeds: int | None = None,
-    setup: Setup | Options | None = None,
     refit: bool = False,
 ) -> Plan:
     """Plan a comparison, and check records, methods and settings.
@@ -90,21 +157,30 @@ def plan(
     Parameters
     ----------
     record : The measured record, with its inputs and simulator's output, if any.
-    train : Samples to train on, by default those of `setup`, or three quarters; with `tests` all.
-    methods : Forecasters, or names (`splitband methods`); `setup` supplies what they leave open. By
-        default the methods worth comparing on such a record. The settings of the first network are
-        searched most thoroughly.
+    train : Samples to train on, by default three quarters; with `tests` all of them.
+    methods : Forecasters, or names (`splitband methods`). By default the methods worth comparing on
+        such a record.
     horizon : Samples to predict after the training part, by default to the end of the record. If
         the whole record is trained on, they lie beyond it, as far as its inputs and its simulator's
         output are known (`u_beyond`, `beyond`); 0 is for fitting alone.
     others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to; each is simulated to its end after
         a warm-up on its first samples.
-    seeds : Number of trainings of each network; by default as many as the budget of the search
-        allows, and `SEEDS` without a search.
-    setup : Settings, bands and sizes: all of them (`Setup`) or some (`Options`). The rest is chosen
-        from the training samples; training settings by trials on the last quarter of them, within
-        two minutes.
+    initial : Known samples at the beginning of a test record, by default the warm-up.
+    settings : Training settings of the networks, or some of them, such as `{"epochs": 5}`. All but
+        `warmup` fix how networks are trained. By default that is searched on the last quarter of
+        the training part.
+    recipe : Settings where none are given: "default", or "constant-rate", which is not searched.
+    bands : Cut-off, order and down-sampling; what is not given is chosen from the training samples.
+    sizes : Of the networks given by name; by default they are searched.
+    simulator : Simulator whose parameters are fitted, for methods without one.
+    budget : Wall time of the whole comparison in s, by default two minutes if there is something
+        to search, and no limit otherwise. `math.inf` is no limit.
+    rounds : Rounds of the search in place of a time limit: the same work, and the same result, on
+        every machine.
+    seed : Of all random numbers.
+    seeds : Trainings of each network, whose median is handed out; by default three where settings
+        are given, and as many as do best where they are searched.
     refit : Whether the recommended method is refitted to the whole record at the end.
 
     Returns
@@ -122,28 +198,156 @@ def plan(
         if isinstance(several, Record):
             raise TypeError(f"{name} must be a list of records, got a single one: write [record]")
         require_records(name, *several)
-    methods = [methods] if isinstance(methods, str) else methods
-    if train is None:
-        train = getattr(setup, "train", None)
+    _check_limits(budget, rounds, seed, seeds)
     if train is None:
         train = len(record) if tests else int(TRAINING_SHARE * len(record))
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
-    decided = (setup or Options()).decided(record, train, methods, tests, others)
-    if seeds is not None:
-        whole("seeds", seeds)
-    if methods is None:
-        methods = decided.usual(record)
-        if decided.search is not None and decided.simulator is None:
-            decided = replace(decided, search=replace(decided.search, bases=True))
-    if decided.simulator is not None:
-        check_runs(decided.simulator, record)
-    made = [decided.forecaster(each) if isinstance(each, str) else each for each in methods]
-    made = [method.with_defaults(decided.settings, decided.bands) for method in made]
-    found = Plan(record, tuple(made), decided, horizon, tuple(others), tuple(tests), seeds, refit)
+    training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
+    given = settings if isinstance(settings, Settings) else None
+    decided = _settings(given or recipe_settings(recipe, training, others), changes)
+    if tests and given is None and "warmup" not in changes:
+        shortest = default_warmup(min(map(len, tests)))
+        decided = replace(decided, warmup=min(decided.warmup, shortest))
+    usual = recipe == "default" and given is None and not {*changes} - {"warmup"}
+    names = [methods] if isinstance(methods, str) else methods
+    asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else [*names]
+    with_bands = [known(each) if isinstance(each, str) else each for each in asked]
+    chosen = chosen_bands(bands or Bands(), training, decided, with_bands)
+    small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
+    of_names = sizes or small
+    if names is None:
+        asked = _usual(record, chosen, simulator)
+    if simulator is not None:
+        check_runs(simulator, record)
+    made, searched = list[Forecaster](), dict[str, bool]()
+    for each in asked:
+        method = known(each, of_names) if isinstance(each, str) else each
+        complete = method.with_defaults(decided, chosen)
+        if isinstance(each, str) and simulator is not None:
+            complete = complete.given(simulator)
+        if usual and complete.network is not None and method.settings is None:
+            searched[complete.name] = isinstance(each, str) and sizes is None
+        made.append(complete)
+    if rounds is not None and not searched:
+        raise ValueError(f"rounds must be left out where no training is searched, got {rounds}")
+    limit = BUDGET if budget is None and rounds is None and searched else budget
+    found = Plan(
+        record, train, horizon, tuple(made), decided, chosen, of_names, searched,
+        bool(names is None and simulator is None and searched),
+        tuple(others), tuple(tests), initial, simulator,
+        None if limit in (None, math.inf) else float(limit or 0), rounds, seed, seeds, refit,
+    )  # fmt: skip
     check(found)
     if horizon or tests:
         _check_trial(found)
     return replace(found, tests=_with_distinct_names(tests))
+
+
+def _check_limits(budget: float | None, rounds: int | None, seed: int, seeds: int | None) -> None:
+    if budget is not None and not budget > 0:
+        raise ValueError(f"budget must be a positive number of seconds, got {budget}")
+    if budget is not None and rounds is not None:
+        raise ValueError(
+            f"budget and rounds exclude each other (the one limits the time, the other the work), "
+            f"got {budget} and {rounds}"
+        )
+    if rounds is not None:
+        whole("rounds", rounds)
+    whole("seed", seed, 0, LARGEST_SEED)
+    if seeds is not None:
+        whole("seeds", seeds)
+
+
+def _settings(usual: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Return settings with some of them changed, and those that follow from the changes."""
+    said = {**changes}
+    if "window" in said:
+        said.setdefault("warmup", default_warmup(said["window"], usual.warmup))
+    if "milestones" in said:
+        said.setdefault("one_cycle", False)
+    try:
+        return replace(usual, **said)
+    except TypeError:
+        known = ", ".join(vars(usual))
+        raise ValueError(f"settings must be out of {known}, got {', '.join(changes)}") from None
+
+
+def chosen_bands(
+    given: Bands,
+    training: Record,
+    settings: Settings | None = None,
+    methods: Sequence[Forecaster] | None = None,
+) -> Bands:
+    """Return the bands: for hybrids where the simulator helps, else for networks alone.
+
+    Parameters
+    ----------
+    given : What is not None stays.
+    training : The training part of the record.
+    settings, methods : By default the usual ones for such a record.
+    """
+    settings = settings or recipe_settings("default", training)
+    if methods is None:
+        usual = default_names(training.y_sim is not None, training.nu > 0)
+        methods = [known(name) for name in usual]
+    if given.cutoff is None and not any(each.shares_bands for each in methods):
+        return given
+    y_sim, beside = None, [base for method in methods for base in _simulators_in(method)]
+    if training.y_sim is not None and beside:
+        simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
+        y_sim = simulation.fit(training).on(training).y_sim
+    # Where the record has no band to split off, the methods that need one report it.
+    with nullcontext() if given.cutoff is not None else suppress(ValueError):
+        return given.chosen(training.y, training.sampling_rate, settings.warmup, y_sim)
+    return given
+
+
+def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:
+    """Yield the parts of a forecaster that use the simulator's output in the record."""
+    for part in parts_of(forecaster).values():
+        if parts_of(part):
+            yield from _simulators_in(part)
+        elif "simulator" in part.needs:
+            yield part
+
+
+def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
+    """Return the names of the default methods, with a simulator that helps or without.
+
+    Of the methods that ignore inputs, a record with inputs is compared with the mean and with the
+    last value alone.
+    """
+    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
+    first, cell = ["gru"], "gru"
+    if with_inputs:
+        naive = ["linear", "mean", "persistence"]
+        first, cell = ["state-space", "gru"], "state-space"
+    if not with_simulator:
+        return [*first, "split-gru", "split-gru-conditioned", *naive]
+    hybrids = [f"filtered-{cell}-calibrated-conditioned", f"residual-{cell}-calibrated-conditioned"]
+    trained = [hybrids[1], first[0], hybrids[0], *first[1:]] if with_inputs else [*first, *hybrids]
+    return [*trained, "simulator", "simulator-calibrated", *naive]
+
+
+def usual_names(record: Record, bands: Bands) -> list[str]:
+    """Return `default_names`, without hybrids where the record's simulator does not help."""
+    names = default_names(record.y_sim is not None, record.nu > 0)
+    if bands.choice is None or bands.choice.simulator_helps is not False:
+        return names
+    kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
+    learned = default_names(False, record.nu > 0)
+    trained = next(i for i, name in enumerate(learned) if name in QUICK)
+    return [*learned[:trained], *kept, *learned[trained:]]
+
+
+def _usual(record: Record, bands: Bands, simulator: Adjustable | None) -> list[Forecaster | str]:
+    """Return the default methods for a record; a simulator is also compared before its fit."""
+    if simulator is None:
+        return [*usual_names(record, bands)]
+    middle = simulator.fixed(simulator.known.middle())
+    names = with_base(default_names(True, record.nu > 0), GREY_BOX)
+    at = names.index(GREY_BOX)
+    return [*names[:at], GreyBox(middle, name=UNFITTED_SIMULATOR), *names[at:]]
 
 
 def check_train(record: Record, train: int, horizon: int = 1) -> None:
@@ -209,7 +413,7 @@ def _cut_to_horizon(
 
 
 def _check_records(plan: Plan) -> None:
-    record, train, warmup = plan.record, plan.train, plan.setup.settings.warmup
+    record, train, warmup = plan.record, plan.train, plan.settings.warmup
     for other in plan.others:
         check_alike(other, record, other.name or "another record")
     for test in plan.tests:
@@ -224,10 +428,10 @@ def _check_records(plan: Plan) -> None:
 
 def _check_test(test: Record, plan: Plan) -> None:
     check_alike(test, plan.record, test.name or "a test record")
-    name, samples = "initial", plan.setup.initial
+    name, samples = "initial", plan.initial
     if samples is None:
         name = "warmup"
-        samples = max(plan.setup.settings.warmup, *(f.warmup for f in plan.methods))
+        samples = max(plan.settings.warmup, *(f.warmup for f in plan.methods))
     begin = first_after(test.complete, max(whole(name, samples), 2))
     if begin in (None, len(test)):
         raise ValueError(
@@ -244,10 +448,14 @@ def _check_test(test: Record, plan: Plan) -> None:
 def _check_trial(plan: Plan) -> None:
     """Check the trial on the last quarter of the training part."""
     part = replace(plan.training, y_true=None)
-    setup = replace(plan.setup, train=first_held_out(plan.train))
+    train = first_held_out(plan.train)
     shorter = tuple(for_trial(f, plan.train) for f in plan.methods)
     try:
-        check(Plan(part, shorter, setup, len(part) - setup.train, plan.others))
+        check(
+            replace(
+                plan, record=part, train=train, horizon=len(part) - train, methods=shorter, tests=()
+            )
+        )
     except ValueError as error:
         raise ValueError(
             f"{error} (a method is chosen on the last quarter of the {plan.train} training "

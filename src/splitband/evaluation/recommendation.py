@@ -1,4 +1,4 @@
-"""Score methods on the held-out end of the training part, to recommend one, with its interval.
+"""Recommend a method by its forecasts of held-out samples, and give its forecast an interval.
 
 Not in the paper. No measured sample after the training part is used.
 """
@@ -7,42 +7,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import median_low
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.jobs import reasons, run_all
-from splitband.evaluation.trials import held_out_score
-from splitband.evaluation.work import Work
 from splitband.forecasters.backtest import (
-    Backtest,
-    Question,
-    for_trial,
+    Fit,
     held_out_errors,
-    held_out_origins,
+    held_out_score,
     interval_errors,
     median_forecasts,
 )
-from splitband.forecasters.base import Forecaster
 from splitband.forecasters.intervals import HeldOut, Interval
-from splitband.metrics import channel_rmse
+from splitband.metrics import channel_rmse, rmse, spread
 
 Array = npt.NDArray[np.float64]
 
 LEVEL = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""
-MOST_TRIAL_SEEDS = 2
-"""Largest number of seeds of each network in the trial, which bounds its time. By eye."""
 WORTH_TRAINING = 0.1
 """Share of its score by which a network must beat a baseline. By eye."""
+FAILED = 2.0
+"""A training whose error is above this multiple of the usual one of the seeds has failed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
     """Hold the results of each method on the held-out last quarter of the training samples.
 
-    Networks with several seeds are scored by the median of their forecasts.
+    Networks with several trainings are scored by the median of their forecasts.
 
     Attributes
     ----------
@@ -50,17 +45,14 @@ class Trial:
         a fit to the samples before. See `backtest.held_out_origins`.
     scores : RMSE of all channels together, each scaled to a standard deviation of 1.
     trained : Methods that are trained: networks.
-    final : Median forecast over the seeds by each method fitted to the whole training part; see
-        `settled`.
-    failed : Why methods could not be fitted, now or, after `settled`, on the whole training part.
+    final : Median forecast by each method after its final fit; only these methods are recommended.
+    failed : Why methods could not be fitted.
     left_out : Methods that cannot simulate the test records; they are recommended only if there is
         no other.
-    held_out : Errors of these forecasts by method, for baselines also of earlier, longer ones:
-        intervals of any level are computed from them. After `settled`, their `doubt` is, for a
-        network, the root mean square of the change from `early` to `final`, combined with the
-        standard deviation over seeds.
-    early : Forecasts of the samples after the training part by each network fitted to the first
-        three quarters, `(time, ny)`, one for each held-out origin.
+    held_out : Errors of the held-out forecasts by method, for baselines also of earlier, longer
+        ones: intervals of any level are computed from them. Their `doubt` is, for a method that is
+        fitted once for them, the root mean square of the change of its forecast by the final fit,
+        combined with the standard deviation over seeds.
     """
 
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -70,39 +62,6 @@ class Trial:
     failed: Mapping[str, str] = field(default_factory=dict)
     left_out: frozenset[str] = frozenset()
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)
-    early: Mapping[str, Sequence[Array]] = field(default_factory=dict)
-
-    def settled(self, final: Mapping[str, Sequence[Array]], failed: Mapping[str, str]) -> Trial:
-        """Return the trial with the final forecasts; only methods that have one are recommended.
-
-        A network is trained only once for the trial, and may have been lucky. Its interval is
-        therefore at least as wide as the change of its forecast by the final training requires.
-
-        Parameters
-        ----------
-        final : The forecast `(time, ny)` of each seed of each method.
-        failed : Why methods could not be fitted.
-        """
-        medians = {name: np.median(y, axis=0) for name, y in final.items() if name in self.errors}
-        held_out = {**self.held_out}
-        for name in self.early.keys() & medians:
-            change = np.mean([(medians[name] - y) ** 2 for y in self.early[name]], axis=0)
-            apart = np.var(final[name], axis=0, ddof=1) if len(final[name]) > 1 else 0.0
-            held_out[name] = replace(held_out[name], doubt=np.sqrt(change + apart))
-        failed = {**self.failed, **failed}
-        return replace(self, final=medians, held_out=held_out, failed=failed)
-
-    def joined(self, other: Trial) -> Trial:
-        """Return the trial with the methods of another trial of the same record added."""
-        return replace(
-            self,
-            errors={**self.errors, **other.errors},
-            scores={**self.scores, **other.scores},
-            trained=self.trained | other.trained,
-            failed={**self.failed, **other.failed},
-            held_out={**self.held_out, **other.held_out},
-            early={**self.early, **other.early},
-        )
 
     @property
     def intervals(self) -> dict[str, Interval]:
@@ -137,52 +96,80 @@ class Trial:
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
 
 
-def try_out(
-    record: Record,
-    forecasters: Sequence[Forecaster],
-    steps: int,
-    seeds: Sequence[int] = (0,),
-    work: Work | None = None,
-    others: Sequence[Record] = (),
-    done: Mapping[str, Mapping[int, Backtest]] | None = None,
-    need_one: bool = True,
+def judged(
+    training: Record,
+    held: Mapping[str, Sequence[Fit]],
+    final: Mapping[str, Sequence[Fit]],
+    failed: Mapping[str, str],
+    left_out: frozenset[str] = frozenset(),
 ) -> Trial:
-    """Fit each forecaster to the first part of a training record, to forecast the rest of it.
+    """Return what held-out forecasts and final fits say of each method.
+
+    A method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
+    Its interval is therefore at least as wide as the change of its forecast by the final fit
+    requires.
 
     Parameters
     ----------
-    record : The training part alone, with the inputs and simulator output that are known for the
-        `steps` samples after it (`u_beyond`, `beyond`).
-    forecasters : With settings and bands. Long training windows shrink with the record.
-    steps : Samples beyond the record that the final forecast covers.
-    seeds, work, others : Seeds of networks, how to compute, and further training records.
-    done : Forecasts that exist already, by name and seed.
-    need_one : Raise ValueError if no forecaster could be fitted.
+    training : The training part.
+    held, final : Fits to three quarters of it, and to all of it, by method.
+    failed : Why methods have no fit.
+    left_out : See `Trial`.
     """
-    record, done = replace(record, y_true=None), done or {}
-    shorter = [for_trial(f, len(record)) for f in forecasters]
-    todo = [f for f in shorter if not done.get(f.name)]
-    end = len(record) + steps
-    questions = {f.name: Question(record, held_out_origins(f, record), end, others) for f in todo}
-    fitted, failures = run_all(
-        todo, questions, seeds, work or Work(), need_one=need_one and not any(done.values())
-    )
-    made = {**done, **fitted}
-    forecasts = {
-        f.name: median_forecasts([*made[f.name].values()]) for f in shorter if made[f.name]
-    }
-    trained = frozenset(f.name for f in shorter if f.random)
+    record = replace(training, y_true=None)
+    held = {name: fits for name, fits in held.items() if fits}
+    forecasts = {name: median_forecasts(fits) for name, fits in held.items()}
+    trained = frozenset(name for name, fits in held.items() if fits[0].fitted.random)
+    ahead = {name: [fit.ahead for fit in fits] for name, fits in final.items() if name in held}
+    medians = {name: np.median(y, axis=0) for name, y in ahead.items()}
+    held_out = {name: interval_errors(record, said) for name, said in forecasts.items()}
+    once = {name for name, fits in held.items() if not fits[0].fitted.refits}
+    for name in once & medians.keys():
+        early = [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
+        change = np.mean([(medians[name] - y) ** 2 for y in early], axis=0)
+        apart = np.var(ahead[name], axis=0, ddof=1) if len(ahead[name]) > 1 else 0.0
+        held_out[name] = replace(held_out[name], doubt=np.sqrt(change + apart))
     return Trial(
-        {name: _of_channels(held_out_errors(record, y)) for name, y in forecasts.items()},
-        {name: held_out_score(record, [*made[name].values()]) for name in forecasts},
+        {name: _of_channels(held_out_errors(record, said)) for name, said in forecasts.items()},
+        {name: held_out_score(record, fits) for name, fits in held.items()},
         trained,
-        failed=reasons(failures, forecasts),
-        held_out={name: interval_errors(record, y) for name, y in forecasts.items()},
-        early={
-            name: [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
-            for name in trained & forecasts.keys()
-        },
+        medians,
+        failed,
+        left_out,
+        held_out,
     )
+
+
+def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
+    """Return the fits of a method without the trainings that failed; the first names those.
+
+    A training fails if it is unstable, or by its error in simulating the training record from the
+    start, which is compared with the median, of two seeds with the lower one. The lowest of many
+    may be that of a training that has learned the noise. If all failed, all are kept.
+    """
+    if not fits or not fits[0].fitted.random:
+        return [*fits]
+    stable = [fit for fit in fits if fit.report.stable]
+    failed = {
+        fit.seed: "it is unstable, and may grow without bound" for fit in fits if fit not in stable
+    }
+    usual = median_low(_from_start(fit, training) for fit in stable or fits)
+    for fit in stable:
+        if usual and (error := _from_start(fit, training)) > FAILED * usual:
+            failed[fit.seed] = f"training error {error / usual:.3g} times the usual one"
+    kept = [fit for fit in fits if fit.seed not in failed]
+    said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
+    if not kept:
+        kept, said = [*fits], ["unstable: a simulation may grow without bound"]
+    return [replace(kept[0], notes=(*kept[0].notes, *said)), *kept[1:]]
+
+
+def _from_start(fit: Fit, training: Record) -> float:
+    """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
+    first = min(fit.forecasts, key=lambda origin: origin.at)
+    y = fit.forecasts[first].y[: max(len(training) - first.at, 0)]
+    scale = spread(training.seen)
+    return rmse(training.seen[first.at :] / scale, y / scale) if len(y) else 0.0
 
 
 def _of_channels(errors: Sequence[Array]) -> tuple[float, ...]:

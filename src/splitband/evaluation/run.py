@@ -1,39 +1,81 @@
-"""Run a plan: a comparison, or the fit of a single method."""
+"""Run a plan: quick methods, rounds of the search, final trainings, recommendation, result."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
-from splitband.evaluation.budget import SEARCH_SHARE
-from splitband.evaluation.choosing import AFTER_TRIAL, choose
+from splitband.evaluation.clock import HALF, Clock
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import Failure, checkpoint_path, run_all
+from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.protocols import (
-    models_of,
-    question_of,
-    runs_of,
-    without_failed,
+from splitband.evaluation.recommendation import Trial, judged, without_failed
+from splitband.forecasters.backtest import (
+    Fit,
+    Origin,
+    Question,
+    for_trial,
+    held_out_origins,
 )
-from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.search import SEEDS, SearchResult, search
-from splitband.evaluation.work import RunProgress, Work
-from splitband.forecasters.backtest import Backtest, Origin, Question, first_held_out
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
-from splitband.runtime import deadlines
-from splitband.training import Checkpoint, Progress
+from splitband.forecasters.names import BASES, built
+from splitband.forecasters.simulation import with_simulators_of
+from splitband.runtime.deadlines import Deadline, within
+from splitband.runtime.threads import one_thread
 
-FINAL, REFIT = "final fit", "refit"
-"""Names of the stages that fit methods to the training part, and one method to the whole record."""
-BEFORE_REFIT = 0.6
-"""Share of the remaining time that the final fits may take if a refit follows."""
-AFTER_FINAL = 0.95
-"""Share of a command that is done after the final fits, for progress bars."""
+if TYPE_CHECKING:
+    from splitband.evaluation.search import Search
+    from splitband.training import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Tell where a comparison stands.
+
+    Attributes
+    ----------
+    plan, clock : Of the comparison.
+    doing : What is computed now, in words.
+    held : Fits to three quarters of the training part so far, by method.
+    failed : Why methods have no fit so far.
+    whole : Whether a round has just ended, so that there is a new table.
+    final : Fits to the whole training part so far, by method: of quick methods.
+    """
+
+    plan: Plan
+    clock: Clock
+    doing: str
+    held: Mapping[str, Sequence[Fit]]
+    failed: Mapping[str, str]
+    whole: bool = False
+    final: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
+
+    def comparison(self) -> Comparison:
+        """Return the comparison of what is final."""
+        trial = judged(self.plan.training, self.held, self.final, self.failed)
+        found = Comparison(self.plan, self.final, trial, clock=self.clock)
+        return replace(found, trial=replace(trial, left_out=frozenset(found.left_out)))
+
+    @cached_property
+    def trial(self) -> Trial:
+        """Return the results so far."""
+        return judged(self.plan.training, self.held, {}, self.failed)
+
+    @property
+    def model(self) -> Forecaster:
+        """Return the best model so far; a network was trained on three quarters of the samples."""
+        best = self.trial.recommended
+        fits = self.final.get(best) or self.held[best]
+        return fitted_ensemble([fit.fitted for fit in fits], self.trial.held_out[best])
+
+
+Watch = Callable[[Standing], None]
 
 
 def compare(
@@ -41,19 +83,22 @@ def compare(
     train: int | None = None,
     methods: Sequence[Forecaster | str] | str | None = None,
     *,
-    work: Work | None = None,
+    cores: int = 1,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    watch: Watch | None = None,
     **options: Any,
 ) -> Comparison:
     """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
 
     Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
-    of them.
+    of them. Ctrl-C ends the comparison with what there is.
 
     Parameters
     ----------
     record, train, methods : See `plan`.
-    work : Processes, progress and checkpoints.
-    options : Further arguments of `plan`: others, tests, seeds, setup, horizon.
+    cores, executor, folder, watch : See `run`.
+    options : Further arguments of `plan`, such as budget, seed, tests, settings.
 
     Raises
     ------
@@ -69,16 +114,31 @@ def compare(
     >>> list(result.table["forecast fit %"].round(1))
     [100.0, -0.3, -77.9]
     """
-    return run(plan(record, train, methods, **options), work)
+    planned = plan(record, train, methods, **options)
+    return run(planned, cores=cores, executor=executor, folder=folder, watch=watch)
 
 
-def run(plan: Plan, work: Work | None = None) -> Comparison:
+def run(
+    plan: Plan,
+    *,
+    cores: int = 1,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    watch: Watch | None = None,
+    clock: Clock | None = None,
+) -> Comparison:
     """Run a planned comparison.
 
     Parameters
     ----------
     plan : From `splitband.plan`.
-    work : Processes, progress and checkpoints.
+    cores : Trainings side by side, each in a process with one thread. With several, a script must
+        keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
+    executor : Runs the trainings in place of processes of this machine: any executor of
+        `concurrent.futures`, such as Dask's `Client.get_executor()`. It stays open.
+    folder : For finished trainings, by which the same comparison goes on when it is run again.
+    watch : Called in this process after each training, with where the comparison stands.
+    clock : Time of a command that has already begun; by default the plan's budget from now on.
 
     Raises
     ------
@@ -92,31 +152,331 @@ def run(plan: Plan, work: Work | None = None) -> Comparison:
             f"nothing was measured after it to compare with, got {plan.horizon}: "
             "splitband.forecast predicts beyond a record"
         )
-    with with_limits(plan, work).staffed() as staff:
-        trial, searched = choose(plan, staff)
-        methods = [method for method in searched.forecasters if method.name in trial.errors]
-        questions = {method.name: question_of(plan, method) for method in methods}
-        done, failures = final_fits(plan, questions, searched, trial, staff)
-        done, notes = (done, {}) if plan.seeds else without_failed(plan.training, done)
-        runs = runs_of(plan, questions, done, failures, notes)
-        forecasters = {m.name: m for m in methods if m.name in runs}
-        found = Comparison(plan, runs, None, searched.attempts, forecasters, staff.time)
-        trial = replace(trial, left_out=frozenset(found.left_out))
-        trial = trial.settled(runs.ahead, staff.time.left_out | runs.failed)
+    with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
+        return carried_out(plan, runner, watch, clock).result()
+
+
+def carried_out(
+    plan: Plan, runner: Runner, watch: Watch | None = None, clock: Clock | None = None
+) -> Course:
+    """Run a plan to its end, or until Ctrl-C, and return all fits."""
+    course = Course(plan, runner, clock or Clock(plan.budget), watch)
+    try:
+        course.run_quick()
+        course.run_rounds()
+        course.run_finals()
+    except KeyboardInterrupt:
+        if not course.held:
+            raise
+        course.interrupted = True
+    course.complete()
+    return course
+
+
+class Course:
+    """Run the parts of a comparison one after the other, and hold their fits.
+
+    Attributes
+    ----------
+    held : Fits to three quarters of the training part, by method.
+    final : Fits to all of it.
+    failed : Why methods have no fit.
+    interrupted : Whether Ctrl-C ended it early.
+    """
+
+    def __init__(self, plan: Plan, runner: Runner, clock: Clock, watch: Watch | None) -> None:
+        self.plan, self.clock, self._runner, self._watch = plan, clock, runner, watch
+        clock.cores = runner.cores
+        self.held: dict[str, Sequence[Fit]] = {}
+        self.final: dict[str, list[Fit]] = {}
+        self.failed: dict[str, str] = {}
+        self.interrupted = False
+        self._finals: dict[str, list[Job]] = {}
+        self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
+        self._search: Search | None = None
+
+    def run_quick(self) -> None:
+        """Fit the methods without networks: first those that fit no simulator, either."""
+        quick = [f for f in self._ready if not f.random]
+        at_once, slow = (
+            [f for f in quick if f.fits_simulator == slowly] for slowly in (False, True)
+        )
+        for forecaster in at_once:
+            self._try(forecaster)
+        if slow:
+            self._report("baselines", whole=True)
+        until = self._half()
+        prepared = [f for f in self._ready if f not in at_once]
+        for forecaster in prepared:
+            question = self._trial(forecaster)
+            for samples in sorted({origin.fitted for origin in question.origins}):
+                records = [question.record[:samples], *question.others]
+                prepare([forecaster], records, self._runner, until)
+        for forecaster in slow:
+            self._try(forecaster)
+        for forecaster in quick:
+            self._keep_final(Job(forecaster, self.plan.question(forecaster)))
+        if self.final and len(quick) < len(self._ready):
+            self._report("baselines", whole=True)
+
+    def run_rounds(self) -> None:
+        """Run rounds of the search until only the final trainings fit into the time."""
+        if not any(f.random for f in self._ready):
+            return
+        from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
+
+        self._ready = [built(f) for f in self._ready]
+        ready = replace(self.plan, methods=tuple(self._ready))
+        search = self._search = Search(ready, self._runner.cores)
+        clock, most = self.clock, self.plan.rounds
+        self._runner.compile([f for f in self._ready if f.random])
+        while most is None or search.round < most:
+            reserve = self._reserve(search)
+            if search.round and clock.left <= reserve:
+                break
+            jobs = search.ask(clock.left - reserve)
+            if not jobs:
+                break
+            if not self.held and search.round == 1:
+                jobs[0] = replace(jobs[0], needed=True)
+            until = Deadline.after((clock.left - reserve) / search.growth)
+            search.tell(self._trained(jobs, until, f"round {search.round}"))
+            self.held |= {name: search.held_out(name) for name in search.methods}
+            if search.round == 1 and self.plan.extended:
+                self._extend(search)
+            self._report(f"round {search.round}", whole=True)
+        self.failed |= search.failed
+        if search.settled:
+            clock.notes.append(
+                "every training has settled: more time, or more rounds, would change little"
+            )
+
+    def _extend(self, search: Search) -> None:
+        """Add a network on the best method, if that is a baseline which can have one on top."""
+        trial, several = (
+            judged(self.plan.training, self.held, {}, {}),
+            self.plan.tests or self.plan.others,
+        )
+        best = min(trial.scores, key=lambda name: trial.scores[name])
+        method = next(f for f in self._ready if f.name == best)
+        # What depends on the time since its training record began is for that record alone.
+        if best in BASES and not (several and method.anchored):
+            extended = self.plan.on_baseline(best)
+            if search.add(extended.methods[-1]):
+                self.plan = extended
+                self._ready.append(extended.methods[-1])
+
+    def run_finals(self) -> None:
+        """Train the networks on the whole training part, the best one first."""
+        if self._search is None:
+            return
+        jobs = [job for job, _ in self._search.finals()]
+        for forecaster in {job.method: job.forecaster for job in jobs}.values():
+            records = [self.plan.training, *self.plan.others]
+            prepare([forecaster], records, self._runner, self.clock.deadline)
+        until = self.clock.deadline.earlier(self._forecasting())
+        fits = self._trained(jobs, until, "final trainings")
+        for job, fit in zip(jobs, fits, strict=True):
+            if fit.model is not None:
+                self._finals.setdefault(job.method, []).append(job)
+                self.final.setdefault(job.method, []).append(fit)
+        for job, fit in zip(jobs, fits, strict=True):
+            if fit.model is None and job.method in self.final:
+                first, *others = self.final[job.method]
+                said = f"seed {job.seed} {fit.failure if fit.cut else f'failed: {fit.failure}'}"
+                self.final[job.method] = [replace(first, notes=(*first.notes, said)), *others]
+            elif fit.model is None:
+                self.failed[job.method] = fit.failure
+
+    def complete(self) -> None:
+        """Predict with the models of the trial where there is no final training."""
+        for name, held in self.held.items():
+            method = next(f for f in self._ready if f.name == name)
+            if name in self.final:
+                continue
+            if not method.random:
+                self._keep_final(Job(method, self.plan.question(method)))
+                continue
+            question = self.plan.question(held[0].fitted)
+            jobs = [Job(method, question, fit.seed, fit.model, trains=False) for fit in held]
+            fits = [job.run() for job in jobs]
+            if good := [fit for fit in fits if fit.model is not None]:
+                self.final[name] = good
+                why = self.failed.pop(name, LATE)
+                said = "in the time" if why == LATE else f"({why})"
+                self.clock.notes.append(
+                    f"{name} could not be trained on the whole training part {said}: its "
+                    "results are those of three quarters of it"
+                )
+        for name in [*self.failed]:
+            if name in self.final:
+                del self.failed[name]
+        if not self.final:
+            reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
+            raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
+        methods = {method.name: method for method in self.plan.methods}
+        for name, fits in self.final.items():
+            for fit in fits:
+                with_simulators_of(fit.fitted, methods[name])
+
+    def fits(self) -> dict[str, list[Fit]]:
+        """Return the final fits, without failed trainings where their number was left open."""
+        plan = self.plan
+        return {
+            f.name: without_failed(plan.training, self.final[f.name])
+            if f.name in plan.searched or plan.seeds is None
+            else self.final[f.name]
+            for f in plan.methods
+            if f.name in self.final
+        }
+
+    def result(self) -> Comparison:
+        """Return the comparison."""
+        training, fits = self.plan.training, self.fits()
+        attempts = () if self._search is None else tuple(self._search.attempts)
+        found = Comparison(
+            self.plan, fits, None, attempts, self.clock, interrupted=self.interrupted
+        )
+        trial = judged(training, self.held, fits, self.failed, frozenset(found.left_out))
         found = replace(found, trial=trial)
-        if plan.refit:
-            found = replace(found, refit=_refitted(plan, found.trained(), trial, staff))
-    return found
+        if not self.plan.refit or self.interrupted:
+            return found
+        return replace(found, refit=self._refitted(found.recommended, trial))
+
+    def _refitted(self, name: str, trial: Trial) -> Forecaster | None:
+        """Return a method fitted to the whole record, with the settings of its final trainings.
+
+        None where that fails or there is no time for it, which a note of the clock says.
+        """
+        record, others = self.plan.record, self.plan.others
+        samples = len(record)
+        # One sample, the last one, is forecast, as a fit needs an origin.
+        question = Question(record, [Origin(samples, samples - 1)], samples, others)
+        jobs = [
+            Job(job.forecaster, question, job.seed, None if job.start is None else fit.model)
+            for job, fit in zip(self._finals.get(name, []), self.final[name], strict=False)
+        ]
+        ready = next(f for f in self._ready if f.name == name)
+        if not ready.random:
+            jobs = [Job(ready, question, needed=True)]
+        fits = self._trained(jobs, self.clock.deadline, "refit")
+        models = [fit.model for fit in fits if fit.model is not None]
+        if not models:
+            why = fits[0].failure if fits else LATE
+            said = "in the time" if why == LATE else f"({why})"
+            self.clock.notes.append(
+                f"{name} could not be refitted to the whole record {said}: its model is that of "
+                f"the training part"
+            )
+            return None
+        method = next(f for f in self.plan.methods if f.name == name)
+        for model in models:
+            with_simulators_of(model, method)
+        return fitted_ensemble(models, trial.held_out.get(name))
+
+    def _simulated(self, forecaster: Forecaster) -> Forecaster | None:
+        """Return a method with its own simulator run once for all jobs; None where that fails."""
+        plan, others = self.plan, self.plan.others
+        try:
+            try:
+                return forecaster.simulated(plan.training, plan.horizon, *others, *plan.tests)
+            except ValueError:
+                if not plan.tests:
+                    raise
+                # It may fail for the test records only, which are then left out.
+                return forecaster.simulated(plan.training, plan.horizon, *others)
+        except ValueError as error:
+            self.failed[forecaster.name] = " ".join(str(error).split())
+            return None
+
+    def _trial(self, forecaster: Forecaster) -> Question:
+        record = replace(self.plan.training, y_true=None)
+        origins = held_out_origins(forecaster, record)
+        return Question(record, origins, len(record) + self.plan.horizon, self.plan.others)
+
+    def _try(self, forecaster: Forecaster) -> None:
+        """Fit a quick method to three quarters of the training part, in this process."""
+        shorter = for_trial(forecaster, self.plan.train)
+        fit = self._at_once(Job(shorter, self._trial(shorter)))
+        if fit.model is not None:
+            self.held[forecaster.name] = [fit]
+        else:
+            self.failed[forecaster.name] = fit.failure
+
+    def _keep_final(self, job: Job) -> None:
+        """Fit a quick method to the whole training part, in this process."""
+        if job.method in self.held:
+            fit = self._at_once(job)
+            if fit.model is not None:
+                self.final[job.method] = [fit]
+            else:
+                self.failed[job.method] = fit.failure
+
+    def _at_once(self, job: Job) -> Fit:
+        with one_thread(), within(self._half()):
+            return job.run()
+
+    def _trained(self, jobs: Sequence[Job], until: Deadline, doing: str) -> list[Fit]:
+        """Return the fits of jobs, in their order."""
+        fits: dict[Job, Fit] = {}
+        self._report(f"{doing}, 0 of {len(jobs)} trainings")
+        for job, fit in self._runner.run(jobs, until, self._forecasting()):
+            fits[job] = fit
+            self.clock.trained += fit.seconds
+            self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
+        return [fits[job] for job in jobs]
+
+    def _report(self, doing: str, whole: bool = False) -> None:
+        if self._watch is not None and (self.held or not whole):
+            said = self.plan, self.clock, doing, {**self.held}, {**self.failed}, whole
+            self._watch(Standing(*said, {**self.final}))
+
+    def _half(self) -> Deadline:
+        """Return the deadline of what comes before the networks: simulators' fits may be slow."""
+        return Deadline.after(HALF * self.clock.left)
+
+    def _reserve(self, search: Search) -> float:
+        """Return the seconds that the final trainings of what is best so far will take."""
+        expected = [(job.method, seconds) for job, seconds in search.finals()]
+        again = [s for name, s in expected if self.plan.refit and name == expected[0][0]]
+        seconds = sum(s for _, s in expected) + sum(again)
+        return seconds / self._runner.cores + self._forecasting()
+
+    def _forecasting(self) -> float:
+        """Return the seconds that the forecasts of a final training take, by those of the trial.
+
+        There, three forecasts have together twice the length of the held-out part (1 + 2/3 + 1/3),
+        and three horizons.
+        """
+        plan = self.plan
+        took = [
+            fit.seconds - fit.report.seconds
+            for fits in self.held.values()
+            for fit in fits
+            if fit.fitted.random
+        ]
+        samples = 2 * len(plan.record) + sum(map(len, plan.tests))
+        # The least one, as the first forecasts of a process also load or compile what they need.
+        return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
 
 
-def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
+def fit(
+    plan: Plan,
+    *,
+    cores: int = 1,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    watch: Watch | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    clock: Clock | None = None,
+) -> Forecaster:
     """Fit the only method of a plan to its training part, and return it.
 
     Parameters
     ----------
-    plan : With one method.
-    seed : Fixes initial weights and the order of windows.
-    work : Processes, progress and checkpoints.
+    plan : With one method. A search for its settings ends with the training that did best.
+    cores, executor, folder, watch, clock : See `run`.
+    progress : Called after each epoch of a training whose settings are given.
 
     Raises
     ------
@@ -126,112 +486,19 @@ def fit(plan: Plan, seed: int = 0, work: Work | None = None) -> Forecaster:
     if len(plan.methods) != 1:
         raise ValueError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
     (forecaster,) = plan.methods
-    work = with_limits(plan, work)
-    if plan.setup.search is not None:
-        with work.staffed() as staff:
-            stage = replace(staff, deadline=work.time.share(SEARCH_SHARE), span=(0.0, SEARCH_SHARE))
-            found = search(plan.training, [forecaster], 0, plan.setup.search, stage, plan.others)
-        forecaster = found.forecasters[0]
-
-    def update(at: Progress) -> None:
-        if work.progress is not None:
-            label = f"{forecaster.name}, {at.task}"
-            overall = SEARCH_SHARE + at.share * (1 - SEARCH_SHARE)
-            work.progress(RunProgress(label, seed, at.share, at.loss, overall=overall))
-
+    kept = None if folder is None else Path(folder)
+    if plan.searched:
+        with Runner(cores, executor, kept) as runner:
+            course = carried_out(replace(plan, seeds=1), runner, watch, clock)
+        return course.final[forecaster.name][0].fitted
     checkpoint = None
-    if work.checkpoints is not None:
-        folder = Path(work.checkpoints)
-        folder.mkdir(parents=True, exist_ok=True)
-        checkpoint = Checkpoint(checkpoint_path(folder, forecaster.name, seed))
-    with deadlines.within(work.time.deadline):
-        return forecaster.fit(
-            plan.training, *plan.others, seed=seed, progress=update, checkpoint=checkpoint
+    if kept is not None:
+        from splitband.training import Checkpoint  # noqa: PLC0415  which loads torch
+
+        kept.mkdir(parents=True, exist_ok=True)
+        checkpoint = Checkpoint(kept / "training.safetensors")
+    limit = (clock or Clock(plan.budget)).deadline
+    with within(limit):
+        return built(forecaster).fit(
+            plan.training, *plan.others, seed=plan.seed, progress=progress, checkpoint=checkpoint
         )
-
-
-def with_limits(plan: Plan, work: Work | None) -> Work:
-    """Return the work with a time budget: the caller's, if limited, else that of the search."""
-    work, limits = work or Work(), plan.setup.search
-    return work if limits is None else work.limited(limits.seconds, limits.core_seconds)
-
-
-def final_fits(
-    plan: Plan,
-    questions: Mapping[str, Question],
-    searched: SearchResult,
-    trial: Trial,
-    work: Work,
-) -> tuple[dict[str, dict[int, Backtest]], list[Failure]]:
-    """Fit the methods to the whole training part: baselines first, then networks, best first."""
-    methods = {f.name: f for f in searched.forecasters if f.name in questions}
-    quick = [f for f in methods.values() if not f.random]
-    networks = [f.name for f in methods.values() if f.random]
-    time = work.time
-    until = time.share(BEFORE_REFIT) if plan.refit else time.deadline
-    until = until.earlier(_forecast_seconds(plan, work, [*questions.values()]))
-    of_quick = work if time.allows_processes(time.deadline) else work.alone()
-    of_quick = of_quick.for_stage(FINAL, time.deadline, (AFTER_TRIAL, AFTER_TRIAL))
-    of_networks = work.for_stage(FINAL, until, (AFTER_TRIAL, AFTER_FINAL))
-    with time.phase("final trainings"):
-        done, failures = run_all(quick, questions, (0,), of_quick, need_one=not networks)
-        scores = {name: trial.scores[name] for name in networks}
-        needed = not set(trial.scores) - set(scores)
-        wanted = _final_trainings(plan, scores, searched, of_networks, needed)
-        if wanted:
-            trained, need_one = [methods[name] for name in wanted], not any(done.values())
-            slow, more = run_all(trained, questions, wanted, of_networks, need_one)
-            done, failures = done | slow, failures + more
-    return {name: done[name] for name in methods if name in done}, failures
-
-
-def _forecast_seconds(plan: Plan, work: Work, questions: Sequence[Question]) -> float:
-    """Estimate how many seconds the final forecasts take.
-
-    The time is scaled from a trial, whose three forecasts together have twice the length of the
-    held-out part (1 + 2/3 + 1/3), plus three horizons.
-    """
-    held_out = plan.train - first_held_out(plan.train)
-    samples = max(
-        sum(q.end - origin.at for origin in q.origins) + sum(map(len, q.tests)) for q in questions
-    )
-    return work.time.pace.forecasting * samples / (2 * held_out + 3 * plan.horizon)
-
-
-def _final_trainings(
-    plan: Plan, scores: Mapping[str, float], searched: SearchResult, work: Work, needed: bool
-) -> dict[str, range]:
-    """Return the seeds of the networks to train on the whole training part, best network first.
-
-    If time is short, the worst networks are left out and reported, but not the best one if it is
-    `needed`, as there is no other method.
-    """
-    time, left = work.time, work.time.work_until(work.deadline)
-    wanted = dict.fromkeys(scores, range(SEEDS if plan.seeds is None else plan.seeds))
-    if plan.seeds is None:
-        unlimited = wanted | searched.seeds(scores)
-        wanted |= searched.seeds(scores, left if time.limited else None)
-        if wanted != unlimited:
-            time.narrowed("the number of seeds")
-    kept: dict[str, range] = {}
-    for name in sorted(scores, key=lambda name: scores[name]):
-        cost = searched.costs.get(name, 0.0)
-        late = kept and cost > min(left, time.work_of_one(work.deadline))
-        if late or (work.deadline.over and (kept or not needed)):
-            time.leave_out(name, "final training", cost * time.pace.seconds, work.deadline)
-            continue
-        kept[name] = wanted[name]
-        left -= cost
-    return kept
-
-
-def _refitted(plan: Plan, model: Forecaster, trial: Trial, work: Work) -> Forecaster:
-    """Return a trained method, refitted to the whole record with the same settings and seeds."""
-    samples = len(plan.record)
-    # One sample, the last one, is forecast, as `backtest` needs an origin.
-    method, origin = model.of_one_seed.clone(), Origin(samples, samples - 1)
-    question = Question(plan.record, [origin], samples, plan.others, keep=True)
-    stage = work.for_stage(REFIT, work.time.deadline, (AFTER_FINAL, 1.0))
-    with work.time.phase("refit"):
-        found, _ = run_all([method], {method.name: question}, model.seeds, stage)
-    return fitted_ensemble(models_of(plan, found)[method.name], trial.held_out.get(model.name))

@@ -1,223 +1,299 @@
-"""Search for training settings by successive halving, scored by forecasts of held-out samples.
+"""Search how to train networks: successive halving, scored by forecasts of held-out samples.
 
-Not in the paper. All candidates (sizes, windows, penalties) are trained for a few iterations, the
-better half of them continues for four times as many, and so on (Jamieson and Talwalkar, 2016),
-until longer training makes the errors larger or the budget is used up. A candidate continues from
-its last weights, and so does the final training, on all samples. The first short training already
-gives a result, which later rounds improve.
-
-The candidates depend on the record and on the allowed work, estimated in seconds of a reference
-core (see `evaluation.costs`), so that the same command tries the same on every run. A limit of wall
-time takes precedence: trainings that this machine would not finish in time are not started, and the
-time budget of the command (`evaluation.budget`) reports it.
+Not in the paper. A candidate is a method with one choice of sizes, window, penalty, start and
+seed. Each is trained for one round on the first three quarters of the training part, and forecasts
+the rest of it. The better half goes on from its weights for four times as long, and so on (Jamieson
+and Talwalkar, 2016). All methods get their first round before any gets another one. When no
+candidate is left that further training improves, the better half of the choices begins again with
+another seed. A search can be stopped after any round; the best candidates are then trained to the
+end, on all samples of the training part.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import zip_longest
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-from splitband.data import Record
-from splitband.evaluation.candidates import SHORT, candidates
-from splitband.evaluation.costs import reference_seconds, training_cost
-from splitband.evaluation.trials import MOST_MEMBERS, SearchAttempt, Trials
-from splitband.evaluation.work import Work
-from splitband.forecasters.backtest import Backtest
+from splitband.evaluation.candidates import SETTLING, SHORT, Candidate, candidates, combined
+from splitband.evaluation.clock import HALF
+from splitband.evaluation.jobs import Job
+from splitband.evaluation.plan import Plan
+from splitband.forecasters.backtest import (
+    HELD_OUT_SHARE,
+    Fit,
+    Question,
+    for_trial,
+    held_out_origins,
+    held_out_score,
+)
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.initialisation import Earlier
+from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
-from splitband.runtime.threads import available_cores
 
-CORE_SECONDS, SECONDS = 240.0, 120.0
-"""The default limits of work, in seconds of a reference core, and of wall time. They belong
-together: two cores of any recent machine do the work in less than that time."""
-FIRST_ROUND = 0.5
-"""Share of the search budget for the first round of the first network, if there are others."""
-OF_OTHERS = 0.15
-"""Share that is added to it for the first round of all other networks, and for combinations of the
-first one's changes."""
-GOOD = 1.5
-"""A method whose error is at most this multiple of the lowest one gets more than one training, as
-far as the budget allows."""
-SEEDS = 3
-"""Default number of trainings (seeds) of each network."""
+MOST_MEMBERS = 8
+"""Largest number of trainings whose median is handed out, and of seeds of one choice."""
+LEAST_MEMBERS = 3
+"""Smallest number of them on records of up to `SHORT` samples: the median of fewer is their mean,
+which one of them can spoil. On longer ones, held-out errors tell which training is best."""
+GIVEN_SEEDS = 3
+"""Default number of trainings of a network whose settings are given."""
 
 
 @dataclass(frozen=True)
+class Attempt:
+    """Hold the held-out error of a candidate after a round.
+
+    Attributes
+    ----------
+    round : Number of the round.
+    method, training : Name of the method, and its training in words.
+    seed : Of the training.
+    score : RMSE, of channels scaled to a standard deviation of 1; None if it failed.
+    """
+
+    round: int
+    method: str
+    training: str
+    seed: int
+    score: float | None
+
+
 class Search:
-    """Limit the work and the wall time of the search and the trainings of a comparison.
-
-    Attributes
-    ----------
-    core_seconds : Work for a whole comparison, in seconds of a reference core. It is estimated and
-        not timed, so that the same comparison gives the same result on every run.
-    seconds : Wall time for a whole comparison; None: no limit. Trainings that still run then stop
-        with the weights that they have, and those that have not started are left out. See `within`.
-    sizes : Whether the search may change the sizes of networks given by name.
-    bases : Whether to try a network on top of a baseline that does better than all networks.
-    """
-
-    core_seconds: float = CORE_SECONDS
-    seconds: float | None = None
-    sizes: bool = True
-    bases: bool = False
-
-    def __post_init__(self) -> None:
-        """Check ranges."""
-        if self.seconds is not None and not 0 < self.seconds < float("inf"):
-            raise ValueError(f"seconds must be positive or None, got {self.seconds}")
-        if not 0 < self.core_seconds < float("inf"):
-            raise ValueError(f"core_seconds must be positive, got {self.core_seconds}")
-
-    @classmethod
-    def usual(cls) -> Search:
-        """Return the default limits: at most two minutes; an idle machine needs less."""
-        return cls(seconds=SECONDS)
-
-    @classmethod
-    def within(cls, seconds: float, cores: int | None = None) -> Search:
-        """Return the limits for so many seconds of wall time on cores of this machine.
-
-        The machine's speed is measured once, and the work is planned to end well before the time
-        is over.
-        """
-        return cls(reference_seconds(seconds, cores or available_cores()), seconds)
-
-
-@dataclass(frozen=True, eq=False)
-class SearchResult:
-    """Hold the chosen settings of each network, the attempts, and the costs.
-
-    Attributes
-    ----------
-    forecasters : The given forecasters, networks with the chosen settings.
-    attempts : All attempts, in order.
-    done : Held-out forecasts of the chosen networks, by name and seed.
-    costs : Cost of one final training of each chosen network, in seconds of a reference core.
-    members : By network, how many trainings the search chose to combine by their median.
-    more : By network, cost of one more training with the best settings, from scratch; only on short
-        records.
-    left : Work that is left, in seconds of a reference core.
-    """
-
-    forecasters: list[Forecaster]
-    attempts: tuple[SearchAttempt, ...] = ()
-    done: Mapping[str, Mapping[int, Backtest]] = field(default_factory=dict)
-    costs: Mapping[str, float] = field(default_factory=dict)
-    members: Mapping[str, int] = field(default_factory=dict)
-    more: Mapping[str, float] = field(default_factory=dict)
-    left: float = 0.0
-
-    def seeds(self, scores: Mapping[str, float], left: float | None = None) -> dict[str, range]:
-        """Return the seeds of each method that are worth their training, by held-out `scores`.
-
-        Every method gets one training. Good ones (see `GOOD`) get the number that the search chose
-        (`members`), the best method first, which then gets more, up to `MOST_MEMBERS`. All of it
-        must fit into the work `left`, by default that of the budget.
-        """
-        ranked = sorted([name for name in self.costs if name in scores], key=lambda n: scores[n])
-        counts = dict.fromkeys(ranked, 1)
-        left = self.left if left is None else min(left, self.left)
-        left -= sum(self.costs[name] for name in ranked)
-        for name in ranked:
-            wanted, cost = self.members.get(name, SEEDS), self.costs[name]
-            if scores[name] > GOOD * scores[ranked[0]]:
-                break
-            while counts[name] < wanted and cost <= left:
-                left -= cost
-                counts[name] += 1
-        for name in ranked[:1]:
-            all_chosen_fit = counts[name] == self.members.get(name)
-            more = self.more.get(name, math.inf)
-            while all_chosen_fit and counts[name] < MOST_MEMBERS and more <= left:
-                left -= more
-                counts[name] += 1
-        return {name: range(count) for name, count in counts.items()}
-
-
-def search(
-    record: Record,
-    forecasters: Sequence[Forecaster],
-    steps: int,
-    budget: Search,
-    work: Work,
-    others: Sequence[Record] = (),
-) -> SearchResult:
-    """Choose the training settings of all tunable networks among some forecasters.
+    """Ask for jobs round by round, and be told their fits.
 
     Parameters
     ----------
-    record : The training part alone. Candidates are fitted to its first three quarters, as in
-        `recommendation.try_out`.
-    forecasters : With default settings and bands; the first network is searched most thoroughly.
-    steps : Samples beyond the record that the final forecast covers.
-    budget : Limits of the search.
-    work, others : How the trials are computed, and further training records.
+    plan : With its methods ready to be fitted; those in `plan.searched` are searched, other
+        networks are trained once in the first round, as they are.
+    cores : Trainings that run side by side.
+
+    Attributes
+    ----------
+    round : Number of the last round that was asked for.
+    attempts : All candidates after each of their rounds, in order.
+    tried : Candidates that were trained at least once.
+    given : Fits of the networks whose settings are given, by method.
+    failed : Why methods have no fit so far.
+    settled : Whether further rounds would change nothing.
     """
-    tunable = [
-        network
-        for f in forecasters
-        if (network := f.network) and network.tunable and _fits(network, record, others)
-    ]
-    if not tunable:
-        return SearchResult([*forecasters], left=budget.core_seconds)
-    trials = Trials(record, steps, work, others, budget.core_seconds)
-    first, *rest = [candidates(f, record, others) for f in tunable]
-    # One short training first: it gives a result, which all other candidates have to beat.
-    ladder = trials.run(first[:1], 1.0) + trials.run(first[1:], FIRST_ROUND if rest else 1.0)
-    # Then the cheapest candidate of each other network, so that all of them are tried.
-    quickest = [sorted(each, key=trials.cost) for each in rest]
-    ladder += trials.run([each[0] for each in quickest], FIRST_ROUND + OF_OTHERS)
-    promising = [each[1:] for each in quickest if trials.promising(each[0].method)]
-    others_first = [c for turn in zip_longest(*promising) for c in turn if c]
-    # Changes that helped one by one may help together.
-    together = trials.combinations(first[0])
-    ladder += trials.run(together + others_first, FIRST_ROUND + OF_OTHERS if rest else 1.0)
-    while ladder:
-        ladder = trials.run([c for each in trials.promoted(ladder) if (c := each.longer())], 1.0)
-    best = {f.name: runs for f in tunable if (runs := trials.best(f.name))}
-    left = budget.core_seconds - trials.spent
-    final = {name: trials.final(runs, left) for name, runs in best.items()}
-    # Networks without an affordable trial are trained with their cheapest candidate.
-    soonest = [min(each, key=trials.cost) for each in (first, *rest)]
-    final = {each.method: [each.network] for each in soonest} | final
-    done = {name: {i: run.done for i, run in enumerate(runs)} for name, runs in best.items()}
-    found = SearchResult([*forecasters], tuple(trials.attempts), done, left=left)
-    return _chosen(found, final, record, others)
 
+    def __init__(self, plan: Plan, cores: int = 1) -> None:
+        plan = replace(plan, methods=tuple(built(method) for method in plan.methods))
+        self._plan, self._cores = plan, cores
+        self._record = replace(plan.training, y_true=None)
+        self._choices: dict[str, list[Candidate]] = {}
+        self._added: list[Candidate] = []
+        for method in plan.methods:
+            if method.name in plan.searched and method.network is not None:
+                self._choose(method.network)
+        self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
+        self._course = self._rounds()
+        self._asked: list[Candidate] = []
+        self._left = math.inf
+        self._cut = False
+        self.round = 0
+        self.attempts: list[Attempt] = []
+        self.tried: list[Candidate] = []
+        self.given: dict[str, list[Fit]] = {}
+        self.failed: dict[str, str] = {}
+        self.settled = False
 
-def _fits(network: Network, record: Record, others: Sequence[Record]) -> bool:
-    """Return whether a network can be trained on these records; the table says why not."""
-    try:
-        network.check(record, *others)
-    except ValueError:
-        return False
-    return True
+    def add(self, method: Forecaster) -> bool:
+        """Add a method, if it can be trained; its first candidate is one of the next round."""
+        able = method.network is not None and self._choose(method.network)
+        self._added += self._choices[method.name][:1] if able else []
+        return able
 
+    def _choose(self, network: Network) -> bool:
+        """List the choices for a network; return whether it can be trained on the records."""
+        plan = self._plan
+        try:
+            network.check(self._record, *plan.others)
+        except ValueError:
+            return False  # its job says why
+        sized = plan.searched.get(network.name, False)
+        found = candidates(network, sized, self._record, plan.others, plan.seed)
+        self._choices[network.name] = found
+        return True
 
-def _chosen(
-    found: SearchResult,
-    final: Mapping[str, Sequence[Network]],
-    record: Record,
-    others: Sequence[Record],
-) -> SearchResult:
-    """Return the result with the networks of the final trainings, and their costs."""
-    costs, more, chosen = {}, {}, {}
-    for name, (network, *further) in final.items():
-        each = [training_cost(one, record, others) for one in (network, *further)]
-        costs[name] = sum(each) / len(each)
-        # On a long record, held-out errors tell which training is best; others would only make the
-        # median worse.
-        if len(record) <= SHORT:
-            more[name] = training_cost(network.continued(Earlier()), record, others)
-        network.by_seed = dict(enumerate(further, 1))
-        chosen[name] = network
-    return replace(
-        found,
-        forecasters=[chosen.get(f.name, f) for f in found.forecasters],
-        costs=costs,
-        members={name: len(networks) for name, networks in final.items()},
-        more=more,
-    )
+    def ask(self, left: float = math.inf) -> list[Job]:
+        """Return the jobs of the next round, the most promising first; none if all has settled.
+
+        `left`: seconds until the deadline, by which the number of new candidates is limited.
+        """
+        self._left = left
+        self._asked = next(self._course, [])
+        self.settled = not self._asked and bool(self.tried) and not self._cut
+        self.round += 1
+        jobs = [self._job(candidate) for candidate in self._asked]
+        if self.round == 1:
+            jobs += [job for method in self._given for job in self._jobs_as_given(method)]
+        return jobs
+
+    def tell(self, fits: Sequence[Fit]) -> None:
+        """Take the fits of the jobs of the last round, in their order."""
+        of_candidates, given = fits[: len(self._asked)], fits[len(self._asked) :]
+        for candidate, fit in zip(self._asked, of_candidates, strict=True):
+            failed = fit.model is None
+            self._cut = self._cut or fit.cut
+            if failed and fit.cut:
+                continue  # there was no time to begin with it
+            error = math.inf if failed else held_out_score(self._record, [fit])
+            candidate.fits.append(fit)
+            candidate.errors.append(error if math.isfinite(error) else math.inf)
+            training = candidate.network.training_in_words() if failed else ""
+            training = training or fit.fitted.training_in_words()
+            score = None if failed else error
+            self.attempts.append(
+                Attempt(self.round, candidate.method, training, candidate.seed, score)
+            )
+            if len(candidate.fits) == 1:
+                self.tried.append(candidate)
+        for fit in given:
+            if fit.model is not None:
+                self.given.setdefault(fit.method, []).append(fit)
+        for fit in fits:
+            if fit.failure:
+                self.failed.setdefault(fit.method, fit.failure)
+        for name in [*self.failed]:
+            if self.members(name) or name in self.given:
+                del self.failed[name]
+
+    @property
+    def methods(self) -> list[str]:
+        """Return the methods that have a fit, the best one first."""
+        names = {c.method for c in self.tried if math.isfinite(c.error)} | self.given.keys()
+        return sorted(names, key=lambda name: held_out_score(self._record, self.held_out(name)))
+
+    @property
+    def growth(self) -> float:
+        """Return the seconds by which a second of a round delays the end of the comparison.
+
+        The final trainings take a share of what a round adds to the best candidates.
+        """
+        members = len(self.members(self.methods[0])) if self.methods else 1
+        return 1 + max(members, 1) * SETTLING / (1 - HELD_OUT_SHARE) / self._cores
+
+    def held_out(self, method: str) -> list[Fit]:
+        """Return the fits of a method whose median has the lowest held-out error."""
+        return self.given.get(method) or [c.fits[c.best] for c in self.members(method)]
+
+    def members(self, method: str) -> list[Candidate]:
+        """Return the candidates of a method whose median is handed out, the best one first.
+
+        They are the n best ones, whatever their settings, where n gives the median with the lowest
+        held-out error; on short records at least `LEAST_MEMBERS` (`benchmarks.members`).
+        """
+        of_method = [c for c in self.tried if c.method == method and math.isfinite(c.error)]
+        ranked = sorted(of_method, key=lambda c: c.error)[:MOST_MEMBERS]
+        if self._plan.seeds is not None:
+            return ranked[: self._plan.seeds]
+        least = LEAST_MEMBERS if len(self._record) <= SHORT else 1
+        counts = range(min(least, len(ranked)), len(ranked) + 1)
+        medians = [ranked[:n] for n in counts if n]
+        return min(
+            medians,
+            key=lambda some: held_out_score(self._record, [c.fits[c.best] for c in some]),
+            default=[],
+        )
+
+    def finals(self) -> list[tuple[Job, float]]:
+        """Return the final trainings, the best method first, each with its expected seconds.
+
+        The best method is trained as often as its median needs, the others once. A searched
+        training goes on from its weights on all samples; one as given begins again.
+        """
+        found: list[tuple[Job, float]] = []
+        for place, name in enumerate(self.methods):
+            if name in self.given:
+                method = next(f for f in self._given if f.name == name)
+                took = self.given[name][0].seconds / (1 - HELD_OUT_SHARE)
+                jobs = [Job(method, self._plan.question(method), seed) for seed in self._seeds()]
+                found += [(job, took) for job in jobs]
+                continue
+            for number, candidate in enumerate(self.members(name)[: None if place == 0 else 1]):
+                network, last = candidate.final(), candidate.fits[candidate.best]
+                question = self._plan.question(network)
+                job = Job(network, question, self._plan.seed + number, last.model)
+                found.append((job, candidate.final_seconds))
+        return found
+
+    def _rounds(self) -> Iterator[list[Candidate]]:
+        """Yield the candidates of each round; the caller trains them before it asks again."""
+        firsts = [each[0] for each in self._choices.values()]
+        yield firsts
+        found = [*firsts]
+        for new in (self._others, self._combinations):
+            if more := new(found):
+                yield more
+                found += more
+        while found:
+            pool = found
+            while pool := self._better([c for c in pool if c.progressed]):
+                yield pool
+            found = self._with_new_seeds()
+            if found:
+                yield found
+
+    def _better(self, pool: Sequence[Candidate]) -> list[Candidate]:
+        """Return the better half of candidates, as many as keep all cores busy, the best first."""
+        ranked = sorted((c for c in pool if math.isfinite(c.error)), key=lambda c: c.error)
+        half = math.ceil(len(ranked) / 2)
+        return ranked[: -(-half // self._cores) * self._cores]
+
+    def _others(self, firsts: Sequence[Candidate]) -> list[Candidate]:
+        """Return further choices of the better half of the methods, as time allows."""
+        ranked = sorted((c for c in firsts if math.isfinite(c.error)), key=lambda c: c.error)
+        better = ranked[: math.ceil(len(ranked) / 2)]
+        found, left = [*self._added], HALF * self._left * self._cores
+        for first in better:
+            for choice in self._choices[first.method][1:]:
+                left -= first.seconds
+                if left < 0:
+                    return found
+                found.append(choice)
+        return found
+
+    def _combinations(self, tried: Sequence[Candidate]) -> list[Candidate]:
+        """Return combinations of the best choice of each method with others that helped, too."""
+        found: list[Candidate] = []
+        for usual, *others in self._choices.values():
+            better = [c for c in others if c in tried and c.error < usual.error]
+            best, *rest = sorted(better, key=lambda c: c.error) or [usual]
+            found += [c for other in rest if (c := combined(usual, best, other)) is not None]
+        return found
+
+    def _with_new_seeds(self) -> list[Candidate]:
+        """Return the better half of the choices with the next seed."""
+        seeds = {c.seed for c in self.tried}
+        if len(seeds) == MOST_MEMBERS:
+            return []
+        choices: dict[int, Candidate] = {}
+        for candidate in sorted(self.tried, key=lambda c: c.error):
+            choices.setdefault(id(candidate.network), candidate)
+        latest = [c for c in choices.values() if math.isfinite(c.error)]
+        if len(seeds) > 1:
+            latest = [c for c in latest if any(c.network is t.network for t in self._newest(seeds))]
+        return [c.again(max(seeds) + 1) for c in self._better(latest)]
+
+    def _newest(self, seeds: set[int]) -> list[Candidate]:
+        """Return the candidates with the last seed, from which the next ones are chosen."""
+        return [c for c in self.tried if c.seed == max(seeds)]
+
+    def _job(self, candidate: Candidate) -> Job:
+        network = for_trial(candidate.next(), len(self._record))
+        start = candidate.fits[-1].model if candidate.fits else None
+        return Job(network, self._question(network), candidate.seed, start)
+
+    def _jobs_as_given(self, method: Forecaster) -> list[Job]:
+        shorter = for_trial(method, len(self._record))
+        return [Job(shorter, self._question(shorter), seed) for seed in self._seeds()]
+
+    def _seeds(self) -> range:
+        first, count = self._plan.seed, self._plan.seeds or GIVEN_SEEDS
+        return range(first * count, (first + 1) * count)
+
+    def _question(self, forecaster: Forecaster) -> Question:
+        record, end = self._record, len(self._record) + self._plan.horizon
+        return Question(record, held_out_origins(forecaster, record), end, self._plan.others)

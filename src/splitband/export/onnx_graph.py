@@ -93,7 +93,7 @@ class _Writer:
         kind = TensorProto.BOOL if symbol.flag else self.real
         return helper.make_tensor_value_info(name, kind, list(symbol.shape))
 
-    def _simple(self, node: Node) -> str:
+    def _simple(self, node: Node) -> str:  # noqa: PLR0911  a line for each kind
         if node.op == "view":
             return self._view(node)
         inputs = [self.name(x) for x in node.inputs]
@@ -108,6 +108,12 @@ class _Writer:
             flag, yes, no = inputs
             others = self.one("And", self.one("Not", flag), no)
             return self.one("Or", self.one("And", flag, yes), others)
+        if node.op == "matmul" and len(node.inputs[1].shape) == 1:
+            # As a matrix of one column: onnxruntime 1.32 multiplies a transposed matrix and a
+            # vector wrongly where it fuses both operations.
+            last = self.whole(-1)
+            column = self.one("Unsqueeze", inputs[1], last)
+            return self.one("Squeeze", self.one("MatMul", inputs[0], column), last)
         return self.one(_OPERATORS[node.op], *inputs)
 
     def _view(self, node: Node) -> str:

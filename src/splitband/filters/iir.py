@@ -1,28 +1,25 @@
 """Filter batches of signals by IIR filters, one way or both ways, exactly and differentiably.
 
-A fixed IIR filter is a linear map, so its gradient is the same filter run backwards in time, with
-the adjoint of the end extension. Both run as a compiled recurrence in float64, whatever the dtype
-of the signal. SciPy designs the filters and is the reference of the tests (speed:
-benchmarks/filters.py).
+Arrays are filtered by SciPy, tensors as `filters.tensors` says, which is loaded for them. Both
+compute in float64, whatever the dtype of the signal: filters of high order lose many digits.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
 import scipy
-import torch
-from torch import Tensor
 
-from splitband.kernels import recurrence
 from splitband.runtime.arrays import Array
 
-Signal = TypeVar("Signal", npt.NDArray[Any], Tensor)
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Signal = TypeVar("Signal", npt.NDArray[Any], "Tensor")
 Start = Literal["odd", "steady", "zeros"]
 
 
@@ -59,13 +56,7 @@ def lfilter(
         raise ValueError('start="odd" is for filtering in both directions; use "steady" or "zeros"')
     if first is not None:
         check_first(first.shape, x.shape, len(a) - 1, time_axis(x.ndim, dim))
-
-    def run(x: Tensor, first: Tensor | None) -> Tensor:
-        if first is None:
-            return _apply(_Passes(b, a, start, both_ways=False), x)
-        return _run_on(b, a, x, first)
-
-    return _along_time(run, x, first, dim)
+    return _run(Passes(b, a, start, both_ways=False), x, first, dim)
 
 
 def filtfilt(
@@ -90,31 +81,36 @@ def filtfilt(
     """
     b, a = normalised(b, a)
     _check_start(start)
-    passes = _Passes(b, a, start, both_ways=True)
-
-    def run(x: Tensor, _: Tensor | None) -> Tensor:
-        if x.shape[-1] <= passes.pad:
-            raise ValueError(
-                f"zero-phase filtering of order {len(a) - 1} needs more than {passes.pad} samples, "
-                f"got {x.shape[-1]}"
-            )
-        return _apply(passes, x)
-
-    return _along_time(run, x, None, dim)
+    passes = Passes(b, a, start, both_ways=True)
+    samples = x.shape[time_axis(x.ndim, dim)]
+    if samples <= passes.pad:
+        raise ValueError(
+            f"zero-phase filtering of order {len(a) - 1} needs more than {passes.pad} samples, "
+            f"got {samples}"
+        )
+    return _run(passes, x, None, dim)
 
 
-class _Passes:
-    """Run one or two filter passes over `(rows, time)`, and the adjoint of this linear map."""
+class Passes:
+    """Describe one or two filter passes, and run them over arrays.
+
+    Attributes
+    ----------
+    b, a : Coefficients, `(P + 1,)` each.
+    pad : Samples by which both ends are extended.
+    directions : Of each pass: whether it runs from the last sample to the first.
+    steady : The initial state of a pass, for a first sample of 1.
+    """
 
     def __init__(self, b: Array, a: Array, start: Start, both_ways: bool) -> None:
         self.b, self.a = b, a
         self.pad = 3 * len(a) if start == "odd" else 0
         self.directions = (False, True) if both_ways else (False,)
         order = len(a) - 1
-        # The initial state of a pass, for a first sample of 1.
         self.steady = np.zeros(order) if start == "zeros" else _steady(tuple(b), tuple(a))
 
-    def map(self, x: npt.NDArray[Any]) -> Array:
+    def run(self, x: npt.NDArray[Any], recurrence: Callable[..., None]) -> Array:
+        """Return `x` `(rows, time)`, filtered; `recurrence` runs a pass, as `passed` does."""
         p = self.pad
         y = np.empty((len(x), x.shape[1] + 2 * p))
         inner = y[:, p : p + x.shape[1]]
@@ -127,118 +123,55 @@ class _Passes:
             recurrence(self.b, self.a, np.outer(first, self.steady), y, y, reverse)
         return inner
 
-    def adjoint(self, grad: npt.NDArray[Any]) -> Array:
-        p = self.pad
-        g = np.zeros((len(grad), grad.shape[1] + 2 * p))
-        inner = g[:, p : p + grad.shape[1]]
-        inner[:] = grad
-        nothing = np.zeros((len(g), len(self.steady)))
-        for reverse in reversed(self.directions):
-            onto_state = g @ _responses(tuple(self.b), tuple(self.a), g.shape[1], reverse)
-            recurrence(self.b, self.a, nothing, g, g, not reverse)
-            g[:, -1 if reverse else 0] += onto_state @ self.steady
-        if p:
-            left, right = g[:, :p], g[:, -p:]
-            inner[:, 0] += 2 * left.sum(axis=1)
-            inner[:, -1] += 2 * right.sum(axis=1)
-            inner[:, 1 : p + 1] -= left[:, ::-1]
-            inner[:, -p - 1 : -1] -= right[:, ::-1]
-        return inner
+    def first_state(self, x: Any, first: Any) -> list[Any]:
+        """Return the entries of the state after the first P outputs of `x` `(..., time)`."""
+        order, b, a = len(self.a) - 1, self.b, self.a
+        return [
+            sum(
+                float(b[k]) * x[..., order - (k - m)] - float(a[k]) * first[..., order - (k - m)]
+                for k in range(m + 1, order + 1)
+            )
+            for m in range(order)
+        ]
 
 
-class _Map(torch.autograd.Function):
-    """Apply a linear map to `(rows, time)`, or its adjoint; each is the other's gradient."""
+def passed(b: Array, a: Array, state: Array, x: Array, y: Array, reverse: bool) -> None:
+    """Filter each row of `x` `(rows, time)` into `y`, which may be `x` itself, by SciPy.
 
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, passes: _Passes, adjoint: bool) -> Tensor:
-        ctx.passes, ctx.adjoint = passes, adjoint
-        run = passes.adjoint if adjoint else passes.map
-        values = x.detach().cpu().numpy()
-        y = run(values) if values.size else values
-        return torch.from_numpy(np.array(y, values.dtype)).to(x.device)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
-        return _Map.apply(grad, ctx.passes, not ctx.adjoint), None, None  # type: ignore[no-untyped-call]
+    `state` `(rows, P)` is that before the first sample; `reverse`: from the last sample to the
+    first. `kernels.recurrence` does the same.
+    """
+    order = slice(None, None, -1 if reverse else 1)
+    y[:, order] = scipy.signal.lfilter(b, a, x[:, order], zi=state)[0]
 
 
-def _apply(passes: _Passes, x: Tensor) -> Tensor:
-    """Filter `(..., time)`."""
-    y: Tensor = _Map.apply(x.reshape(-1, x.shape[-1]), passes, False)  # type: ignore[no-untyped-call]
-    return y.view(x.shape)
+def _run(passes: Passes, x: Signal, first: Signal | None, dim: int | None) -> Signal:
+    """Filter along the time axis; `first` are the first P outputs of a single pass."""
+    axis = time_axis(x.ndim, dim)
+    if not isinstance(x, np.ndarray):
+        from splitband.filters import tensors  # noqa: PLC0415  whoever has a tensor has torch
 
-
-class _LFilter(torch.autograd.Function):
-    """Run one pass over `(rows, time)` in float64 from the state `zi` `(rows, P)`."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, zi: Tensor, b: Array, a: Array, reverse: bool) -> Tensor:
-        ctx.coefficients, ctx.reverse = (b, a), reverse
-        values, state = (t.detach().cpu().numpy() for t in (x, zi))
-        y = np.empty(values.shape)
-        recurrence(b, a, np.ascontiguousarray(state), np.ascontiguousarray(values), y, reverse)
-        return torch.from_numpy(y).to(x.device)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        b, a = ctx.coefficients
-        responses = torch.from_numpy(_responses(tuple(b), tuple(a), grad.shape[-1], ctx.reverse))
-        nothing = grad.new_zeros(len(grad), len(a) - 1)
-        grad_x = _LFilter.apply(grad, nothing, b, a, not ctx.reverse)  # type: ignore[no-untyped-call]
-        return grad_x, grad @ responses.to(grad), None, None, None
-
-
-@lru_cache(maxsize=4)
-def _responses(
-    b: tuple[float, ...], a: tuple[float, ...], samples: int, reverse: bool
-) -> npt.NDArray[Any]:
-    """Return the output's response to each entry of the initial state, `(samples, P)`."""
-    order = len(a) - 1
-    y = np.zeros((order, samples))
-    recurrence(np.array(b), np.array(a), np.eye(order), y, y, reverse)
-    return np.ascontiguousarray(y.T)
+        return tensors.run(passes, x, first, axis)
+    kind = x.dtype if np.issubdtype(x.dtype, np.floating) else np.dtype(np.float64)
+    moved = np.moveaxis(x, axis, -1)
+    if not moved.size:
+        return x.astype(kind)
+    rows = moved.reshape(-1, moved.shape[-1]).astype(np.float64)
+    if first is None:
+        y = passes.run(rows, passed)
+    else:
+        known = np.moveaxis(np.asarray(first, np.float64), axis, -1).reshape(len(rows), -1)
+        state = np.stack(passes.first_state(rows, known), axis=-1)
+        y, order = rows, known.shape[1]
+        y[:, :order] = known
+        passed(passes.b, passes.a, state, rows[:, order:], y[:, order:], reverse=False)
+    return np.ascontiguousarray(np.moveaxis(y.reshape(moved.shape), -1, axis), kind)
 
 
 @lru_cache(maxsize=64)
 def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
     """Return the steady state `(P,)` for a constant input of 1."""
     return scipy.signal.lfilter_zi(b, a)
-
-
-def _run_on(b: Array, a: Array, x: Tensor, first: Tensor) -> Tensor:
-    """Filter `(..., time)` one way in float64, given its first P outputs."""
-    order, x = len(a) - 1, x.double()
-    state = [
-        sum(
-            float(b[k]) * x[..., order - (k - m)] - float(a[k]) * first[..., order - (k - m)]
-            for k in range(m + 1, order + 1)
-        )
-        for m in range(order)
-    ]
-    zi = torch.stack([s for s in state if isinstance(s, Tensor)], dim=-1)
-    rest = x[..., order:]
-    rows, shape = math.prod(rest.shape[:-1]), rest.shape
-    y: Tensor = _LFilter.apply(  # type: ignore[no-untyped-call]
-        rest.reshape(rows, -1), zi.reshape(rows, order), b, a, False
-    )
-    return torch.cat([first, y.view(shape)], dim=-1)
-
-
-def _along_time(
-    run: Callable[[Tensor, Tensor | None], Tensor],
-    x: Signal,
-    first: Signal | None,
-    dim: int | None,
-) -> Signal:
-    """Call `run` on tensors with the time axis last; return the result in the form of `x`."""
-    axis = time_axis(x.ndim, dim)
-    signal = as_tensor(x)
-    # Computed in float64 for any input, as filters of high order lose many digits.
-    known = None if first is None else as_tensor(first).to(signal.device, torch.float64)
-    if known is not None:
-        known = known.movedim(axis, -1)
-    y = run(signal.movedim(axis, -1), known).movedim(-1, axis).to(signal.dtype)
-    return y if isinstance(x, Tensor) else y.numpy()
 
 
 def _check_start(start: Start) -> None:
@@ -256,13 +189,6 @@ def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axi
         raise ValueError(
             f"first must hold the first {order} outputs, shape {tuple(wanted)}, got {tuple(first)}"
         )
-
-
-def as_tensor(x: npt.NDArray[Any] | Tensor) -> Tensor:
-    """Return a signal as a floating-point tensor, which may share its memory."""
-    if not isinstance(x, Tensor):
-        x = torch.from_numpy(np.require(x, requirements=["C", "W"]))
-    return x if x.is_floating_point() else x.double()
 
 
 def time_axis(ndim: int, dim: int | None) -> int:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from splitband.filters.iir import Signal, as_tensor
+from splitband.filters.iir import Signal
 
 Alignment = Literal["time", "paper"]
 
@@ -58,7 +57,11 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
         raise ValueError(f"k must be at least 1, got {k}")
     if align not in get_args(Alignment):
         raise ValueError(f"align must be one of {get_args(Alignment)}, got {align!r}")
-    slow = as_tensor(y)[:, None] if y.ndim == 1 else as_tensor(y)
+    import torch  # noqa: PLC0415  what chooses a factor needs none
+
+    from splitband.filters.tensors import floating  # noqa: PLC0415
+
+    slow = floating(y)[:, None] if y.ndim == 1 else floating(y)
     n = slow.shape[-2]
     length = k * n if length is None else length
     if not 0 <= length <= k * n:
@@ -73,4 +76,4 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
         between = torch.lerp(slow[..., :, None, :], following[..., :, None, :], fraction)
         fast = between.flatten(-3, -2)
     fast = fast[:length, 0] if y.ndim == 1 else fast[..., :length, :]
-    return fast if isinstance(y, Tensor) else fast.numpy()
+    return fast.numpy() if isinstance(y, np.ndarray) else fast

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from torch import Tensor
 
 from splitband.baselines.origins import origins
 from splitband.data import Record
@@ -23,9 +22,12 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import DeadlineError, current
+from splitband.runtime.deadlines import DeadlineError, current, now
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
+
+if TYPE_CHECKING:
+    pass
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
@@ -71,7 +73,6 @@ class Question:
     warmup : Length of the history at the beginning of a test record, for a forecaster without a
         warm-up (`Forecaster.warmup` is 0).
     initial : Length of that history for all forecasters: overrides every warm-up on test records.
-    keep : Whether to return the model that was fitted to the most samples.
     """
 
     record: Record
@@ -80,62 +81,100 @@ class Question:
     others: Sequence[Record] = ()
     tests: Sequence[Record] = ()
     warmup: int = 1
-    keep: bool = False
     initial: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Backtest:
-    """Hold the forecasts of one forecaster with one seed from several origins.
+class Fit:
+    """Hold what one fit of a method gave: the fitted model, and its predictions.
 
     Attributes
     ----------
-    predictions : By origin, all up to the same last sample.
+    method : The forecaster's name.
+    seed : Of the fit.
+    model : The forecaster that was fitted to the most samples; None where the fit failed.
+    forecasts : By origin, in the order of the question's, all up to the same last sample.
     tests : Simulations of the test records, to their ends; empty where one of them is impossible.
-    report : Of the fit to the most samples.
-    y_range : Lowest and highest training value of each channel, `(2, ny)`.
-    description : Of the fitted forecaster.
     unfiltered : Signals before a model's filters, for the forecast that begins inside the training
         part; empty for a model without filters, and without such a forecast.
-    weights : The state dict of a network's model.
-    model : The model that was fitted to the most samples, if requested.
+    seconds : Of the whole job, forecasts included.
+    notes : What the fit has chosen and what went wrong, in words.
+    failure : Why there is no model, in words; empty where there is one.
+    cut : Whether a deadline ended the job early.
     """
 
-    predictions: Mapping[Origin, Prediction]
-    tests: Sequence[Prediction]
-    report: FitReport
-    y_range: Array
-    description: str
-    unfiltered: Mapping[str, Array] = field(default_factory=dict)
-    weights: Mapping[str, Tensor] = field(default_factory=dict)
+    method: str
+    seed: int = 0
     model: Forecaster | None = None
+    forecasts: Mapping[Origin, Prediction] = field(default_factory=dict)
+    tests: Sequence[Prediction] = ()
+    unfiltered: Mapping[str, Array] = field(default_factory=dict)
+    seconds: float = 0.0
+    notes: tuple[str, ...] = ()
+    failure: str = ""
+    cut: bool = False
+
+    @property
+    def fitted(self) -> Forecaster:
+        """Return the model; raises ValueError where the fit failed."""
+        if self.model is None:
+            raise ValueError(f"{self.method}: {self.failure}")
+        return self.model
+
+    @property
+    def report(self) -> FitReport:
+        """Return the report of the fit."""
+        return self.fitted.require_fitted().report
+
+    @property
+    def description(self) -> str:
+        """Return what the fit has chosen, and what went wrong, in words."""
+        return "; ".join(filter(None, [self.fitted.describe(), *self.notes]))
+
+    @property
+    def from_start(self) -> Prediction:
+        """Return the forecast of the first origin, in a comparison that from the start."""
+        return next(iter(self.forecasts.values()))
+
+    @property
+    def forecast(self) -> Prediction | None:
+        """Return the forecast that begins where the training part ends; None without one."""
+        first = next(iter(self.forecasts))
+        return self.forecasts.get(Origin(first.fitted, first.fitted))
+
+    @property
+    def ahead(self) -> Array:
+        """Return the values of that forecast, `(time, ny)`; empty without one."""
+        return self.from_start.y[:0] if self.forecast is None else self.forecast.y
 
 
 def backtest(
     forecaster: Forecaster,
     question: Question,
     seed: int = 0,
+    start: Forecaster | None = None,
     progress: Callable[[Progress], None] | None = None,
     checkpoint: Checkpoint | None = None,
-) -> Backtest:
+) -> Fit:
     """Forecast a record from several origins, with copies of a forecaster.
 
     The copies are fitted in the order of the origins. If the deadline of the job comes before the
-    last fit, the result holds the forecasts so far.
+    last fit, the result holds the forecasts so far; DeadlineError is raised where there are none.
 
-    `seed`, `progress` and `checkpoint` are those of `Forecaster.fit`.
+    `seed`, `start`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
-    record, end, one = question.record, question.end, forecaster.for_seed(seed)
-    predictions: dict[Origin, Prediction] = {}
+    record, began = question.record, now()
+    forecasts: dict[Origin, Prediction] = {}
     unfiltered: Mapping[str, Array] = {}
     cut = False
     last: Forecaster | None = None
     for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
         try:
-            fitted = one.clone().fit(
+            fitted = forecaster.clone().fit(
                 record[:samples],
                 *question.others,
                 seed=seed,
+                start=start,
                 progress=progress,
                 checkpoint=checkpoint,
             )
@@ -144,27 +183,45 @@ def backtest(
                 raise
             cut = True
             break
-        for origin in of_fit:
-            history = record[: origin.at]
-            with without_warnings(ExtrapolationWarning):  # the prediction holds them
-                predictions[origin] = fitted.predict(end - origin.at, history)
-            if origin.at < samples:
-                unfiltered = fitted.unfiltered(end - origin.at, history)
-        if last is None or len(fitted.require_fitted().record) > len(last.require_fitted().record):
+        said, signals = predicted(fitted, question, [*of_fit])
+        forecasts |= said
+        unfiltered = signals or unfiltered
+        if last is None or samples > len(last.require_fitted().record):
             last = fitted
-        if current().over and len(predictions) < len(question.origins):
+        if current().over and len(forecasts) < len(question.origins):
             cut = True
             break
     if last is None:
         raise ValueError("origins must be one or several, got none")
-    fitted = last
-    tests, untested = _tested(fitted, question)
-    known, said = fitted.require_fitted(), [fitted.describe(), untested]
-    description = "; ".join(filter(None, said))
-    report = replace(known.report, cut=known.report.cut or cut)
-    model = fitted if question.keep else None
-    said_of = predictions, tests, report, known.y_range, description
-    return Backtest(*said_of, unfiltered, fitted.state(), model)
+    tests, untested = _tested(last, question)
+    cut = cut or last.require_fitted().report.cut
+    notes = (untested,) if untested else ()
+    found = Fit(forecaster.name, seed, last, forecasts, tests, unfiltered, notes=notes, cut=cut)
+    return replace(found, seconds=now() - began)
+
+
+def as_it_is(model: Forecaster, question: Question, seed: int) -> Fit:
+    """Forecast a record with a model that was fitted to fewer samples, without another fit."""
+    began = now()
+    forecasts, unfiltered = predicted(model, question, question.origins)
+    tests, untested = _tested(model, question)
+    notes = tuple(filter(None, (untested, "trained on three quarters of the training samples")))
+    return Fit(model.name, seed, model, forecasts, tests, unfiltered, now() - began, notes)
+
+
+def predicted(
+    fitted: Forecaster, question: Question, origins: Sequence[Origin]
+) -> tuple[dict[Origin, Prediction], Mapping[str, Array]]:
+    """Return a model's forecasts from these origins, and the last one's unfiltered signals."""
+    record, forecasts = question.record, dict[Origin, Prediction]()
+    unfiltered: Mapping[str, Array] = {}
+    for origin in origins:
+        history = record[: origin.at]
+        with without_warnings(ExtrapolationWarning):  # the prediction holds them
+            forecasts[origin] = fitted.predict(question.end - origin.at, history)
+        if origin.at < origin.fitted:
+            unfiltered = fitted.unfiltered(question.end - origin.at, history)
+    return forecasts, unfiltered
 
 
 def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], str]:
@@ -221,17 +278,19 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
 
     A network is trained once, and forecasts from the beginning of that quarter, from a third and
     from two thirds of it, as a method may be lucky from a single origin: persistence is, for
-    instance, if the last sample happens to equal the mean. A method that is quick to fit is
-    refitted for each of several origins, some of them earlier.
+    instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
+    the first half, which shows how errors grow. A method that is quicker to fit is refitted for
+    each of several origins, some of them earlier.
     """
     samples = len(record)
-    fitted = first_held_out(samples)
+    fitted, ends = first_held_out(samples), dict.fromkeys(origins(samples))
+    measured = np.cumsum(~np.isnan(record.seen), axis=0)
+    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
     if not forecaster.refits:
         held = samples - fitted
-        return sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-    measured = np.cumsum(~np.isnan(record.seen), axis=0)
-    ends = dict.fromkeys(origins(samples))
-    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
+        once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
+        quick = not forecaster.random and not forecaster.fits_simulator
+        return [*once, *(Origin(end, end) for end in early[:1] if quick)]
     return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 
 
@@ -275,15 +334,22 @@ def interval_errors_of(forecaster: Forecaster) -> HeldOut:
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)
-    return interval_errors(record, {at: p.y for at, p in done.predictions.items()})
+    return interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
 
 
-def median_forecasts(done: Sequence[Backtest]) -> dict[Origin, Array]:
-    """Return the median forecast over the seeds, by origin."""
+def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:
+    """Return the median forecast over several fits of a method, by origin."""
     return {
-        origin: np.median([backtest.predictions[origin].y for backtest in done], axis=0)
-        for origin in done[0].predictions
+        origin: np.median([fit.forecasts[origin].y for fit in fits], axis=0)
+        for origin in fits[0].forecasts
     }
+
+
+def held_out_score(record: Record, fits: Sequence[Fit]) -> float:
+    """Return the RMSE of the fits' median forecast of a record's last quarter, channels scaled."""
+    check_held_out(record)
+    errors, scale = held_out_errors(record, median_forecasts(fits)), spread(record.seen)
+    return root_mean_square([error / scale for error in errors])
 
 
 def root_mean_square(errors: Sequence[Array]) -> float:

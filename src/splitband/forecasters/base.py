@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
 import numpy.typing as npt
-from torch import Tensor, nn
 
 from splitband.baselines.delays import check_delays
 from splitband.data import Record, require_records
 from splitband.forecasters.configurable import Configurable
-from splitband.forecasters.differentiable import Affine, TorchSimulation
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -47,14 +45,19 @@ from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
 
 if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from splitband.baselines.linear import LinearModel
     from splitband.forecasters.checking import ModelCheck
+    from splitband.forecasters.differentiable import TorchSimulation
     from splitband.forecasters.responses import Responses
 
 
 class Training(TypedDict):
-    """Hold the options `seed`, `progress` and `checkpoint` that `fit` passes to `learn`."""
+    """Hold the options that `fit` passes to `learn`."""
 
     seed: int
+    start: Forecaster | None
     progress: Callable[[Progress], None] | None
     checkpoint: Checkpoint | None
 
@@ -91,19 +94,6 @@ class Forecaster(Configurable):
     def parameters(self) -> dict[str, Any]:
         """Return the fitted parameters of its simulator, in a form that JSON can hold."""
         return {}
-
-    def for_seed(self, seed: int) -> Forecaster:
-        """Return the variant that this seed trains: that of `by_seed`, or the forecaster itself."""
-        return self.by_seed.get(seed, self)
-
-    def trains_as(self, other: Forecaster) -> bool:
-        """Return whether a fit does the same as that of another forecaster, with the same seed."""
-        return repr(self) == repr(other)
-
-    @property
-    def of_one_seed(self) -> Forecaster:
-        """Return one member of an ensemble over seeds; any other forecaster itself."""
-        return self
 
     @property
     def warmup(self) -> int:
@@ -165,6 +155,7 @@ class Forecaster(Configurable):
         self,
         *records: Record,
         seed: int = 0,
+        start: Forecaster | None = None,
         progress: Callable[[Progress], None] | None = None,
         checkpoint: Checkpoint | None = None,
     ) -> Self:
@@ -175,6 +166,9 @@ class Forecaster(Configurable):
         records : The training records, already cut to the training part. Without another history,
             forecasts start at the end of the first one.
         seed : Of all random numbers, initial weights included: the same seed, the same result.
+        start : A trained forecaster of the same kind and sizes, from which a network's training
+            goes on: it begins with its weights, scaling, delays and bands. The records may be
+            others, or longer. Methods without a network fit anew.
         progress : Called after each epoch of a training.
         checkpoint : Where an interrupted training resumes, with results equal to the bit.
 
@@ -195,7 +189,7 @@ class Forecaster(Configurable):
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
         with contextlib.nullcontext() if self.random else one_thread():
-            self.learn(records, seed=seed, progress=progress, checkpoint=checkpoint)
+            self.learn(records, seed=seed, start=start, progress=progress, checkpoint=checkpoint)
         report = self.fitted.report
         if not report.seconds:  # the training of a network has set its own time
             report = replace(report, seconds=time.perf_counter() - began)
@@ -267,6 +261,10 @@ class Forecaster(Configurable):
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return prediction
+
+    def linear_model(self) -> LinearModel | None:
+        """Return the linear model that the fitted forecaster is; None for other kinds."""
+        return None
 
     def step_responses(
         self,
@@ -362,12 +360,18 @@ class Forecaster(Configurable):
                 "was detrended, clipped or resampled"
             )
         known = known_at_origin(self, history, other_record)
+        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
+            TorchSimulation,
+        )
+
         return TorchSimulation(self.differentiable(known), record.nu)
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
         if not self.affine:
             raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
+        from splitband.forecasters.differentiable import Affine  # noqa: PLC0415  needs torch
+
         return Affine(self, known)
 
     @final
@@ -398,6 +402,10 @@ class Forecaster(Configurable):
         """
         files: list[Path] = provided("export")(self, path, precision, history)
         return files
+
+    def untrained(self) -> Forecaster:
+        """Return it not fitted, with the settings and bands that its fit has chosen."""
+        return self.clone()
 
     def stepped(self, outside: bool = False) -> Recursion:
         """Return the step-by-step form of the fitted forecaster, by default that of its `part`.
@@ -438,8 +446,7 @@ class Forecaster(Configurable):
         Only the end of the training record is kept, on which a forecast warms up.
         """
         end = None if self.fitted is None else self.fitted.end(self.first_needed())
-        kept = {name: value for name, value in vars(self).items() if name != "by_seed"}
-        return {**kept, "fitted": end}
+        return {**vars(self), "fitted": end}
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:

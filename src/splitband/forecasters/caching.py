@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-import torch
-
+from splitband.runtime.keys import key_of
 from splitband.runtime.threads import one_thread
-from splitband.training.checkpoints import key_of
 
 Result = TypeVar("Result")
 
@@ -54,9 +51,9 @@ class Cached(Generic[Result]):
 
 
 def _parts(value: Any) -> Iterator[Any]:
-    """Yield the elements of nested lists, with arrays as tensors."""
+    """Yield the elements of nested lists."""
     if isinstance(value, list | tuple):
         for part in value:
             yield from _parts(part)
     else:
-        yield torch.from_numpy(np.array(value)) if isinstance(value, np.ndarray) else value
+        yield value

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeGuard
-
-import torch
 
 from splitband.data import Record, check_alike, require_records
 from splitband.forecasters.bands import Bands
@@ -18,6 +15,8 @@ from splitband.runtime.options import WithRepr, options
 from splitband.training import Settings
 
 if TYPE_CHECKING:
+    import torch
+
     from splitband.forecasters.base import Forecaster
     from splitband.forecasters.network import Network
 
@@ -50,17 +49,16 @@ class Configurable(WithRepr, ABC):
     ----------
     cells : Options that hold the templates of its networks' cells; empty without networks.
     settings : Of its networks' training; None where they are not set or nothing is trained.
+    fits_simulator : Whether its fit runs a simulator many times, which may take minutes.
     words : Description that all instances of the class share; see `in_words`.
     slow_part : Description as the slow component of a hybrid; see `as_base`.
-    by_seed : Forecasters that replace it for some seeds, such as networks of other sizes and
-        settings; not saved.
     """
 
     cells: ClassVar[tuple[str, ...]] = ()
     settings: Settings | None = None
+    fits_simulator: ClassVar[bool] = False
     words: ClassVar[str] = ""
     slow_part: ClassVar[str] = ""
-    by_seed: Mapping[int, Forecaster] = MappingProxyType({})
 
     @property
     @abstractmethod
@@ -145,14 +143,11 @@ class Configurable(WithRepr, ABC):
         return self.with_parts(lambda part: part.simulated(record, horizon, *others))
 
     def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
-        """Return it, and those in `by_seed`, with each part changed; itself without parts."""
+        """Return it with each part changed; itself without parts."""
         if not parts_of(self):
             return self
         options = {name: _with_parts(value, changed) for name, value in self.get_params().items()}
-        new = self.clone().set_params(**options)
-        if self.by_seed:
-            new.by_seed = {seed: each.with_parts(changed) for seed, each in self.by_seed.items()}
-        return new
+        return self.clone().set_params(**options)
 
     def prepare(
         self,
@@ -209,10 +204,7 @@ class Configurable(WithRepr, ABC):
 
     def _made(self, params: dict[str, Any]) -> Self:
         """Return a forecaster of the same class with these options."""
-        new = type(self)(**params)
-        if self.by_seed:
-            new.by_seed = self.by_seed
-        return new
+        return type(self)(**params)
 
     def _become(self, other: Self, kept: dict[str, Any]) -> None:
         """Replace all attributes by those of another forecaster and those that are kept."""

@@ -10,20 +10,22 @@ method `sized`, restored from the arguments of their constructor.
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
-import torch
-from torch import Tensor, nn
 
+from splitband import networks
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import SAVED, options
 
-Tensors = dict[str, Tensor]
+Tensors = dict[str, npt.NDArray[Any]]
+"""The arrays and the weights of a forecaster, by their place in it."""
 
 _PACKAGE = __name__.partition(".")[0]
 _LARGEST = 1_000_000
@@ -31,7 +33,7 @@ _LARGEST = 1_000_000
 By eye."""
 
 
-def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911, PLR0912  a line a kind
+def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911  a line a kind
     """Return a value as JSON, and put its arrays into `tensors`, by their place in the value.
 
     Raises
@@ -45,35 +47,47 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         return described(value.item(), tensors, place)
     if isinstance(value, float):
         return value if math.isfinite(value) else {"number": str(value)}
-    if isinstance(value, np.ndarray | Tensor):
-        # Cloned, as safetensors refuses tensors that share memory.
-        try:
-            tensor = torch.as_tensor(np.array(value) if isinstance(value, np.ndarray) else value)
-        except TypeError:
-            raise ValueError(f"an array of {value.dtype} cannot be saved") from None
-        tensors[place] = tensor.detach().cpu().contiguous().clone()
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind not in "biufc":
+            raise ValueError(f"an array of {value.dtype} cannot be saved")
+        tensors[place] = np.array(value, order="C")
         return {"array": place}
     if isinstance(value, pd.Timestamp):
         return {"date": value.isoformat()}
-    if isinstance(value, torch.device):
-        return {"device": str(value)}
     if callable(getattr(value, "to_dict", None)):
         return _named("made", type(value), value.to_dict(), tensors, place)
     if type(value) in SAVED.values():
         parts = {name: getattr(value, name) for name in _fields(type(value))}
         return _named("class", type(value), parts, tensors, place)
-    if isinstance(value, nn.Module):
-        try:
-            parts = options(value)
-        except TypeError as error:
-            raise ValueError(f"{type(value).__name__} cannot be saved: {error}") from None
-        return _named("cell", type(value), parts, tensors, place)
     if isinstance(value, Mapping):
         return {"mapping": _parts(value, tensors, place)}
     if isinstance(value, list | tuple | frozenset):
         ordered = sorted(value) if isinstance(value, frozenset) else value
         inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
         return {type(value).__name__: inner}
+    if "torch" in sys.modules:  # otherwise it can be nothing of torch's
+        return _of_torch(value, tensors, place)
+    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+
+
+def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
+    """Return the description of a tensor, a device or a cell."""
+    import torch  # noqa: PLC0415  see `described`
+
+    if isinstance(value, torch.Tensor):
+        try:
+            array = value.detach().cpu().numpy()
+        except TypeError:
+            raise ValueError(f"a tensor of {value.dtype} cannot be saved") from None
+        return described(array, tensors, place)
+    if isinstance(value, torch.device):
+        return {"device": str(value)}
+    if isinstance(value, torch.nn.Module):
+        try:
+            parts = options(value)
+        except TypeError as error:
+            raise ValueError(f"{type(value).__name__} cannot be saved: {error}") from None
+        return _named("cell", type(value), parts, tensors, place)
     raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
 
 
@@ -104,13 +118,13 @@ class Classes:
             if of_parts.__name__ in value:
                 return of_parts(self.made(part) for part in value[of_parts.__name__])
         if "array" in value:
-            return np.array(self.tensors[value["array"]].numpy())
+            return np.array(self.tensors[value["array"]])
         if "number" in value:
             return float(value["number"])
         if "date" in value:
             return pd.Timestamp(value["date"])
         if "device" in value:
-            return torch.device("cpu")  # the device of the training may not exist here
+            return "cpu"  # the device of the training may not exist here
         if "mapping" in value:
             return self._all(value["mapping"])
         if "made" in value:
@@ -124,8 +138,7 @@ class Classes:
             parts = self._all(value["fields"])
             _check_numbers(SAVED[name], parts)
             return SAVED[name](**parts)
-        cells = [each for each in _below(nn.Module) if hasattr(each, "sized")]
-        return _cell(_found(value, "cell", cells), self._all(value["fields"]))
+        return _cell(value, self._all(value["fields"]))
 
     def _all(self, parts: Any) -> dict[str, Any]:
         return {name: self.made(part) for name, part in parts.items()}
@@ -180,8 +193,13 @@ def _of_package(kind: type) -> bool:
     return kind.__module__.partition(".")[0] == _PACKAGE
 
 
-def _cell(kind: type, parts: dict[str, Any]) -> Any:
+def _cell(value: Mapping[str, Any], parts: dict[str, Any]) -> Any:
     """Return a template of a cell: on the meta device, where weights take no memory."""
+    import torch  # noqa: PLC0415  just what has networks needs it
+
+    _ = networks.GRU, networks.EulerMLP, networks.StateSpace  # load them, as they may be meant
+    cells = [each for each in _below(torch.nn.Module) if hasattr(each, "sized")]
+    kind = _found(value, "cell", cells)
     for name, part in parts.items():
         if isinstance(part, int) and abs(part) > _LARGEST:
             raise ValueError(f"{name} must be a whole number up to {_LARGEST}, got {part}")

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Self, Unpack, final
-
-import torch
-from torch import nn
+from typing import TYPE_CHECKING, Any, Self, Unpack, final
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.differentiable import Median
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.known import Known
@@ -21,6 +17,10 @@ from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.training import Progress
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
 
 
 @final
@@ -77,17 +77,11 @@ class Ensemble(Forecaster):
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
         """Return the ensemble of forecasters that were fitted to the same records."""
         seeds = [member.require_fitted().report.seed for member in members]
-        ensemble = cls.unfitted([member.clone() for member in members], seeds)
+        if len(set(seeds)) < len(seeds):  # members of different settings
+            seeds = [*range(len(seeds))]
+        ensemble = cls([member.clone() for member in members], seeds=seeds)
         ensemble._take(members, 0)
         return ensemble
-
-    @classmethod
-    def unfitted(cls, members: Sequence[Forecaster], seeds: Sequence[int]) -> Ensemble:
-        """Return the ensemble of forecasters that are to be fitted with these seeds."""
-        alike = all(member.trains_as(members[0]) for member in members)
-        usual = [*seeds] == [*range(len(seeds))]
-        of = members[0] if alike else members
-        return cls(of, len(members), seeds=None if usual else seeds)
 
     @property
     def templates(self) -> list[Forecaster]:
@@ -108,13 +102,6 @@ class Ensemble(Forecaster):
     def seeds(self) -> tuple[int, ...]:
         """Return the seeds of the members for `fit(seed=0)`."""
         return tuple(range(self.count)) if self._seeds is None else self._seeds
-
-    @property
-    def of_one_seed(self) -> Forecaster:
-        """Return an unfitted member, which `for_seed` replaces by the member of each seed."""
-        one = self.templates[0].clone()
-        one.by_seed = dict(zip(self.seeds, self.templates, strict=True))
-        return one
 
     @property
     def name(self) -> str:
@@ -145,6 +132,11 @@ class Ensemble(Forecaster):
             raise ValueError(f"count must be {len(new.members)}, got {new.count}")
         return new
 
+    def untrained(self) -> Forecaster:
+        """Return it not fitted, with the settings and bands that its members' fits have chosen."""
+        members = [member.untrained() for member in self.members or self.templates]
+        return type(self)(members, name=self._name, seeds=self.seeds)
+
     def first_needed(self) -> int:
         """Return the earliest sample that a member needs."""
         return min(member.first_needed() for member in self.members)
@@ -156,12 +148,14 @@ class Ensemble(Forecaster):
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with its own numbered checkpoint file."""
         seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
-        for i, (template, of_first) in enumerate(zip(self.templates, self.seeds, strict=True)):
+        starts = getattr(how["start"], "members", None) or [None] * self.count
+        each = zip(self.templates, self.seeds, starts, strict=True)
+        for i, (template, of_first, start) in enumerate(each):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
             watch = None if progress is None else _shifted(progress, i, self.count)
             member = template.clone()
             own = seed * (max(self.seeds) + 1) + of_first
-            member.fit(*records, seed=own, progress=watch, checkpoint=of_member)
+            member.fit(*records, seed=own, start=start, progress=watch, checkpoint=of_member)
             self.members.append(member)
         self._take(self.members, seed)
 
@@ -185,6 +179,8 @@ class Ensemble(Forecaster):
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module that simulates the median of the members."""
+        from splitband.forecasters.differentiable import Median  # noqa: PLC0415  needs torch
+
         return Median([member.differentiable(known) for member in self.members])
 
     def doubts(self, known: Known) -> list[str]:
@@ -206,13 +202,6 @@ def fitted_ensemble(models: Sequence[Forecaster], held_out: HeldOut | None) -> F
     model = models[0] if usual or not models[0].random else Ensemble.of(models)
     model.held_out = held_out
     return model
-
-
-def over_seeds(forecaster: Forecaster, seeds: Sequence[int]) -> Forecaster:
-    """Return the unfitted forecaster for these seeds: an ensemble, if its fit depends on a seed."""
-    if not forecaster.random or [*seeds] == [0]:
-        return forecaster.clone()
-    return Ensemble.unfitted([forecaster.for_seed(seed).clone() for seed in seeds], seeds)
 
 
 def _shifted(

@@ -132,11 +132,16 @@ class Fitted:
         return f"the history begins {later:+.7g} s after the training record" if later else ""
 
     def late_inputs(self, delays: Sequence[int]) -> str:
-        """Return the delays of the inputs in words; empty for none."""
+        """Return the dead times of the inputs in words; empty for none.
+
+        Each delay is the sample at which the impulse response begins. A held input acts one sample
+        late by itself, so that the dead time is one sample less.
+        """
         step, names = self.record.sampling_time, self.record.inputs
-        said = [f"{name}: {delay} samples ({delay * step:.4g} s)"
-                for name, delay in zip(names, delays, strict=False) if delay]  # fmt: skip
-        return f"input delay {', '.join(said)}" if said else ""
+        said = [f"{name} {late - 1} samples ({(late - 1) * step:.4g} s; "
+                f"its impulse response begins at sample {late})"
+                for name, late in zip(names, delays, strict=False) if late > 1]  # fmt: skip
+        return f"dead time {', '.join(said)}" if said else ""
 
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
         """Return which inputs `u`, `(time, nu)`, leave their range in training."""

@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from torch import nn
 
 from splitband.baselines.delays import delayed
 from splitband.data.gaps import first_after, last_before
-from splitband.forecasters.differentiable import ModelSimulation
 from splitband.forecasters.known import Known
 from splitband.forecasters.predicting import total
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
-from splitband.models import Model
-from splitband.models.hybrid import FAST, SLOW
+from splitband.models.labels import FAST, SLOW
 from splitband.runtime.arrays import Array
 
 if TYPE_CHECKING:
+    from torch import nn
+
     from splitband.forecasters.base import Forecaster
+    from splitband.models import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +94,10 @@ class FreeRun:
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return model and base as a torch module, see `Forecaster.differentiable`."""
+        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
+            ModelSimulation,
+        )
+
         base = None
         if self.base is not None:
             if not self.base.affine:

@@ -133,6 +133,7 @@ class GreyBox(Forecaster):
         check_runs(self.simulator, records[0])
 
     refits = False
+    fits_simulator = True
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved, with a description in place of the simulator."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 from splitband import models
 from splitband.data import Record
@@ -12,10 +12,12 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.forecasters.simulation import Simulation
-from splitband.models import Model
 from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.simulators import Simulator
 from splitband.training import Settings
+
+if TYPE_CHECKING:
+    from splitband.models import Model
 
 
 def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:

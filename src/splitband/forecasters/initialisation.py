@@ -1,4 +1,4 @@
-"""Start a network's training from the linear model of its record, or from an earlier training.
+"""Start a network's training from the linear model of its record.
 
 The training then need not find the linear dynamics: from random weights it may take as long for
 them as for everything else, or never find them.
@@ -6,22 +6,21 @@ them as for everything else, or never find them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
-from torch import Tensor
 
+from splitband import models
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.realisation import Realisation, realised, state_estimator
 from splitband.data import Record
 from splitband.forecasters.caching import Cached
-from splitband.models import Model
-from splitband.models.base import with_next_input
 from splitband.runtime.arrays import Array
-from splitband.training import Settings
+
+if TYPE_CHECKING:
+    from splitband.models import Model
 
 
 @runtime_checkable
@@ -35,35 +34,6 @@ class LinearPart(Protocol):
 
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
         """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
-
-
-@dataclass(frozen=True, eq=False)
-class Earlier:
-    """Continue earlier trainings, on another part of the record or with fewer iterations.
-
-    Attributes
-    ----------
-    iterations : Number of L-BFGS iterations that they ran.
-    weights : The state dict of the model, by seed.
-    """
-
-    iterations: int = 0
-    weights: Mapping[int, Mapping[str, Tensor]] = field(default_factory=dict)
-
-    def remaining(self, settings: Settings, seed: int) -> Settings:
-        """Return the settings of the rest of a training."""
-        if seed not in self.weights:
-            return settings
-        more = (settings.quasi_newton or 0) - self.iterations
-        return replace(settings, epochs=0, quasi_newton=max(more, 1))
-
-    def begin(self, model: Model, records: Sequence[Record], settings: Settings, seed: int) -> None:
-        """Set the weights of a model before its training, in place."""
-        if seed in self.weights:
-            model.load_state_dict(dict(self.weights[seed]))
-            model.units_kept = True
-        elif settings.linear_start:
-            begin_as_linear(model, records, settings.normalize, seed)
 
 
 def _fitted(most: int, *records: tuple[Array, Array]) -> LinearModel:
@@ -99,7 +69,7 @@ def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, se
         if not isinstance(cell, LinearPart) or tasks[0].stride != 1:
             continue
         inputs = [each.u.double() for each in seen if each.u is not None]
-        rows = [with_next_input(u).numpy() for u in inputs]
+        rows = [models.with_next_input(u).numpy() for u in inputs]
         plain = [u.numpy() for u in inputs]
         targets = [
             np.where(np.isnan(record.seen), np.nan, task.target.double().numpy())

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import TYPE_CHECKING, final
 
 from splitband import models
 from splitband.data import Record
 from splitband.filters.resampling import Alignment
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.network import CONDITIONED, Network
-from splitband.models import Model
 from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.training import Settings
+
+if TYPE_CHECKING:
+    from splitband.models import Model
 
 
 @final

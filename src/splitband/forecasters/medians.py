@@ -1,7 +1,7 @@
 """Combine several trainings by the median of their predictions, sample by sample.
 
 One training that goes astray, on inputs that it has not learned from, moves a mean as far as it
-goes itself, and a median hardly (`benchmarks.medians`).
+goes itself, and a median hardly (docs/results/rules.md).
 """
 
 from __future__ import annotations

@@ -2,15 +2,17 @@
 
 Names are derived from forecasters and never parsed. To add a method, write its class, add a line to
 `_kinds` (cells, hybrids) or `_baselines`, and export it in `splitband/__init__.pyi`.
+
+The forecasters of the table have cells that are not built yet, so that the names are known without
+torch; `named` builds them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-import torch
-
+from splitband import networks
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.closed_form import (
     Harmonic,
@@ -25,8 +27,9 @@ from splitband.forecasters.hybrids import Filtered, Residual
 from splitband.forecasters.learned import Single, Split
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
-from splitband.networks import GRU, EulerMLP, StateSpace
+from splitband.networks.cell import Cell, Template
 from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
+from splitband.runtime.threads import seeded
 
 
 @dataclass(frozen=True)
@@ -51,14 +54,38 @@ class Sizes:
             object.__setattr__(self, name, whole(name, getattr(self, name), 1, LARGEST_SIZE))
 
 
+@dataclass(frozen=True)
+class Unbuilt:
+    """Stand for a cell of the package by what it is called.
+
+    Attributes
+    ----------
+    label, words : Those of the cell.
+    build : Returns it.
+    """
+
+    label: str
+    words: str
+    build: Callable[[], Template]
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Cell:
+        """Return a cell of these sizes."""
+        return self.build().sized(ny, nu, warmup)
+
+
+def _gru(hidden: int) -> Unbuilt:
+    return Unbuilt("gru", "GRU", lambda: networks.GRU(hidden))
+
+
 def _kinds(sizes: Sizes) -> list[Forecaster]:
     """Return one forecaster of each kind, the simple ones last."""
+    state, step = sizes.state_size, sizes.step_size
     cells = (
-        GRU(sizes.hidden_high + sizes.hidden_low),
-        EulerMLP(1, state_size=sizes.state_size, step_size=sizes.step_size),
-        StateSpace(4, 10),
+        _gru(sizes.hidden_high + sizes.hidden_low),
+        Unbuilt("rnn", "EulerMLP", lambda: networks.EulerMLP(1, state_size=state, step_size=step)),
+        Unbuilt("state-space", "state-space", lambda: networks.StateSpace(4, 10)),
     )
-    bands = GRU(sizes.hidden_low), GRU(sizes.hidden_high)
+    bands = _gru(sizes.hidden_low), _gru(sizes.hidden_high)
     return [
         *(Single(cell) for cell in cells),
         Split(*bands),
@@ -111,10 +138,8 @@ def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
     return forecaster.with_parts(lambda part: _on_base(part, base))
 
 
-# Templates draw weights that are never used; this must not change the user's random numbers.
-with torch.random.fork_rng(devices=[]):
-    NAMES = {each.name: each for each in _methods(Sizes())}
-"""All methods by name, with the default sizes."""
+NAMES = {each.name: each for each in _methods(Sizes())}
+"""All methods by name, with the default sizes and cells that are `Unbuilt`."""
 TRAINED = tuple(name for name, method in NAMES.items() if method.random)
 QUICK = tuple(name for name, method in NAMES.items() if not method.random)
 """Methods that need no seed."""
@@ -125,6 +150,22 @@ BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in 
 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
     """Return a new forecaster by its name; raises ValueError for an unknown one."""
+    return built(known(name, sizes))
+
+
+def built(forecaster: Forecaster) -> Forecaster:
+    """Return a forecaster with its cells built, where they are not; that loads torch."""
+    cells = {option: getattr(forecaster, option) for option in forecaster.cells}
+    if not any(isinstance(cell, Unbuilt) for cell in cells.values()):
+        return forecaster
+    # Templates draw weights that are never used; this must not change the user's random numbers.
+    with seeded(0):
+        made = {option: cell.build() for option, cell in cells.items()}
+    return forecaster.clone().set_params(**made)
+
+
+def known(name: str, sizes: Sizes | None = None) -> Forecaster:
+    """Return a new forecaster by its name, as `named`, whose cells are not built."""
     if name not in NAMES:
         raise ValueError(
             "methods must be forecasters or names that `splitband methods` lists, "
@@ -132,8 +173,7 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
         )
     if sizes is None:
         return NAMES[name].clone()
-    with torch.random.fork_rng(devices=[]):
-        return next(method for method in _methods(sizes) if method.name == name)
+    return next(method for method in _methods(sizes) if method.name == name)
 
 
 def with_base(names: Sequence[str], base: str) -> list[str]:
@@ -142,7 +182,7 @@ def with_base(names: Sequence[str], base: str) -> list[str]:
     The base is one of `BASES`, or the simulator with fitted parameters (`GREY_BOX`).
     """
     put = _REPLACEMENTS[base]
-    return [*dict.fromkeys(_on_base(named(name), put).name for name in names)]
+    return [*dict.fromkeys(_on_base(known(name), put).name for name in names)]
 
 
 def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
@@ -150,7 +190,7 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
 
     Raises ValueError where no method has a requested variant.
     """
-    found = {v.name: v for name in names for v in variants(named(name), calibrate, conditioned)}
+    found = {v.name: v for name in names for v in variants(known(name), calibrate, conditioned)}
     for argument, wanted in (
         ("calibrate", calibrate and not any(each.calibrates for each in found.values())),
         ("conditioned", conditioned and not any(_conditioned(f) for f in found.values())),

@@ -11,11 +11,11 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
-import torch
-from torch import nn
+import numpy as np
 
+from splitband import models, training
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
 from splitband.data import Record
@@ -25,25 +25,27 @@ from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.caching import Cached
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.free_run import FreeRun
-from splitband.forecasters.initialisation import Earlier
+from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.known import Known
 from splitband.forecasters.predicting import known_of
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import Recursion
-from splitband.models import Model
-from splitband.models.base import with_weights
 from splitband.runtime.arrays import Array
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
-from splitband.training import Settings, fit
+from splitband.training import Settings
+from splitband.training.places import checked_starts
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
-from splitband.training.windows import windows_in
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
+
+    from splitband.models import Model
 
 DELAYS = Cached(input_delays)
 """Cache of input delays: many trainings need those of the same records."""
-_NEW = Earlier()
-"""No earlier training."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
 
@@ -67,8 +69,6 @@ class Network(Forecaster):
     """The frequency bands, where it filters."""
     conditioned: bool = False
     """Whether the slow component is an input of the fast network."""
-    earlier: Earlier = _NEW
-    """Trainings that `fit` continues; they are not saved."""
     model: Model | None = None
     """The trained model."""
     trained_by: Settings | None = None
@@ -82,11 +82,7 @@ class Network(Forecaster):
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
-        self.tunable = False
-        """Whether its settings are defaults, which a search may replace."""
-        self.resizable = False
-        """Whether the sizes of its cells are defaults, too."""
-        self.device = torch.device("cpu")
+        self.device: str | torch.device = "cpu"
         self._name = name
 
     @property
@@ -149,6 +145,8 @@ class Network(Forecaster):
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
+        import torch  # noqa: PLC0415  whoever names a device needs it
+
         self.device = torch.device(device)
         if self.model is not None:
             self.model.to(self.device)
@@ -163,24 +161,18 @@ class Network(Forecaster):
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if self._takes_bands:
             shared["bands"] = bands
-        if shared:
-            new = new.clone().set_params(**shared)
-            new.tunable = new.tunable or self.settings is None
-        return new
+        return new.clone().set_params(**shared) if shared else new
 
     def trained_as(self, settings: Settings) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
-    def continued(self, earlier: Earlier) -> Self:
-        """Return a copy whose `fit` continues earlier trainings."""
-        new = self.clone()
-        new.earlier = earlier
-        return new
-
-    def trains_as(self, other: Forecaster) -> bool:
-        """Return whether a fit does the same as another's: it goes on from the same weights."""
-        return super().trains_as(other) and self.earlier is vars(other).get("earlier", _NEW)
+    def untrained(self) -> Forecaster:
+        """Return it not trained, with the settings and bands of its training."""
+        chosen = {"settings": self.trained_by or self.settings}
+        return self.clone().set_params(
+            **chosen, **({} if self.trained_in is None else {"bands": self.trained_in})
+        )
 
     def training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
@@ -202,21 +194,22 @@ class Network(Forecaster):
         return sum(weight.numel() for weight in model.parameters())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: the model as its weights; `earlier` is omitted."""
+        """Return what is saved: the model as its weights; `device` is omitted."""
         said = super().to_dict()
+        del said["device"]  # that of the training may not exist where it is loaded
         model = said.pop("model", None)
-        said.pop("earlier", None)
         return said | {"weights": None if model is None else dict(model.state_dict())}
 
     @classmethod
     def from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
         weights = found.pop("weights")
+        found["device"] = "cpu"
         new = super().from_dict(found)
         if new.fitted is not None:
             record, settings = new.fitted.record, new.trained_by
             assert settings is not None
-            new.model = with_weights(lambda: new._built(record, settings, seed=0), weights)
+            new.model = models.with_weights(lambda: new._built(record, settings, seed=0), weights)
             if new.prehistory is not None:
                 new.prehistory.check(new.model, settings.warmup)
         return new
@@ -260,8 +253,10 @@ class Network(Forecaster):
             raise ValueError(
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
-        windows_in(records, settings.window, settings.warmup)
-        self.clone()._built(first, settings, seed=0)
+        checked_starts(records, settings.window, settings.warmup)
+        # Cells that are given by name are built when they are trained, as torch loads slowly.
+        if not any(hasattr(getattr(self, name), "build") for name in self.cells):
+            self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise ValueError(
                 f"warmup must have more than {shortest} samples for filters of order "
@@ -271,16 +266,22 @@ class Network(Forecaster):
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the base, choose settings and bands that are not given, and train the model."""
-        seed = how["seed"]
-        settings = self.trained_by = self._settings_for(records[0], records[1:])
-        seen = self._seen(records, seed)
+        seed, start = how["seed"], self._start(how["start"])
+        settings = self._settings_for(records[0], records[1:])
+        self.trained_by = settings if start is None else settings.after(start.trained_by)
+        seen = self._seen(records, seed, start)
         if self.bands is not None:
-            self.trained_in = self._bands_for(seen[0], settings)
+            self.trained_in = (
+                self._bands_for(seen[0], settings) if start is None else start.trained_in
+            )
         self.model = self._built(seen[0], settings, seed)
-        self.earlier.begin(self.model, seen, settings, seed)
+        if start is not None:
+            self.model.load_state_dict(start.state())
+            self.model.units_kept = True
+        elif settings.linear_start:
+            begin_as_linear(self.model, seen, settings.normalize, seed)
         self.model.to(self.device)
-        left = self.earlier.remaining(settings, seed)
-        history = fit(self.model, seen, left, seed, how["progress"], how["checkpoint"])
+        history = training.fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
@@ -320,29 +321,50 @@ class Network(Forecaster):
         said = []
         if base is not None and base.as_base.described:
             said = [f"{base.as_base.label}: {base.describe()}"]
-        said += [self.training_in_words() if self.tunable else "", fitted.late_inputs(self.delays)]
+        said += [self.training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def _made(self, params: dict[str, Any]) -> Self:
-        """Return one with other options, and the same device and search flags."""
+        """Return one with other options, on the same device."""
         new = super()._made(params)
-        kept = ("device", "tunable", "resizable", "earlier")
-        vars(new).update({name: vars(self)[name] for name in kept if name in vars(self)})
+        new.device = self.device
         return new
 
-    def _seen(self, records: Sequence[Record], seed: int) -> list[Record]:
+    def _start(self, start: Forecaster | None) -> Self | None:
+        """Return the trained forecaster to go on from; raises ValueError for another kind."""
+        if start is None:
+            return None
+        if not isinstance(start, type(self)) or start.model is None:
+            raise ValueError(f"start must be a trained {self.name}, got {start!r}")
+        return start
+
+    def _seen(self, records: Sequence[Record], seed: int, start: Self | None) -> list[Record]:
         """Return the records that the model is trained on.
 
         Their `y_sim` is the output of the base, and their inputs are shifted by the delays.
         """
         seen = [*records]
         if self.base is not None:
-            base = self.fitted_base = self.base.clone().fit(*records, seed=seed).as_simulator()
+            base = None if start is None else start._base_for(records)
+            if base is None:
+                base = self.base.clone().fit(*records, seed=seed).as_simulator()
+            self.fitted_base = base
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
-            self.delays = DELAYS([(r.seen, r.u) for r in records])
+            found = DELAYS([(r.seen, r.u) for r in records]) if start is None else start.delays
+            self.delays = found
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
+
+    def _base_for(self, records: Sequence[Record]) -> Forecaster | None:
+        """Return its base where that was fitted to the same samples, which saves another fit."""
+        fitted = self.require_fitted()
+        before = [fitted.record, *fitted.others]
+        same = len(before) == len(records) and all(
+            np.array_equal(old.seen, new.seen, equal_nan=True)
+            for old, new in zip(before, records, strict=True)
+        )
+        return self.fitted_base if same else None
 
     def _remarks(self, record: Record) -> list[str]:
         """Return remarks for the user on a training record with the base's output."""

@@ -15,12 +15,14 @@ from splitband.data.preparation import Preparation
 from splitband.data.timing import stamps_at
 from splitband.forecasters.medians import mean_over, middle_members
 from splitband.runtime.arrays import Array
+from splitband.runtime.options import saved
 from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
     """Hold the samples that follow an origin.

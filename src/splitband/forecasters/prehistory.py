@@ -3,24 +3,29 @@
 Not in the paper. Networks are trained with warm-ups of one length. Where fewer samples are known,
 the samples before them are estimated: the warm-up has to be probable in the training records, and
 the network has to simulate the known samples well after it. This is regularised least squares for
-the initial state, on signals in place of states, which works for every model (`benchmarks.warmup`).
+the initial state, on signals in place of states, which works for every model; docs/howto/warmup.md
+has what it is worth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-import torch
-from torch import Tensor
 
+from splitband import models
 from splitband.data import Record
-from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-from splitband.training.windows import window_starts
+from splitband.training.places import window_starts
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from splitband.models import Model, Signals
 
 COMPONENTS = 16
 """Largest number of principal components of a warm-up. By eye."""
@@ -70,13 +75,13 @@ class Prehistory:
     ) -> Prehistory | None:
         """Return the distribution in the training records; None for fewer than two warm-ups."""
         seen = [model.normalised(record) for record in records]
-        signals = torch.cat([_side_by_side(model, each) for each in seen]).double().cpu()
+        signals = [_side_by_side(model, each).double().cpu().numpy() for each in seen]
         starts = window_starts(records, warmup + 1, warmup)
         if len(starts) < 2:
             return None
         kept = np.linspace(0, len(starts) - 1, min(len(starts), MOST_WINDOWS)).round().astype(int)
         rows = starts[kept][:, None] + np.arange(warmup)
-        windows = signals.numpy()[rows]
+        windows = np.concatenate(signals)[rows]
         mean = windows.mean(axis=0)
         flat = (windows - mean).reshape(len(windows), -1)
         # Eigenvectors of the covariance: an SVD of all rows takes five times as long.
@@ -96,6 +101,8 @@ class Prehistory:
         u : The inputs from the same sample on, `(samples or more, nu)`.
         slow : The output of the base from the same sample on, `(samples or more, ny)`.
         """
+        import torch  # noqa: PLC0415  a loaded model that is not asked does not need it
+
         samples = len(y)
         history = Record(
             y,
@@ -116,7 +123,7 @@ class Prehistory:
                 None if x is None else torch.cat([guess, x])[None]
                 for guess, x in zip(others, (known.u, known.y_sim), strict=True)
             )
-            parts = model.components(Signals(before[None], *later), samples)
+            parts = model.components(models.Signals(before[None], *later), samples)
             left = (sum(parts.values()) - known.y) / self.error
             loss = (left**2).sum() + (z**2).sum()
             (slope,) = torch.autograd.grad(loss, z)
@@ -145,5 +152,7 @@ def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
 
 def _side_by_side(model: Model, seen: Signals) -> Tensor:
     """Return the signals that the model uses, without a simulator's output that it does not."""
+    import torch  # noqa: PLC0415  see `completed`
+
     y_sim = seen.y_sim if model.uses_simulator else None
     return torch.cat([x for x in (seen.y, seen.u, y_sim) if x is not None], dim=-1)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import safetensors
-import safetensors.torch
+import safetensors.numpy
 
 from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
 from splitband.forecasters.base import Forecaster
@@ -64,7 +64,7 @@ def save(
     forecaster.require_fitted()
     folder, tensors = Path(folder), dict[str, Any]()
     description = described(forecaster, tensors)
-    content = safetensors.torch.save(tensors)
+    content = safetensors.numpy.save(tensors)
     digest = hashlib.sha256(content).hexdigest()
     text = to_json(
         {**(facts or {}), "format": FORMAT, "weights_sha256": digest, "forecaster": description}
@@ -79,6 +79,27 @@ def save(
             new.write_text(text, encoding="utf-8")
     finally:
         _remove_outdated(folder)
+
+
+def packed(value: Any) -> bytes:
+    """Return a value as the content of one file, for `unpacked`; equal values give equal bytes.
+
+    Raises ValueError for a value that cannot be saved.
+    """
+    tensors: dict[str, Any] = {}
+    said = to_json(described(value, tensors))
+    return safetensors.numpy.save(tensors, {"value": said})
+
+
+def unpacked(content: bytes) -> Any:
+    """Return the value that `packed` described; raises ValueError for other content."""
+    try:
+        header = int.from_bytes(content[:8], "little")
+        said = json.loads(content[8 : 8 + header])["__metadata__"]["value"]
+        tensors = dict(safetensors.numpy.load(content))
+        return Classes((Forecaster,), tensors).made(json.loads(said))
+    except _UNFIT as error:
+        raise ValueError(f"the file cannot be read: {error}") from None
 
 
 def files(folder: Path) -> list[Path]:
@@ -114,7 +135,8 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
         When a file is missing.
     ValueError
         When a file is damaged, of another format, or needs a class of your own whose module has
-        not been imported; for a simulator that the forecaster does not need.
+        not been imported; for a simulator that the forecaster does not need, or whose `start` is
+        not that of the saved one.
 
     Warns
     -----
@@ -184,17 +206,22 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
     if hashlib.sha256(content).hexdigest() != digest:
         raise ValueError(f"{path} is damaged: its checksum is not that of the model")
     try:
-        return dict(safetensors.torch.load(content))
+        return dict(safetensors.numpy.load(content))
     except _UNFIT as error:
         raise ValueError(f"{path} is damaged: {error}") from None
 
 
 def _give(forecaster: Forecaster, simulator: Simulator) -> None:
-    """Set the simulator of a forecaster, with a warning if it differs from the saved one."""
+    """Set the simulator of a forecaster, with a warning if it differs from the saved one.
+
+    Raises ValueError if it begins at another time.
+    """
     given = [*simulations(forecaster)]
     if not given:
         raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")
     saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
+    for each in saved:
+        each.check_start_of(simulator)
     for said in dict.fromkeys(each.difference(simulator) for each in saved):
         if said:
             warnings.warn(said, stacklevel=4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.known import Known
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
-from splitband.models.hybrid import SLOW
+from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
@@ -70,6 +71,13 @@ class _Runs:
     driven: bool
     ran: int
 
+    def fingerprint(self) -> str:
+        """Return a hash of all outputs."""
+        digest = hashlib.sha256()
+        for each in self.runs:
+            digest.update(np.ascontiguousarray(each.y).tobytes())
+        return digest.hexdigest()
+
     def reach(self, grid: Grid, u: Array | None = None) -> int:
         """Return the number of samples that are available from the start of the grid on."""
         return len(self._beginning(grid, u))
@@ -91,6 +99,14 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
     own = {id(part.simulator): part.simulator for part in simulations(method)}
     for part in simulations(model):
         part.simulator = own.get(getattr(part.simulator, "ran", 0), part.simulator)
+
+
+def with_own_simulators(model: Forecaster, method: Forecaster) -> None:
+    """Give a loaded copy of a method, which has descriptions instead, its simulators again."""
+    own = [part.simulator for part in simulations(method) if part.simulator is not None]
+    for part in simulations(model):
+        if isinstance(part.simulator, Absent) and own:
+            part.simulator = own[0]
 
 
 def simulations(value: Any) -> Iterator[Any]:
@@ -418,6 +434,7 @@ class Calibrated(SimulatorForecaster):
         return AsBase(SLOW, after=after, words="calibrated simulator")
 
     calibrates = True
+    fits_simulator = True
 
     @property
     def calibration(self) -> Calibration | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,9 +19,11 @@ from splitband.data.gaps import last_before
 from splitband.data.preparation import Preparation
 from splitband.forecasters.known import Known
 from splitband.forecasters.medians import median
-from splitband.models.stepping import Stepped
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
+
+if TYPE_CHECKING:
+    from splitband.models.stepping import Stepped
 
 State = dict[str, Any]
 """The state of a recursion, by name; it is never changed in place."""

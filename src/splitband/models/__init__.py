@@ -2,12 +2,10 @@
 
 A model defines its networks and the signal that each must reproduce (`tasks`), which is all that
 `training.loop` needs. Training and simulation call the same methods, so that a network has the same
-kind of inputs in both.
+kind of inputs in both. What is handed out stands in `__init__.pyi`, and is loaded with torch when
+it is used.
 """
 
-from splitband.models.base import Model, Signals, Task
-from splitband.models.hybrid import Filtered, Hybrid, Residual
-from splitband.models.recurrent import Recurrent
-from splitband.models.split import Split
+import lazy_loader
 
-__all__ = ["Filtered", "Hybrid", "Model", "Recurrent", "Residual", "Signals", "Split", "Task"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

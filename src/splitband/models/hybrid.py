@@ -21,6 +21,7 @@ from splitband.models.base import (
     inputs_of,
     slope_scale,
 )
+from splitband.models.labels import FAST, SLOW
 from splitband.models.stepping import (
     Run,
     Stepped,
@@ -32,9 +33,6 @@ from splitband.models.stepping import (
 )
 from splitband.networks import Cell, rollout
 from splitband.runtime.arrays import Array
-
-SLOW, FAST = "simulator", "network"
-"""Beginnings of the labels of the two components."""
 
 
 class Hybrid(Model):

@@ -1,9 +1,8 @@
-"""Define recurrent networks and their free runs; the plain loop is the definition."""
+"""Define recurrent networks and their free runs; the plain loop is the definition.
 
-from splitband.networks.cell import Cell
-from splitband.networks.euler_mlp import EulerMLP
-from splitband.networks.gru import GRU
-from splitband.networks.rollout import Backend, free_run, rollout
-from splitband.networks.state_space import StateSpace
+What is handed out stands in `__init__.pyi`, and is loaded with torch when it is used.
+"""
 
-__all__ = ["GRU", "Backend", "Cell", "EulerMLP", "StateSpace", "free_run", "rollout"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,11 +9,12 @@ members: `label` and `words` (names in tables and sentences), `variants` and `si
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
-
-from torch import Tensor, nn
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from splitband.runtime.arguments import LARGEST_SIZE, whole
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
 
 
 @runtime_checkable

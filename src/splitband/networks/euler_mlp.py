@@ -108,7 +108,7 @@ class EulerMLP(WithRepr, nn.Module):
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""
-        from splitband.kernels import euler_rollout  # noqa: PLC0415  numba loads on first use
+        from splitband.kernels.euler_mlp import euler_rollout  # noqa: PLC0415  numba is slow to load
 
         warmup = y_warmup.shape[1]
         past, future = (None, None) if u is None else (u[:, :warmup], u[:, warmup:])

@@ -74,7 +74,7 @@ class GRU(WithRepr, nn.Module):
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""
-        from splitband.kernels import gru_rollout  # noqa: PLC0415  numba loads on first use
+        from splitband.kernels.gru import gru_rollout  # noqa: PLC0415  numba is slow to load
 
         cell, out = self.transition, self.observation
         recurrent = cell.weight_ih, cell.weight_hh, cell.bias_ih, cell.bias_hh

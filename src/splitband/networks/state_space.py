@@ -236,7 +236,7 @@ class StateSpace(WithRepr, nn.Module):
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""
-        from splitband.kernels import state_space_rollout  # noqa: PLC0415  numba loads on first use
+        from splitband.kernels.state_space import state_space_rollout  # noqa: PLC0415  numba is slow to load
 
         x0, none = self.first_state(y_warmup, u), self.gain.new_empty
         units: list[Tensor] = [p for layers in (self.f, self.g) for p in layers.parameters()]

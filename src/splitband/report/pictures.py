@@ -64,7 +64,7 @@ def rollouts(comparison: Comparison) -> Figure:
 
     Panels show the forecast, with its interval, and each test record; without both, a simulation.
     """
-    sides, names = _sides(comparison), ordered(comparison.trial, comparison.runs)
+    sides, names = _sides(comparison), ordered(comparison.trial, comparison.fits)
     best, *others = names
     ny, across = comparison.record.ny, max(SMALL_ACROSS // comparison.record.ny, 1)
     below = -(-len(others) // across)
@@ -100,7 +100,7 @@ SMALL_ACROSS = 4
 
 def _sides(comparison: Comparison) -> list[_Side]:
     """Return the panels of the forecast and the test records, or else one of the simulation."""
-    record, medians, train = comparison.record, comparison.medians, comparison.setup.train
+    record, medians, train = comparison.record, comparison.medians, comparison.plan.train
     sides = []
     if comparison.predictions:
         sides.append(_Side(record, train, "forecast", comparison.predictions))

@@ -16,16 +16,16 @@ import pandas as pd
 
 from splitband.data import Record
 from splitband.data.timing import as_json
-from splitband.evaluation.budget import Phase
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.protocols import Run
-from splitband.evaluation.saved_settings import SavedSettings
-from splitband.forecasters.base import Forecaster
+from splitband.evaluation.run import Standing
+from splitband.forecasters import saving
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.checking import ModelCheck
 from splitband.forecasters.prediction import time_header
 from splitband.forecasters.responses import Responses
 from splitband.report.environment import environment
+from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.table import columns, tried
 from splitband.runtime.arrays import Array
@@ -33,10 +33,8 @@ from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
 from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
 
-FOUND = "recommended.json"
-"""File with the settings of the recommended network, for `--settings`."""
 MODEL_FOLDER = "model"
-"""Folder with the recommended method as it was trained, for `simulate`."""
+"""Folder with the recommended method as it was trained, for `simulate` and `--like`."""
 
 
 def save(
@@ -47,9 +45,8 @@ def save(
 ) -> None:
     """Write all files of a comparison in place of an earlier result; on an error none of them.
 
-    They are predictions.csv and one for each test record, rollouts.png, the page, the trained
-    model, recommended.json if a network is recommended, and results.json, in which `facts` come
-    first. `usage` is shown on the page.
+    They are predictions.csv and one for each test record, the page, the trained model, and
+    results.json, in which `facts` come first. `usage` is shown on the page.
     """
     with staged(folder) as new:
         began = now()
@@ -59,32 +56,36 @@ def save(
         for name, table in tables.items():
             with replacing(new / name) as temporary:
                 table.to_csv(temporary, index=False)
-        pictures, page = _drawing()
-        pictures.save(pictures.rollouts(comparison), new / "rollouts.png")
-        page.of_comparison(comparison, new / page.NAME, usage)
-        save_settings(comparison.forecaster(), comparison.record, new)
+        page = _page()
+        page.of_comparison(comparison, new / PAGE, usage)
         comparison.model.save(new / MODEL_FOLDER)
-        comparison.time.phases["writing"] = Phase(now() - began)
-        found = results(comparison) | {"time": comparison.time.as_json()}
+        comparison.clock.writing = now() - began
+        found = results(comparison) | {"time": comparison.clock.as_json()}
         write_facts(new, (facts or {}) | found)
 
 
-def _drawing() -> tuple[ModuleType, ModuleType]:
-    """Import the modules that draw pictures and pages, only here: their libraries load slowly."""
-    pictures, page = "splitband.report.pictures", "splitband.report.page.document"
-    return import_module(pictures), import_module(page)
+def _page() -> ModuleType:
+    """Import the module that makes pages, only here: its libraries load slowly."""
+    return import_module("splitband.report.page.document")
 
 
-def settings_path(forecaster: Forecaster, folder: Path) -> Path | None:
-    """Return the file with the settings of a recommended network; None for another method."""
-    return None if SavedSettings.of_forecaster(forecaster) is None else folder / FOUND
+def save_standing(standing: Standing, folder: Path, facts: dict[str, Any]) -> None:
+    """Write the best model so far in place of an earlier result; on an error nothing.
 
-
-def save_settings(forecaster: Forecaster, record: Record, folder: Path) -> None:
-    """Write the settings of a recommended network, for --settings; nothing for another method."""
-    saved = SavedSettings.of_forecaster(forecaster)
-    if saved is not None:
-        saved.for_record(record).save(folder / FOUND)
+    results.json says that the comparison is `unfinished`, and the held-out errors so far.
+    """
+    trial, record = standing.trial, standing.plan.record
+    with staged(folder) as new:
+        marked = {"unfinished": standing.doing, "trained_on": "three quarters of the training part"}
+        saving.save(standing.model, new / MODEL_FOLDER, marked)
+        said = {
+            "unfinished": standing.doing,
+            "recommended": trial.recommended,
+            "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
+            "time": standing.clock.as_json(),
+            "environment": environment(),
+        }
+        write_facts(new, facts | said)
 
 
 def results(comparison: Comparison) -> dict[str, Any]:
@@ -108,21 +109,22 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "truth": "measured" if record.y_true is None else "noise-free",
         },
         **({"tests": _test_facts(comparison)} if comparison.tests else {}),
-        "settings": comparison.setup.as_json(),
+        "settings": comparison.plan.as_json(),
+        "interrupted": comparison.interrupted,
         "residual_tests": [asdict(test) for test in comparison.residual_tests()],
         "recommended": trial.recommended,
         # Without seconds, which are below, so that the same comparison has the same table.
         "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],
         "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
-            name: _method(of_method)
+            name: _method(comparison, name)
             | {
                 "score": trial.worth(name),
                 "held_out_rmse": math.hypot(*trial.errors[name]),
                 "interval": _interval(comparison, name),
                 "median_of_seeds": _median(comparison, name),
             }
-            for name, of_method in comparison.runs.items()
+            for name in comparison.fits
         }
         | {name: {"failed": reason} for name, reason in trial.failed.items()},
         "environment": environment(),
@@ -174,7 +176,7 @@ def save_check(
 
     `kind` describes the model in words.
     """
-    _, page = _drawing()
+    page = _page()
     facts = check.as_json() | {"kind": kind, "command": usage.asked}
     if responses is not None:
         facts["static_gain"] = {
@@ -182,26 +184,23 @@ def save_check(
             for column, row in zip(responses.columns, responses.y[-1], strict=True)
         }
     with staged(folder) as new:
-        page.of_check(check, new / page.NAME, kind, responses, usage)
+        page.of_check(check, new / PAGE, kind, responses, usage)
         write_facts(new, facts | {"environment": environment()})
 
 
 def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) -> None:
     """Write all files of a forecast in place of an earlier result; on an error none of them.
 
-    They are forecast.csv, its picture, the page, the trained model, recommended.json if it is a
-    network, and results.json. `usage` is shown on the page.
+    They are forecast.csv, the page, the trained model, and results.json. `usage` is
+    shown on the page.
     """
-    pictures, page = _drawing()
+    page = _page()
     with staged(folder) as new:
         with replacing(new / "forecast.csv") as temporary:
             result.prediction.to_frame().to_csv(temporary, index=False)
-        drawn = pictures.prediction(result.prediction, result.record, result.method)
-        pictures.save(drawn, new / "forecast.png")
-        page.of_forecast(result, new / page.NAME, usage)
-        save_settings(result.forecaster, result.record, new)
+        page.of_forecast(result, new / PAGE, usage)
         result.model.save(new / MODEL_FOLDER)
-        facts = forecast_facts(result) | {"time": result.time.as_json()}
+        facts = forecast_facts(result) | {"time": result.clock.as_json()}
         write_facts(new, facts)
 
 
@@ -252,32 +251,36 @@ def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
 
 def _median(comparison: Comparison, name: str) -> dict[str, Any]:
     """Return the errors of the median over seeds, which is the method's prediction."""
-    run = comparison.medians[name]
-    facts: dict[str, Any] = {"total_rmse": run.total_rmse}
-    facts |= {} if run.forecast is None else {"forecast_rmse": run.forecast_rmse}
-    return facts | ({"test_rmse": [*run.errors.tests]} if run.tests else {})
+    fit = comparison.medians[name]
+    errors = comparison.errors(fit)
+    facts: dict[str, Any] = {"total_rmse": errors.total}
+    facts |= {} if fit.forecast is None else {"forecast_rmse": errors.forecast}
+    return facts | ({"test_rmse": [*errors.tests]} if fit.tests else {})
 
 
-def _method(runs: Sequence[Run]) -> dict[str, Any]:
+def _method(comparison: Comparison, name: str) -> dict[str, Any]:
+    fits: Sequence[Fit] = comparison.fits[name]
+    first, errors = fits[0], [comparison.errors(fit) for fit in fits]
     facts: dict[str, Any] = {
-        "seeds": [r.seed for r in runs],
-        "total_rmse": [r.total_rmse for r in runs],
-        **({} if runs[0].forecast is None else {"forecast_rmse": [r.forecast_rmse for r in runs]}),
-        **({"test_rmse": [[*r.errors.tests] for r in runs]} if runs[0].tests else {}),
-        "seconds": [r.fit.seconds for r in runs],
+        "seeds": [fit.seed for fit in fits],
+        "total_rmse": [each.total for each in errors],
+        **({} if first.forecast is None else {"forecast_rmse": [e.forecast for e in errors]}),
+        **({"test_rmse": [[*each.tests] for each in errors]} if first.tests else {}),
+        "seconds": [fit.report.seconds for fit in fits],
     }
-    for name in ("total_rmse", "forecast_rmse"):
-        if name not in facts:
+    for error in ("total_rmse", "forecast_rmse"):
+        if error not in facts:
             continue
-        values = facts[name]
+        values = facts[error]
         spread = statistics.stdev(values) if len(values) > 1 else None
-        facts[f"{name}_mean"], facts[f"{name}_std"] = statistics.mean(values), spread
-    if any(r.leaves is not None for r in runs):
-        facts["leaves_training_range_after"] = [r.leaves for r in runs]
-    if runs[0].description:
-        facts["description"] = runs[0].description
-    if runs[0].fit.parameters:
-        facts["parameters"] = runs[0].fit.parameters
-    if runs[0].fit.losses:
-        facts["final_loss"] = [{k: v[-1] for k, v in r.fit.losses.items()} for r in runs]
+        facts[f"{error}_mean"], facts[f"{error}_std"] = statistics.mean(values), spread
+    if (left := comparison.leaves(name)) is not None:
+        facts["leaves_training_range_after"] = left
+    if first.description:
+        facts["description"] = first.description
+    if first.report.parameters:
+        facts["parameters"] = first.report.parameters
+    if first.report.losses:
+        of_fits = [fit.report.losses for fit in fits]
+        facts["final_loss"] = [{k: v[-1] for k, v in each.items()} for each in of_fits]
     return facts

@@ -16,8 +16,8 @@ import pandas as pd
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Run
 from splitband.evaluation.recommendation import LEVEL, WORTH_TRAINING, Trial
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.report.numbers import aligned, decimals, number, percent
@@ -139,7 +139,7 @@ def columns(comparison: Comparison) -> list[Column]:
     Errors are of the median of the seeds' predictions, which is the method's prediction, for each
     output separately. Their spread is the standard deviation of the single seeds' errors.
     """
-    runs, record, ahead = comparison.runs, comparison.record, bool(comparison.predictions)
+    runs, record, ahead = comparison.fits, comparison.record, bool(comparison.predictions)
     found: list[Column] = []
     for i, test in enumerate(comparison.tests):
         tested = _errors(comparison, ("test fit %", "test RMSE"), test, of_test(i))
@@ -156,7 +156,7 @@ def columns(comparison: Comparison) -> list[Column]:
     if any(len(of_method) > 1 for of_method in runs.values()):
         counts = {name: float(len(of_method)) for name, of_method in runs.items()}
         found.append(Column("trainings", "count", counts, ranked=False))
-    seconds = {name: statistics.mean(r.fit.seconds for r in rs) for name, rs in runs.items()}
+    seconds = {name: statistics.mean(r.report.seconds for r in rs) for name, rs in runs.items()}
     found.append(Column("fit (s)", "seconds", seconds, ranked=False))
     importance = [*NOTES]
     return sorted(found, key=lambda column: importance.index(column.heading))
@@ -171,7 +171,7 @@ def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
 
 def tried(trial: Trial, record: Record, methods: Sequence[str]) -> list[Column]:
     """Return the columns of a trial: score and held-out error."""
-    scores = {name: trial.worth(name) for name in methods if name in trial.final}
+    scores = {name: trial.worth(name) for name in methods if name in (trial.final or trial.scores)}
     held_out = {name: trial.errors[name] for name in methods}
     return [Column("score", "deviation", scores), *_by_channel("held-out RMSE", held_out, record)]
 
@@ -182,17 +182,17 @@ def remarks(comparison: Comparison) -> dict[str, str]:
     The methods are in the order of the table's rows.
     """
     found = {}
-    for name in ordered(comparison.trial, comparison.runs):
-        runs = comparison.runs[name]
-        found[name] = "; ".join(filter(None, (leaving_range(runs), runs[0].description)))
+    for name in ordered(comparison.trial, comparison.fits):
+        left = leaving_range(comparison, name)
+        found[name] = "; ".join(filter(None, (left, comparison.fits[name][0].description)))
     missing = {} if comparison.trial is None else comparison.trial.without_result
     return found | {name: why for name, why in missing.items() if name not in found}
 
 
-def leaving_range(runs: Sequence[Run]) -> str:
-    """Return when the first forecast of a seed leaves the training range, in words; else empty."""
-    left = [run.leaves for run in runs if run.leaves is not None]
-    return leaving(min(left)) if left else ""
+def leaving_range(comparison: Comparison, name: str) -> str:
+    """Return when a forecast of a method leaves the training range, in words; else empty."""
+    left = comparison.leaves(name)
+    return "" if left is None else leaving(left)
 
 
 def frame(result: Comparison) -> pd.DataFrame:
@@ -205,7 +205,7 @@ def frame(result: Comparison) -> pd.DataFrame:
             table[f"{column.title}, spread"] = column.spreads
     table["note"] = notes
     if result.trial is not None:
-        table["recommended"] = {name: name == result.recommended for name in result.runs}
+        table["recommended"] = {name: name == result.recommended for name in result.fits}
     return pd.DataFrame(table, index=[*notes]).rename_axis("method")
 
 
@@ -247,11 +247,11 @@ def _errors(
     comparison: Comparison,
     headings: tuple[str, str],
     record: Record,
-    predicted: Callable[[Run], Prediction | None],
+    predicted: Callable[[Fit], Prediction | None],
 ) -> list[Column]:
     """Return the columns of fit and RMSE on a record, of each method's median over seeds."""
     fits, errors, spreads = {}, {}, {}
-    for name, runs in comparison.runs.items():
+    for name, runs in comparison.fits.items():
         median = predicted(comparison.medians[name])
         if median is None:
             continue
@@ -267,7 +267,7 @@ def _errors(
     ]
 
 
-def of_test(i: int) -> Callable[[Run], Prediction | None]:
+def of_test(i: int) -> Callable[[Fit], Prediction | None]:
     """Return a function that gives a run's prediction of the i-th test record, or None."""
     return lambda run: run.tests[i] if run.tests else None
 

@@ -59,7 +59,7 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     fits = [column for column in listed if column.heading == f"{side} fit %"]
     errors = [column for column in listed if column.heading == f"{side} RMSE"]
     held = {c.channel: c for c in listed if c.heading == "in interval"}
-    ahead = len(comparison.record) - comparison.setup.train
+    ahead = len(comparison.record) - comparison.plan.train
     found = []
     for fit, error in zip(fits, errors, strict=True):
         of = f"test record {fit.record}" if fit.record else f"forecast of {ahead:,} samples"
@@ -137,9 +137,9 @@ def doubts(comparison: Comparison) -> list[str]:
 def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers."""
     best, record = comparison.recommended, comparison.record
-    left = leaving_range(comparison.runs[best])
+    left = leaving_range(comparison, best)
     said = [f"{best}: {left}"] if left else []
-    train = comparison.setup.train
+    train = comparison.plan.train
     if (held_out := train - first_held_out(train)) < FEW:
         said.append(
             f"The method was chosen by {held_out} held-out samples, which are too few to tell "
@@ -159,8 +159,8 @@ def warnings(comparison: Comparison) -> list[str]:
         said += [f"{test.name}: {message}" for message in prediction.warnings]
     said += [
         f"{name}: {note}"
-        for name, runs in comparison.runs.items()
-        for note in dict.fromkeys(note for run in runs for note in run.fit.notes)
+        for name, runs in comparison.fits.items()
+        for note in dict.fromkeys(note for run in runs for note in run.report.notes)
     ]
     if comparison.left_out:
         said.append(

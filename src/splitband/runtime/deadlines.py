@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from pathlib import Path
 
 
 def now() -> float:
@@ -22,20 +20,6 @@ class DeadlineError(Exception):
 
     def __init__(self) -> None:
         super().__init__("the time was over before its fit was done")
-
-
-def process_began() -> float:
-    """Return when this process was started, by the clock of `now`; only roughly outside Linux.
-
-    There it is estimated from the CPU time, as if the process had never been idle.
-    """
-    try:
-        said = Path("/proc/self/stat").read_text(encoding="ascii")
-        ticks = float(said.rpartition(")")[2].split()[19])
-        uptime = float(Path("/proc/uptime").read_text(encoding="ascii").split()[0])
-        return now() - max(uptime - ticks / os.sysconf("SC_CLK_TCK"), 0.0)
-    except (OSError, ValueError, IndexError):
-        return now() - time.process_time()
 
 
 @dataclass(frozen=True, order=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import PurePath
 from types import FunctionType
 from typing import Any, TypeVar
@@ -106,7 +107,13 @@ def _parameters(value: object) -> list[inspect.Parameter]:
     left = {f.name for f in fields(value) if not f.repr} if is_dataclass(value) else set()
     if type(value).__init__ is object.__init__:
         return []
-    return [p for p in inspect.signature(type(value)).parameters.values() if p.name not in left]
+    kind: Any = type(value)
+    return [p for p in _constructor(kind) if p.name not in left]
+
+
+@cache  # a table of methods asks hundreds of times for the same few
+def _constructor(kind: type) -> tuple[inspect.Parameter, ...]:
+    return tuple(inspect.signature(kind).parameters.values())
 
 
 def _is_own(value: object) -> bool:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import threadpoolctl
-import torch
 
 _DRAWING, _WARNING = threading.RLock(), threading.RLock()
 
@@ -18,8 +18,13 @@ def use_one_thread() -> None:
     """Limit this process to one thread from now on, as parallel runs are one process each.
 
     This holds for torch, whose count the fused kernels take, and for the BLAS of NumPy and SciPy.
+    What has not loaded torch yet has nothing to limit: a job with a network loads it on arrival,
+    and enters `one_thread` then.
     """
-    torch.set_num_threads(1)
+    if _torch_is_loaded():
+        import torch  # noqa: PLC0415  what uses no network does not load it
+
+        torch.set_num_threads(1)
     threadpoolctl.threadpool_limits(1, user_api="blas")
 
 
@@ -27,10 +32,15 @@ def use_one_thread() -> None:
 def one_thread() -> Iterator[None]:
     """Compute on one thread in this context, as with `use_one_thread`, then on as many as before.
 
-    Several threads may be in it at the same time.
+    Several threads may be in it at the same time. Torch is limited where it has been loaded
+    before: networks, which need it, load it when they are created.
     """
-    with one_torch_thread(), _ONE_BLAS_THREAD.entered():
+    with one_torch_thread() if _torch_is_loaded() else nullcontext(), _ONE_BLAS_THREAD.entered():
         yield
+
+
+def _torch_is_loaded() -> bool:
+    return "torch" in sys.modules
 
 
 class _OneBlasThread:
@@ -75,6 +85,8 @@ def one_torch_thread() -> Iterator[None]:
 
     Its other threads would spin for milliseconds on the cores that the kernels need.
     """
+    import torch  # noqa: PLC0415  what uses no network does not load it
+
     count = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -86,6 +98,8 @@ def one_torch_thread() -> Iterator[None]:
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Seed torch's random numbers in this context, safe from other threads; then restore them."""
+    import torch  # noqa: PLC0415  what uses no network does not load it
+
     with _DRAWING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 import splitband
 from splitband.runtime.options import saved
+from splitband.simulators.starting import Start, check_start
 
 _SHOWN = 300
 """Most characters of a text from a file in messages. By eye."""
@@ -26,12 +27,15 @@ class Absent:
     fingerprint : Result of the simulator's `fingerprint()` (or `digest()` if fitted), by which a
         different simulator is detected; None without one.
     fitted : Whether its parameters were fitted; other parameter values are then no difference.
+    start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
+        has time stamps of its own.
     """
 
     kind: str
     file: str = ""
     fingerprint: str | None = None
     fitted: bool = False
+    start: Start | None = None
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -43,6 +47,7 @@ class Absent:
                 f"a simulator must have a class and the name of a file, got "
                 f"{self.kind[:60]!r} and {self.file[:60]!r}"
             )
+        vars(self)["start"] = check_start(self.start)
 
     @classmethod
     def of(cls, simulator: Any, fitted: bool = False) -> Absent:
@@ -54,7 +59,9 @@ class Absent:
         if fingerprint is not None and fitted and hasattr(simulator, "digest"):
             fingerprint = simulator.digest()
         said = None if fingerprint is None else str(fingerprint)
-        return cls(type(simulator).__name__, file, said, fitted)
+        begins = getattr(simulator, "start", None) or 0.0
+        start = None if getattr(simulator, "own_times", False) else begins
+        return cls(type(simulator).__name__, file, said, fitted, start)
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError; the message says which simulator to pass, and how."""
@@ -64,6 +71,16 @@ class Absent:
             f"simulator must be given: this model was saved with the simulator {self}; pass it: "
             f"sb.load(folder, simulator={how})"
         )
+
+    def check_start_of(self, given: Any) -> None:
+        """Raise ValueError if `given` begins at another time than the described simulator."""
+        other = Absent.of(given).start
+        if self.start is not None and other is not None and self.start != other:
+            raise ValueError(
+                f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
+                f"which the model was saved, got start={json.dumps(other)}; fit the model again "
+                "for another start"
+            )
 
     def difference(self, given: Any) -> str:
         """Return a sentence if `given` is not the described simulator, else an empty string.

@@ -19,7 +19,7 @@ from splitband.data import Grid, Stamp
 from splitband.runtime.arrays import Array
 from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.recorded import Recorded
-from splitband.simulators.starting import is_driven, origin
+from splitband.simulators.starting import check_undriven, is_driven, origin
 
 
 class SimulatorError(RuntimeError):
@@ -133,6 +133,8 @@ def run(
 def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> Array | None:
     """Return the inputs of a run, `(samples, nu)`; None for a simulator that takes none."""
     if not is_driven(simulator):
+        if u is not None:
+            check_undriven(simulator, name)
         return None
     if u is None:
         return np.empty((samples, 0))

@@ -329,6 +329,6 @@ def _first_states(count: int, x: Array) -> Array:
 
 
 def _solver(rhs: Callable[..., Any], compiled: bool) -> Callable[..., Array]:
-    from splitband.kernels.ode import solver  # noqa: PLC0415  which loads torch: seconds
+    from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
 
     return solver(rhs, count_arguments(rhs), compiled)

@@ -74,10 +74,10 @@ def arguments_of(file: str | Path, name: str) -> int | None:
     return wanted_arguments(names, len(names) - len(given.defaults))
 
 
-def unnamed_in(file: str | Path, name: str) -> list[str]:
+def open_arguments_in(file: str | Path, name: str, inputs: Sequence[str]) -> list[str]:
     """Return the arguments of a `def name` at module level that may be a record's inputs.
 
-    See `check_unnamed`; nothing is run.
+    See `check_open`; nothing is run.
     """
     given = _signature_in(file, name)
     if given is None:
@@ -85,20 +85,23 @@ def unnamed_in(file: str | Path, name: str) -> list[str]:
     placed = [*given.posonlyargs, *given.args][-len(given.defaults) :] if given.defaults else []
     pairs = [*zip(placed, given.defaults, strict=True),
              *zip(given.kwonlyargs, given.kw_defaults, strict=True)]  # fmt: skip
-    return [arg.arg for arg, default in pairs
-            if isinstance(default, ast.Constant) and default.value is None]  # fmt: skip
+    found = [f"{arg.arg}={ast.unparse(default)}" for arg, default in pairs if default is not None
+             and (ast.unparse(default) == "None" or arg.arg in inputs)]  # fmt: skip
+    found += [f"*{given.vararg.arg}"] if given.vararg else []
+    return found + ([f"**{given.kwarg.arg}"] if given.kwarg else [])
 
 
-def check_unnamed(names: Sequence[str], what: str) -> None:
+def check_open(arguments: Sequence[str], what: str) -> None:
     """Raise ValueError if the user's code has arguments that may be a record's inputs.
 
-    These are the `names` of arguments with the default None, of code that is not driven.
+    These are `arguments` with the default None, with the name of an input, or any number of
+    them, of code that is not driven.
     """
-    if names:
+    if arguments:
         raise ValueError(
-            f"simulator {what} must say whether its argument {names[0]}=None is the record's "
-            "inputs, which it would not get: call it u, without a * before it, or else remove its "
-            "default"
+            f"simulator {what} must say whether its argument {arguments[0]} is the record's "
+            "inputs, which it would not get: call it u, without a * before it, or else remove it "
+            "or its default"
         )
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
 from splitband.data import Stamp
+from splitband.data.names import bare_name
 from splitband.data.timing import in_words, seconds_of
-from splitband.simulators.sources import check_unnamed, wanted_arguments
+from splitband.simulators.sources import check_open, wanted_arguments
 
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
@@ -53,10 +54,23 @@ def matched(
             "or leave the argument out"
         )
     if inputs and not driven:
-        code = [] if hasattr(found, "driven") else [getattr(found, "simulate", None)]
-        code = getattr(found, "code", code)
-        check_unnamed([each for function in code for each in _unnamed(function)], name)
+        check_undriven(found, name, inputs)
     return found
+
+
+def check_undriven(simulator: Any, name: str, inputs: Sequence[str] = ()) -> None:
+    """Raise ValueError for a simulator that is not driven, but may be meant to take the inputs."""
+    code = [] if hasattr(simulator, "driven") else [getattr(simulator, "simulate", None)]
+    named = {bare_name(each) for each in inputs}
+    for function in getattr(simulator, "code", code):
+        arguments = [each for each in _arguments(function).values() if _is_open(each, named)]
+        check_open([str(each.replace(annotation=each.empty)) for each in arguments], name)
+
+
+def _is_open(argument: inspect.Parameter, inputs: Collection[str]) -> bool:
+    """Return whether an argument that can be left out may be a record's inputs."""
+    gathers = argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD)
+    return gathers or argument.default is None or argument.name in inputs
 
 
 def check_places(function: Any, *places: str) -> None:
@@ -111,8 +125,3 @@ def _arguments(function: Any) -> Mapping[str, inspect.Parameter]:
         return inspect.signature(function).parameters
     except (TypeError, ValueError):
         return {}
-
-
-def _unnamed(function: Any) -> list[str]:
-    """Return the arguments of a function that may be inputs, see `check_unnamed`."""
-    return [name for name, each in _arguments(function).items() if each.default is None]

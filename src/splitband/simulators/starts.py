@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,6 +21,7 @@ import scipy
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, DeadlineError, current, within
 from splitband.runtime.files import write_json
+from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.shooting import BAD, Shooting, fit_key
 
 STARTS = 32
@@ -113,28 +113,21 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
 def _side_by_side(
     work: Any, batch: Sequence[int], workers: int | Executor
 ) -> Iterator[StartOutcome]:
-    """Yield the outcomes of several starts; a start whose process died has failed.
-
-    If a process dies, its start is unknown: all starts without an outcome are tried again one by
-    one.
-    """
-    from splitband.runtime.processes import Processes, map_jobs  # noqa: PLC0415  which loads torch
-
-    if workers == 1:
-        yield from map_jobs(work, batch)
-        return
-    left = [*batch]
-    with nullcontext(workers) if isinstance(workers, Executor) else Processes(workers) as staff:
-        try:
-            for outcome in map_jobs(work, batch, staff):
-                left.remove(outcome.number)
-                yield outcome
-        except OSError:
-            for number in left:
-                try:
-                    yield from map_jobs(work, [number], staff)
-                except OSError as error:
-                    yield StartOutcome(number, failure=f"{type(error).__name__}: {error}")
+    """Yield the outcomes of several starts; a start whose process has ended has failed."""
+    own = Workers(workers) if isinstance(workers, int) and workers > 1 else None
+    executor = workers if isinstance(workers, Executor) else own
+    try:
+        for number, future in run_jobs(work, batch, executor):
+            error = future.exception()
+            if error is None:
+                yield future.result()
+            elif said := ended_from_outside(error):
+                yield StartOutcome(number, failure=said)
+            else:
+                raise error
+    finally:
+        if own is not None:
+            own.shutdown()
 
 
 def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
@@ -151,7 +144,6 @@ def _try(
     points: Array,
     deadline: Deadline,
     number: int,
-    _: Callable[[Any], None],
 ) -> StartOutcome:
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)

@@ -1,7 +1,8 @@
-"""Train networks: windows, settings and recipes, the fit, checkpoints."""
+"""Train networks: windows, settings and recipes, the fit, checkpoints.
 
-from splitband.training.checkpoints import Checkpoint
-from splitband.training.loop import History, Progress, fit
-from splitband.training.settings import Settings, default_warmup
+What is handed out stands in `__init__.pyi`, and is loaded when it is used: `fit` needs torch.
+"""
 
-__all__ = ["Checkpoint", "History", "Progress", "Settings", "default_warmup", "fit"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

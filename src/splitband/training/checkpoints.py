@@ -6,22 +6,24 @@ that is damaged, or was written by another training, is ignored.
 
 from __future__ import annotations
 
-import hashlib
 import time
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
 import safetensors
-import safetensors.torch
-from torch import Tensor
 
 from splitband.runtime.files import replacing
+from splitband.runtime.keys import key_of
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MOST_OVERHEAD = 0.05
 """Share of the time that may go into checkpoints."""
 
-State = dict[str, Tensor]
+State: TypeAlias = "dict[str, Tensor]"
 
 
 def below(state: State, prefix: str) -> State:
@@ -60,6 +62,8 @@ class Checkpoint:
         If it cannot be written, for instance on a full disk, there is a warning, training goes on
         and the old file stays.
         """
+        import safetensors.torch  # noqa: PLC0415  there is a state to write where there is torch
+
         began = time.monotonic()
         if began < self._next and not last:
             return
@@ -77,16 +81,3 @@ class Checkpoint:
 def _sum(state: Mapping[str, Tensor]) -> str:
     """Return a hash of the state, which detects damage."""
     return key_of(*(part for name in sorted(state) for part in (name, state[name])))
-
-
-def key_of(*parts: object) -> str:
-    """Return a hash of all that a training depends on: only the same training has the same key."""
-    digest = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, Tensor):
-            digest.update(str((part.dtype, tuple(part.shape))).encode())
-            digest.update(part.detach().cpu().contiguous().numpy().tobytes())
-        else:
-            digest.update(repr(part).encode())
-        digest.update(b"\0")
-    return digest.hexdigest()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -13,36 +12,13 @@ import torch
 from splitband.data import Record
 from splitband.models import Model
 from splitband.runtime.deadlines import Deadline, current
+from splitband.runtime.keys import key_of
 from splitband.runtime.memory import freed_memory_kept
-from splitband.training.checkpoints import Checkpoint, State, below, key_of
+from splitband.training.checkpoints import Checkpoint, State, below
 from splitband.training.network import DIVERGED, MOST_RESTARTS, NetworkTraining
+from splitband.training.progress import History, Progress
 from splitband.training.settings import Settings
 from splitband.training.windows import joined, windows_in
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Report the progress of a training, after each epoch."""
-
-    task: str
-    epoch: int
-    epochs: int
-    loss: float
-    share: float
-    """Share of the whole training that is done, 0 to 1."""
-
-
-@dataclass
-class History:
-    """Hold the mean loss of each epoch by task, and the run time of a training."""
-
-    losses: dict[str, list[float]] = field(default_factory=dict)
-    """The losses of the epochs, followed by those of the rounds of L-BFGS in the same unit."""
-    seconds: float = 0.0
-    notes: list[str] = field(default_factory=list)
-    """What went wrong in training, in words."""
-    cut: bool = False
-    """Whether a deadline ended the training early."""
 
 
 def fit(

@@ -14,7 +14,7 @@ from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
 from splitband.training.checkpoints import State, below
 from splitband.training.optimizers import Adam
-from splitband.training.settings import Settings
+from splitband.training.settings import ROUND, Settings
 from splitband.training.windows import WindowSet, select, targets, windows
 
 DIVERGED = 100.0
@@ -114,7 +114,7 @@ class NetworkTraining:
         """Return the gradient steps so far; an iteration of L-BFGS counts as one."""
         rounds = max(0, len(self.losses) - self.settings.epochs)
         batches = self.settings.batches(len(self.starts))
-        return batches * (len(self.losses) - rounds) + quasi_newton.ROUND * rounds
+        return batches * (len(self.losses) - rounds) + ROUND * rounds
 
     def state(self) -> State:
         """Return all that the next epoch depends on, and the losses so far."""
@@ -224,7 +224,9 @@ class NetworkTraining:
 
     def _quasi_newton(self) -> quasi_newton.QuasiNewton:
         settings = self.settings
-        chosen = quasi_newton.end_to_end(self.starts, settings.window, settings.warmup)
+        chosen = quasi_newton.end_to_end(
+            self.starts, settings.window, settings.warmup, settings.most_samples
+        )
         error = partial(self._mean_square, chosen)
         return quasi_newton.QuasiNewton([*self.task.network.parameters()], error, self.deadline)
 

@@ -17,10 +17,10 @@ from torch import Tensor, nn
 from splitband.runtime.deadlines import Deadline
 from splitband.training.checkpoints import State
 from splitband.training.optimizers import LBFGS
+from splitband.training.settings import ROUND
 
-ROUND, ROUND_IN_FLOAT64 = 20, 12
-"""Iterations of a round, in float64 as many as take about as long as those in float32. Checkpoints
-are written between rounds, not within them."""
+ROUND_IN_FLOAT64 = 12
+"""Iterations of a round in float64: they take about as long as `ROUND` of them in float32."""
 MEMORY = 30
 """Steps from which the curvature is estimated."""
 CONVERGED = 1e-5
@@ -30,15 +30,13 @@ HALVED = 20_000
 half."""
 UNBOUNDED = 1e10
 """Multiple of the first loss that replaces larger and non-finite losses."""
-MOST_SAMPLES = 100_000
-"""Samples in all windows together, warm-ups included. Above it, windows are subsampled evenly."""
 
 _LISTS = ("old_dirs", "old_stps", "ro")
 _TENSORS = ("d", "prev_flat_grad", *_LISTS)
 _NUMBERS = ("n_iter", "t", "H_diag", "prev_loss")
 
 
-def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
+def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> Tensor:
     """Choose from the first samples of all windows as few as are needed to predict every sample.
 
     The warm-up of a window lies in the predicted part of the window before it. In short records
@@ -52,15 +50,9 @@ def end_to_end(starts: Tensor, window: int, warmup: int) -> Tensor:
             chosen.append(start)
     if int(starts[-1]) != chosen[-1]:
         chosen.append(int(starts[-1]))
-    most = max(1, MOST_SAMPLES // window)
+    most = max(1, most_samples // window)
     kept = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
     return torch.tensor(chosen)[kept]
-
-
-def samples_in_a_step(samples: int, window: int, warmup: int) -> int:
-    """Return the total number of samples in the windows that `end_to_end` chooses from a record."""
-    places = max(samples - window + 1, 1)
-    return min(-(-places // _hop(places, window, warmup)) * window, MOST_SAMPLES)
 
 
 def _hop(places: int, window: int, warmup: int) -> int:

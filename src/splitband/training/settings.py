@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from splitband.runtime.arguments import whole
 from splitband.runtime.options import WithRepr, saved
-from splitband.training.quasi_newton import ROUND
 
+ROUND = 20
+"""Iterations of a round of L-BFGS. Checkpoints are written between rounds, not within them."""
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 SHORTEST_WINDOW = 150
@@ -41,6 +42,8 @@ class Settings(WithRepr):
     most_batches : Largest number of steps per epoch, with windows drawn anew in each epoch.
     quasi_newton : Iterations of L-BFGS after the epochs; fewer if it converges before. See
         `training.quasi_newton`.
+    most_samples : Of all windows together in an iteration of L-BFGS, warm-ups included; above it,
+        windows are left out evenly.
     penalty : Weight of the sum of squared weights in the loss, relative to the mean squared error
         of the scaled channels (ridge regression). It helps with few samples.
     linear_start : Networks with a linear part begin as the linear model of the record.
@@ -58,13 +61,14 @@ class Settings(WithRepr):
     normalize: bool = True
     most_batches: int | None = None
     quasi_newton: int | None = None
+    most_samples: int = 100_000
     penalty: float = 0.0
     linear_start: bool = True
 
     def __post_init__(self) -> None:
         """Check ranges."""
         given = [n for n in ("most_batches", "quasi_newton") if getattr(self, n) is not None]
-        for name in ("window", "warmup", "epochs", "batch_size", *given):
+        for name in ("window", "warmup", "epochs", "batch_size", "most_samples", *given):
             least = 0 if name == "epochs" else 1
             object.__setattr__(self, name, whole(name, getattr(self, name), least))
         if not self.epochs and not self.quasi_newton:
@@ -125,8 +129,16 @@ class Settings(WithRepr):
 
     @property
     def rounds(self) -> int:
-        """Return the number of rounds of `quasi_newton.ROUND` iterations after the epochs."""
+        """Return the number of rounds of `ROUND` iterations after the epochs."""
         return -(-(self.quasi_newton or 0) // ROUND)
+
+    def after(self, earlier: Settings | None) -> Settings:
+        """Return the settings of a training and the one that it went on from, for tables."""
+        if earlier is None:
+            return self
+        iterations = (earlier.quasi_newton or 0) + (self.quasi_newton or 0)
+        epochs = earlier.epochs + self.epochs
+        return replace(self, epochs=epochs, quasi_newton=iterations or None)
 
     def steps_in_words(self) -> str:
         """Describe the length of the training, for tables."""

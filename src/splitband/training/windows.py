@@ -1,4 +1,4 @@
-"""Cut windows from training records: their possible places, and views of the signals in them."""
+"""Cut windows from training records: views of the signals in them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from splitband.data import Record
 from splitband.models import Signals, Task
+from splitband.training.places import checked_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,38 +33,9 @@ def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet
 
     Raises ValueError for a record shorter than a window, and where gaps leave no window.
     """
-    shortest = min(records, key=len)
-    if len(shortest) < window:
-        named = f" {shortest.name}" if len(records) > 1 and shortest.name else ""
-        raise ValueError(
-            f"window must fit into the training record{named} of {len(shortest)} samples, "
-            f"got {window}"
-        )
-    starts = window_starts(records, window, warmup)
-    if not len(starts):
-        raise ValueError(
-            f"warmup must fit between the gaps of the training record, got {warmup} samples"
-        )
+    starts = checked_starts(records, window, warmup)
     seen = np.concatenate([~np.isnan(record.seen) for record in records])
     return WindowSet(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
-
-
-def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
-    """Return the first samples of all possible windows, counted over the records."""
-    lengths = [len(record) for record in records]
-    complete = np.concatenate([record.complete for record in records])
-    something = np.concatenate([(~np.isnan(record.seen)).any(axis=1) for record in records])
-    inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
-    warm = _counts(complete, 0, warmup) == warmup
-    return np.flatnonzero(inside & warm & (_counts(something, warmup, window) > 0))
-
-
-def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:
-    """Count how many of the values from `begin` to `end` after each index are true."""
-    count = np.concatenate([[0], np.cumsum(true)])
-    index, last = np.arange(len(true)), len(true)
-    counted = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
-    return np.asarray(counted)
 
 
 def joined(tasks: Sequence[Task]) -> Task:

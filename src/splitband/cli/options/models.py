@@ -61,12 +61,17 @@ Methods = Annotated[
 Seeds = Annotated[
     int | None, _training("Trainings of each network; the median is used.", "N", "1 to 8", min=1)
 ]
-SettingsFile = Annotated[
-    Path | None, _training("Train as recommended.json of an earlier run says.", "FILE", False)
+Like = Annotated[
+    Path | None,
+    _training("Train as the model of an earlier run was, with its settings alone.", "DIR", False),
 ]
 Device = Annotated[str, _training("Train networks on cpu, cuda, cuda:1, ...", "NAME")]
 Budget = Annotated[str | None, _time("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]
-Effort = Annotated[str | None, _time("Limit work, not time: reproducible results.", "TIME", False)]
+Rounds = Annotated[
+    int | None,
+    _time("Rounds of the search, in place of a time: the same anywhere.", "N", False, min=1),
+]
+Seed = Annotated[int, _time("Of all random numbers.", "N", min=0)]
 Jobs = Annotated[int | None, _time("Trainings at once, one on each core.", "N", "all cores", min=1)]
 Cluster = Annotated[
     str | None, _time("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS", False)
@@ -106,5 +111,6 @@ class ModelOptions:
         _training("Hidden units of the fast and the slow network.", "HIGH,LOW", "32,16"),
     ] = None
     budget: Budget = None
-    effort: Effort = None
+    rounds: Rounds = None
+    seed: Seed = 0
     device: Device = "cpu"

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.protocols import Run
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.prediction import Prediction
 from splitband.report import words
 from splitband.report.numbers import number
-from splitband.report.page import tables
+from splitband.report.page import linear, tables
 from splitband.report.page.check import residual_tests
 from splitband.report.page.curves import losses, spectrum
 from splitband.report.page.parts import Method, Page, Plot, Section, Usage, View, method_styles
@@ -23,9 +23,9 @@ from splitband.runtime.arrays import Array
 def page(comparison: Comparison, used: Usage) -> Page:
     """Return the whole page: the answer first, then the other methods, then details."""
     record, trial, best = comparison.record, comparison.require_trial(), comparison.recommended
-    styles = method_styles(ordered(trial, comparison.runs), best)
+    styles = method_styles(ordered(trial, comparison.fits), best)
     answer, errors = _predicted(comparison, styles)
-    kind = words.in_words(best, comparison.forecasters)
+    kind = words.in_words(best, comparison.methods)
     sections = [
         Section(
             "answer", f"Recommended: {words.named(best, kind)}", words.afterwards(comparison),
@@ -34,9 +34,10 @@ def page(comparison: Comparison, used: Usage) -> Page:
             plots=[plot for each in answer for plot in (*each.outputs(), *each.inputs())],
         ),
         *tables.next_steps(used),
-        Section("methods", "All methods", [" ".join(words.why(trial, comparison.setup.train))],
+        Section("methods", "All methods", [" ".join(words.why(trial, comparison.plan.train))],
                 tables=[tables.methods(comparison)]),
         _residuals(comparison, answer),
+        *_linear(comparison),
         Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
         *_further(comparison, styles),
         _bands(comparison),
@@ -49,13 +50,13 @@ def page(comparison: Comparison, used: Usage) -> Page:
 
 def _shared(comparison: Comparison) -> dict[str, object]:
     """Return the settings that all methods share, without those that a search found for each."""
-    setup = comparison.setup
-    facts = {**setup.as_json(), "choice": None}
-    if setup.search is None:
+    plan = comparison.plan
+    facts = {**plan.as_json(), "choice": None}
+    if not plan.searched:
         return facts
-    found = {"settings", *asdict(setup.sizes)}
+    found = {"settings", *asdict(plan.sizes)}
     kept = {name: value for name, value in facts.items() if name not in found}
-    return kept | {"warmup": setup.settings.warmup}
+    return kept | {"warmup": plan.settings.warmup}
 
 
 _HORIZON = (
@@ -72,7 +73,7 @@ def _predicted(
     They are those of the test records, else the forecast, else the simulation of the record.
     """
     record, medians = comparison.record, comparison.medians
-    takes: list[tuple[Callable[[Run], Prediction | None], Predicted]] = []
+    takes: list[tuple[Callable[[Fit], Prediction | None], Predicted]] = []
     for i, test in enumerate(comparison.tests):
         tested = {name: run.tests[i] for name, run in medians.items() if run.tests}
         says = f"simulation of the test record {test.name}"
@@ -90,7 +91,7 @@ def _predicted(
         takes.append((lambda run: run.from_start, found))
     plots = []
     for take, shown in takes:
-        each = {n: [p for r in comparison.runs[n] if (p := take(r))] for n in shown.predictions}
+        each = {n: [p for r in comparison.fits[n] if (p := take(r))] for n in shown.predictions}
         plots += shown.errors(each)
     return [shown for _, shown in takes], plots
 
@@ -100,6 +101,12 @@ def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
     tested = residual_tests(comparison.residual_tests())
     plots = [*tested.plots, *(plot for each in answer for plot in each.residuals())]
     return Section("residuals", "Residuals", tested.words, plots=plots, folded=True)
+
+
+def _linear(comparison: Comparison) -> list[Section]:
+    """Return the section of the linear model, if it is one of the methods."""
+    fitted = [fit.fitted for fits in comparison.fits.values() for fit in fits]
+    return [linear.section(each, model) for each in fitted if (model := each.linear_model())]
 
 
 def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
@@ -125,8 +132,8 @@ def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Secti
 
 def _bands(comparison: Comparison) -> Section:
     """Return the section of the spectrum and the cut-off between the bands."""
-    bands = comparison.setup.bands
-    part = comparison.record[: comparison.setup.train]
+    bands = comparison.plan.bands
+    part = comparison.record[: comparison.plan.train]
     text = []
     if bands.cutoff is not None:
         text.append(
@@ -143,10 +150,10 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
 
     Their first samples, the warm-up, are the record's.
     """
-    train, record = comparison.setup.train, comparison.record
+    train, record = comparison.plan.train, comparison.record
     found: dict[str, Array] = {}
-    for name, method in comparison.forecasters.items():
-        run = comparison.runs[name][0]
+    for fits in comparison.fits.values():
+        run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
         slow = [part.as_base for part in parts_of(method).values()]
         for label in [base.label for base in slow if base.before and base.label in parts]:
@@ -159,7 +166,7 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
 def _trained(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
     """Return the sections of training curves and of the search."""
     sections = []
-    plots = losses(comparison.runs, styles)
+    plots = losses(comparison.fits, styles)
     if plots:
         text = ["Loss over the epochs of each training, for the networks that are switched on. A "
                 "line that still falls at its end would gain from a longer training."]  # fmt: skip
@@ -173,7 +180,7 @@ def _trained(comparison: Comparison, styles: Mapping[str, Method]) -> list[Secti
 
 def _views(comparison: Comparison, shown: Predicted) -> list[View]:
     """Return the time ranges of the first plots that have a button."""
-    values, train = shown.axis.values, comparison.setup.train
+    values, train = shown.axis.values, comparison.plan.train
     views = [View("Whole record", values[0], values[-1])]
     if shown.record is comparison.record and train < len(values):
         views += [

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.evaluation.protocols import Run
 from splitband.filters.spectrum import coherence, periodogram
+from splitband.forecasters.backtest import Fit
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, squared
 from splitband.report.page.charts import SMALL, TALL, Axis, Chart, dash, padded
@@ -88,15 +88,15 @@ def _coherence(
     return chart.plot(f"Coherence with {name}", says, key=key * (len(key) > 1), small=small)
 
 
-def losses(runs: Mapping[str, Sequence[Run]], styles: Mapping[str, Method]) -> list[Plot]:
+def losses(runs: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> list[Plot]:
     """Return plots of the loss over the epochs of each training, one for each kind of network."""
-    tasks = dict.fromkeys(task for of in runs.values() for run in of for task in run.fit.losses)
+    tasks = dict.fromkeys(task for of in runs.values() for run in of for task in run.report.losses)
     return [_losses(task, runs, styles) for task in tasks]
 
 
-def _losses(task: str, runs: Mapping[str, Sequence[Run]], styles: Mapping[str, Method]) -> Plot:
+def _losses(task: str, runs: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> Plot:
     curves: dict[str, list[Array]] = {
-        name: [np.asarray(y, float) for run in of if len(y := run.fit.losses.get(task, ()))]
+        name: [np.asarray(y, float) for run in of if len(y := run.report.losses.get(task, ()))]
         for name, of in runs.items()
     }
     whole = np.concatenate([y for of in curves.values() for y in of])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -18,9 +17,8 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.checking import ModelCheck
 from splitband.forecasters.responses import Responses
-from splitband.report.benchmark import Row
 from splitband.report.colors import DARK, PALETTE
-from splitband.report.page import NAME, cases, check, comparison, forecast
+from splitband.report.page import check, comparison, forecast
 from splitband.report.page.parts import Page, Plot, Usage
 from splitband.runtime.files import replacing
 
@@ -40,11 +38,6 @@ def of_check(
 ) -> None:
     """Write the page of a check of a model; `kind` describes the model in words."""
     _write(check.page(result, kind, responses, usage), path)
-
-
-def of_rows(rows: Sequence[Row], path: str | Path, usage: Usage) -> None:
-    """Write the page of the rows of many comparisons, see `of_comparison`."""
-    _write(cases.page(rows, usage, NAME), path)
 
 
 def _write(page: Page, path: str | Path) -> None:

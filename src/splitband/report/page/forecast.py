@@ -32,7 +32,7 @@ def page(result: Forecast, used: Usage) -> Page:
 def _answer(result: Forecast) -> Section:
     method, trial, record = result.method, result.trial, result.record
     interval, steps = trial.intervals[method], len(result.prediction)
-    kind = result.forecaster.in_words()
+    kind = result.model.in_words()
     text = [words.sentence(result.description)] if result.description else []
     items = [f"{method}: {leaving(result.leaves)}"] if result.leaves is not None else []
     items += words.of_inputs(result.inputs_beyond_training, record)

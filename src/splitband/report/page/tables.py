@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.recommendation import Trial
-from splitband.evaluation.trials import SearchAttempt
+from splitband.evaluation.search import Attempt
 from splitband.report.environment import environment
 from splitband.report.numbers import number
 from splitband.report.page.parts import Cell, Section, Table, Usage
@@ -25,7 +25,7 @@ def methods(comparison: Comparison) -> Table:
         else "The methods and their errors, in the record's unit; the best of each is bold"
     )
     listed, trial = columns(comparison), comparison.require_trial()
-    kinds = {name: in_words(name, comparison.forecasters) for name in said}
+    kinds = {name: in_words(name, comparison.methods) for name in said}
     return _of_columns(caption, listed, said, kinds, trial)
 
 
@@ -64,13 +64,13 @@ def _of_columns(
     return Table(caption, headings, rows, place, minor, [*explained])
 
 
-def attempts(tried: Sequence[SearchAttempt]) -> Table:
+def attempts(tried: Sequence[Attempt]) -> Table:
     """Return the table of the search for how to train networks."""
     rows = [
         [
             Cell(each.method),
             Cell(each.training),
-            Cell(str(each.seeds), each.seeds),
+            Cell(str(each.round), each.round),
             Cell(number(each.score), each.score),
         ]
         for each in tried
@@ -80,7 +80,7 @@ def attempts(tried: Sequence[SearchAttempt]) -> Table:
     return Table(
         "What was tried, in that order; the score is the RMSE on held-out samples, in standard "
         "deviations of each output",
-        ["method", "training", "trainings", "score"],
+        ["method", "training", "round", "score"],
         rows,
         marked,
     )

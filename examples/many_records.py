@@ -1,0 +1,45 @@
+"""Compare models of many records: on all cores of this machine, on Dask, or as a Slurm array.
+
+    python examples/many_records.py records results                      # one record on each core
+    python examples/many_records.py records results tcp://10.0.0.5:8786  # on a Dask scheduler
+    sbatch --array=0-99 --cpus-per-task=1 --wrap \
+        'python examples/many_records.py records results $SLURM_ARRAY_TASK_ID'
+    splitband summary results/*                                          # one table of all of them
+
+`records` holds CSV files whose input is called u. A third argument that is a number compares one
+record, that with this index.
+"""
+
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import splitband as sb
+
+
+def compare(path: Path, out: Path) -> str:
+    """Compare models of a record on one core; an interrupted comparison goes on from `out`."""
+    record = sb.read(path, inputs=["u"])
+    result = sb.compare(record, cores=1, rounds=1, folder=out / ".splitband-checkpoints")
+    result.save(out)
+    return f"{path.name}: {result.recommended}"
+
+
+def main(records: str, results: str, where: str = "") -> None:
+    """Compare all records, or one of them."""
+    paths = sorted(Path(records).resolve().glob("*.csv"))
+    outs = [Path(results).resolve() / path.stem for path in paths]
+    if where.isdigit():
+        print(compare(paths[int(where)], outs[int(where)]))
+    elif where:
+        from distributed import Client  # noqa: PLC0415  an extra
+
+        with Client(where) as client:
+            print(*client.gather(client.map(compare, paths, outs)), sep="\n")
+    else:
+        with ProcessPoolExecutor() as pool:
+            print(*pool.map(compare, paths, outs), sep="\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,72 @@
+"""Measure the time of a command: one deadline, in seconds of wall time.
+
+What a thing costs is what it took when it was last done, on this machine, under its present load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from splitband.runtime.deadlines import Deadline, now
+
+HALF = 0.5
+"""Largest share of the time left for what is done once before the best go on: fits of simulators,
+and further choices of training settings. By eye."""
+
+
+@dataclass(eq=False)
+class Clock:
+    """Hold the time limit of a command, and how its time was used.
+
+    Attributes
+    ----------
+    limit : Wall time in s of the whole command; None: no limit.
+    began : When it began, by the clock of `runtime.deadlines.now`.
+    writing : Seconds that are kept for writing the result: what the last writing took.
+    cores : Trainings that run side by side.
+    trained : Seconds that all trainings took together.
+    notes : What the deadline has changed, in words.
+    """
+
+    limit: float | None = None
+    began: float = field(default_factory=now)
+    writing: float = 0.0
+    cores: int = 1
+    trained: float = 0.0
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def used(self) -> float:
+        """Return the seconds since the command began."""
+        return now() - self.began
+
+    @property
+    def deadline(self) -> Deadline:
+        """Return when the last prediction must be there."""
+        return (
+            Deadline() if self.limit is None else Deadline(self.began + self.limit - self.writing)
+        )
+
+    @property
+    def left(self) -> float:
+        """Return the seconds until then, at least 0; infinite without a limit."""
+        return max(self.deadline.left, 0.0)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the entries of result files."""
+        return {
+            "asked_seconds": self.limit,
+            "used_seconds": round(self.used, 2),
+            "cores": self.cores,
+            "trained_seconds": round(self.trained, 2),
+            "writing_seconds": round(self.writing, 2),
+            "notes": [*self.notes],
+        }
+
+    def in_words(self) -> str:
+        """Return the time that was used, and what the deadline has changed."""
+        asked = "" if self.limit is None else f" of {self.limit:.0f}"
+        said = f"time: {self.used:.0f}{asked} s, {self.trained:.0f} s of training on "
+        said += f"{self.cores} core{'s' if self.cores > 1 else ''}"
+        return "\n".join([said, *self.notes])

@@ -1,0 +1,10 @@
+from .base import Model as Model
+from .base import Signals as Signals
+from .base import Task as Task
+from .base import with_next_input as with_next_input
+from .base import with_weights as with_weights
+from .hybrid import Filtered as Filtered
+from .hybrid import Hybrid as Hybrid
+from .hybrid import Residual as Residual
+from .recurrent import Recurrent as Recurrent
+from .split import Split as Split

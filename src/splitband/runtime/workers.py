@@ -1,0 +1,154 @@
+"""Run jobs in worker processes, which can be ended, or by any other executor."""
+
+from __future__ import annotations
+
+import multiprocessing
+import multiprocessing.resource_tracker
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait as wait_for
+from typing import ParamSpec, TypeVar, final
+
+from pebble import ProcessExpired, ProcessPool
+
+from splitband.runtime.deadlines import NEVER, Deadline
+from splitband.runtime.threads import one_thread
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Parameters = ParamSpec("Parameters")
+TICK = 1.0
+"""Longest wait in s for the end of a job, after which Ctrl-C and deadlines are noticed."""
+
+
+@final
+class Workers(Executor):
+    """Run jobs in processes of this machine, each on one thread; a cancelled job is ended.
+
+    Processes start with the first job, and end with this process, however it ends. As each begins
+    by importing the main script, a script keeps its code under `if __name__ == "__main__":`.
+
+    `count`: number of processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._folder = tempfile.TemporaryDirectory(prefix="splitband-", ignore_cleanup_errors=True)
+        self._pool: ProcessPool | None = None
+
+    def submit(
+        self,
+        fn: Callable[Parameters, Result],
+        /,
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
+    ) -> Future[Result]:
+        """Submit a job; `Future.cancel` also ends one that runs."""
+        if self._pool is None:
+            given = self._folder.name, dict(os.environ)
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPool(self._count, 0, _begin, given, context)
+            multiprocessing.resource_tracker.ensure_running()  # which unblocks signals
+        with _without_interrupts():
+            future: Future[Result] = self._pool.schedule(fn, args, kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes; those with a job are ended in the middle of it."""
+        if self._pool is not None:
+            self._pool.stop()  # type: ignore[no-untyped-call]
+            self._pool.join()
+        self._folder.cleanup()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Block Ctrl-C in threads that start in this context, and so in the processes they start.
+
+    A process that Ctrl-C reaches while it loads would complain.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(folder: str, environment: Mapping[str, str]) -> None:
+    """Prepare a worker process."""
+    os.environ.update(environment)
+    tempfile.tempdir = os.environ["TMPDIR"] = folder
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+
+
+def _end_with_parent(folder: str) -> None:
+    """End this process when its parent has been killed, as its result is of no use."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for([parent.sentinel])
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(1)
+
+
+def run_jobs(
+    work: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    executor: Executor | None = None,
+    patience: Deadline = NEVER,
+) -> Iterator[tuple[Job, Future[Result]]]:
+    """Yield each job with its result, as it is done.
+
+    A job of which `patience` comes before the end is cancelled, and not yielded.
+
+    Parameters
+    ----------
+    work : A module-level function, or a partial of one: other processes have to import it.
+    jobs : In the order in which they start.
+    executor : Where they run; None for this process, one after the other.
+    patience : Deadline after which nobody waits for a result.
+    """
+    if executor is None:
+        for job in jobs:
+            future: Future[Result] = Future()
+            try:
+                future.set_result(_on_one_thread(work, job))
+            except Exception as error:
+                future.set_exception(error)
+            yield job, future
+        return
+    waiting = {executor.submit(_on_one_thread, work, job): job for job in jobs}
+    try:
+        while waiting and not patience.over:
+            done, _ = wait(waiting, min(TICK, max(patience.left, 0.0)), FIRST_COMPLETED)
+            for future in done:
+                yield waiting.pop(future), future
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def ended_from_outside(error: BaseException) -> str:
+    """Return what to say where a worker process has ended; empty for any other error."""
+    if isinstance(error, BrokenProcessPool):
+        return (
+            "the worker processes did not begin: a script has to keep what it does under "
+            '`if __name__ == "__main__":`'
+        )
+    said = "its process was ended from outside, perhaps for memory"
+    return said if isinstance(error, ProcessExpired) else ""
+
+
+def _on_one_thread(work: Callable[[Job], Result], job: Job) -> Result:
+    with one_thread():
+        return work(job)

@@ -1,0 +1,178 @@
+"""A comparison round by round: the same work for a seed, results while it runs, what is gone."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import splitband as sb
+from splitband.cli import main
+from splitband.cli.live import Display
+from splitband.evaluation.run import Standing
+from splitband.report import results as written
+from splitband.runtime.files import CHECKPOINTS
+from tests.cli.support import call, files, results
+
+pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
+
+LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --jobs 1 "
+
+
+def watched(monkeypatch: pytest.MonkeyPatch, look: Any) -> None:
+    """Let a test look, too, whenever the display is told where a comparison stands."""
+    shown = Display.__call__
+
+    def both(display: Display, standing: Standing) -> None:
+        shown(display, standing)
+        look(standing)
+
+    monkeypatch.setattr(Display, "__call__", both)
+
+
+def test_the_same_rounds_and_seed_give_the_same_table(tmp_path: Path) -> None:
+    for name, seed in (("one", 3), ("again", 3), ("other", 4)):
+        call(f"{LINE} --rounds 1 --seed {seed}", tmp_path / name)
+    one, again, other = (results(tmp_path / name) for name in ("one", "again", "other"))
+    assert one["table"] == again["table"] != other["table"]
+    assert one["search"] == again["search"]
+    assert {each["round"] for each in one["search"]} == {1}
+    assert (one["settings"]["rounds"], one["settings"]["seed"]) == (1, 3)
+
+
+def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record, seen = sb.read("record.csv", columns="a"), dict[str, str]()
+
+    def look(standing: Standing) -> None:
+        if not standing.whole:
+            return
+        facts, model = results(tmp_path), sb.load(tmp_path / "model")
+        assert model.name == facts["recommended"]
+        assert model.predict(5, record).y.shape == (5, 1)
+        seen[standing.doing] = facts.get("unfinished", "all of it is final")
+
+    watched(monkeypatch, look)
+    call(f"{LINE} --rounds 2", tmp_path)
+    assert seen == {
+        "baselines": "all of it is final", "round 1": "round 1", "round 2": "round 2"
+    }  # fmt: skip
+    said = capsys.readouterr().out
+    assert "round 1; best so far: " in said
+    assert "round 2; best so far: " in said
+    assert "unfinished" not in results(tmp_path)
+    assert not (tmp_path / CHECKPOINTS).exists()
+
+
+def test_a_disk_error_in_between_is_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept: list[bool] = []
+    before: dict[str, bytes] = {}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    def look(standing: Standing) -> None:
+        now = {k: v for k, v in files(tmp_path).items() if CHECKPOINTS not in k}
+        if standing.doing == "baselines":
+            before.update(now)
+        elif standing.whole:
+            kept.append(now == before)
+
+    monkeypatch.setattr(written, "save_standing", full)
+    watched(monkeypatch, look)
+    call(f"{LINE} --rounds 1", tmp_path)
+    assert kept == [True]
+    assert f"warning: {tmp_path} could not be written: " in capsys.readouterr().out
+    assert results(tmp_path)["methods"].keys() == {"gru", "mean"}
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        (f"{LINE} --effort 60s", ("--rounds", "--budget")),
+        (f"{LINE} --settings x.json", ("--like",)),
+        ("benchmark list.csv", ("compare", "splitband summary")),
+    ],
+)
+def test_what_is_gone_names_what_to_use(
+    line: str, instead: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shlex.split(line)) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert all(word in said for word in instead), said
+
+
+def test_time_and_rounds_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(shlex.split(f"{LINE} --rounds 1 --budget 10s")) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: budget and rounds exclude each other")
+    assert said.count("\n") == 1
+
+
+def test_a_training_like_an_earlier_one_has_its_settings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    earlier, out = tmp_path / "earlier", tmp_path / "out"
+    call("compare record.csv --columns a --inputs force --methods gru --hidden 5,2 --rounds 1 "
+         "--jobs 1", earlier)  # fmt: skip
+    call(f"compare record.csv --like {earlier} --seeds 1 --jobs 1", out)
+    found = results(out)
+    assert found["search"] == []
+    assert {"gru", "linear", "mean"} <= found["methods"].keys()
+    assert (found["record"]["columns"], found["record"]["inputs"]) == (["a"], 1)
+    first, again = (sb.load(each / "model") for each in (earlier, out))
+    if again.name == first.name:
+        assert again.settings == first.settings
+    capsys.readouterr()
+    for line, says in (
+        (f"compare record.csv --columns b --like {earlier} --out x", "outputs: a, the record has"),
+        (f"compare record.csv --like {earlier} --epochs 3 --out x", "--epochs must be left out"),
+        (f"compare record.csv --like {earlier} --out {earlier}", "is read by --like"),
+    ):
+        before = files(earlier)
+        assert main(shlex.split(line)) == 2
+        said = capsys.readouterr().err
+        assert says in said
+        assert said.count("\n") == 1
+        assert files(earlier) == before
+
+
+def test_a_summary_has_a_row_for_each_folder(
+    tmp_path: Path,
+    workspace: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder, methods in (("pump", "mean,harmonic"), ("tank", "mean")):
+        call(f"compare {workspace}/record.csv --columns a --methods {methods}", Path(folder))
+    capsys.readouterr()
+    call("summary pump tank")
+    said = capsys.readouterr().out.splitlines()
+    for folder, best in (("pump", "harmonic"), ("tank", "mean")):
+        (line,) = (line for line in said if folder in line)
+        assert best in line
+    call("summary pump tank --json")
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["recommended"] for row in rows] == ["harmonic", "mean"]
+    for row, folder in zip(rows, ("pump", "tank"), strict=True):
+        (fit,) = (c for c in results(Path(folder))["table"] if c["heading"] == "forecast fit %")
+        assert row["fit"] == fit["values"][row["recommended"]]
+    Path("other").mkdir()
+    assert main(["summary", "pump", "other"]) == 2
+    said_of_other = capsys.readouterr().err
+    assert said_of_other.startswith("error: DIR must be a folder that splitband compare wrote")
+    assert said_of_other.endswith("got other\n")
+
+
+def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:
+    call(f"{LINE} --budget 1s", tmp_path)
+    found = results(tmp_path)
+    assert found["recommended"] in found["methods"]
+    assert sb.load(tmp_path / "model").name == found["recommended"]
+    assert found["time"]["asked_seconds"] == 1

@@ -1,0 +1,164 @@
+"""A finished job is kept in a file, and found by whoever asks for the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitband import Known, Record, Simulation
+from splitband.evaluation.jobs import LATE, Job, Runner
+from splitband.forecasters.backtest import Fit, Origin, Question
+from splitband.forecasters.base import Forecaster
+from splitband.runtime.deadlines import NEVER, Deadline
+from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, record
+from tests.support import slowed
+
+
+def job(name: str = "filtered-gru", seed: int = 0, **changes: object) -> Job:
+    origins = [Origin(TRAIN, 12), Origin(TRAIN, TRAIN)]
+    question = Question(record(), origins, LENGTH, tests=[record(seed=1)], warmup=12)
+    return Job(SETUP.forecaster(name), replace(question, **changes), seed)  # type: ignore[arg-type]
+
+
+def run(asked: Job, folder: Path, deadline: Deadline = NEVER) -> tuple[Fit, int]:
+    """The fit of a job, and how many were found."""
+    with Runner(folder=folder) as runner:
+        ((_, fit),) = runner.run([asked], deadline)
+        return fit, runner.found
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Fit]:
+    folder = tmp_path_factory.mktemp("jobs")
+    return folder, run(job(), folder)[0]
+
+
+def test_the_same_job_is_found_with_its_model_and_forecasts(kept: tuple[Path, Fit]) -> None:
+    folder, fit = kept
+    again, found = run(job(), folder)
+    assert found == 1
+    assert [*again.forecasts] == [*fit.forecasts]
+    for origin, prediction in fit.forecasts.items():
+        np.testing.assert_array_equal(again.forecasts[origin].y, prediction.y)
+        parts = again.forecasts[origin].components
+        assert parts.keys() == prediction.components.keys()
+    np.testing.assert_array_equal(again.tests[0].y, fit.tests[0].y)
+    assert again.unfiltered.keys() == fit.unfiltered.keys()
+    assert again.description == fit.description
+    # The model is as good as new: it predicts from any history, and can be trained further.
+    history = record()[:100]
+    np.testing.assert_array_equal(
+        again.fitted.predict(20, history).y, fit.fitted.predict(20, history).y
+    )
+    further = SETUP.forecaster("filtered-gru").fit(record()[:TRAIN], start=again.fitted)
+    other = SETUP.forecaster("filtered-gru").fit(record()[:TRAIN], start=fit.fitted)
+    np.testing.assert_array_equal(further.predict(20).y, other.predict(20).y)
+
+
+def others() -> Iterator[tuple[str, Job]]:
+    """Jobs that differ in one thing from the kept one."""
+    y = record().y.copy()
+    y[3] += 1e-9
+    yield "seed", job(seed=1)
+    yield "method", job("residual-gru")
+    yield "sample", job(record=replace(record(), y=y))
+    yield "test", job(tests=[record(seed=2)])
+    yield "more", job(others=[record(seed=3)])
+    yield "end", job(end=LENGTH - 1)
+    yield "initial", job(initial=20)
+    longer = SETUP.forecaster("filtered-gru").set_params(settings=replace(QUICK, epochs=2))
+    yield "settings", replace(job(), forecaster=longer)
+    start = SETUP.forecaster("filtered-gru").fit(record()[:TRAIN], seed=5)
+    yield "start", replace(job(), start=start)
+
+
+@pytest.mark.parametrize(
+    "other", [each for _, each in others()], ids=[name for name, _ in others()]
+)
+def test_another_job_is_not(other: Job) -> None:
+    assert other.key != job().key
+
+
+def test_the_deadline_is_not_part_of_what_is_asked_and_a_cut_job_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    fit, _ = run(job(), tmp_path, Deadline(clock.at + 3))
+    assert fit.cut
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_job_that_is_not_begun_in_time_says_so_unless_it_is_needed(tmp_path: Path) -> None:
+    over = Deadline(0.0)
+    assert run(job(), tmp_path, over)[0].failure == LATE
+    needed, _ = run(replace(job(), needed=True), tmp_path, over)
+    assert needed.cut
+    assert needed.model is not None
+
+
+def test_a_damaged_file_is_no_result(kept: tuple[Path, Fit], tmp_path: Path) -> None:
+    folder, _ = kept
+    (path,) = folder.iterdir()
+    for content in (b"", b"no safetensors", path.read_bytes()[:-1000]):
+        (tmp_path / path.name).write_bytes(content)
+        fit, found = run(job(), tmp_path)
+        assert found == 0
+        assert fit.model is not None
+
+
+def test_a_full_disk_loses_the_file_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    fit, _ = run(job("gru"), tmp_path)
+    assert fit.model is not None
+
+
+class Own(Forecaster):
+    """A method of a user that fails, or not."""
+
+    name = "own"
+    random = True
+
+    def __init__(self, error: type[Exception] | None = None) -> None:
+        self.error = error
+
+    def learn(self, records: object, **_: object) -> None:
+        if self.error is not None:
+            raise self.error("it is\nbroken")
+
+    def extrapolate(self, known: Known) -> np.ndarray:
+        return np.zeros((known.steps, known.y.shape[1]))
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [(ValueError, "it is broken"), (KeyError, "KeyError: 'it is\\nbroken'")]
+)
+def test_a_failure_is_one_line(error: type[Exception], said: str, tmp_path: Path) -> None:
+    fit, _ = run(replace(job(), forecaster=Own(error)), tmp_path)
+    assert fit.failure == said
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_simulator_that_cannot_be_told_from_another_is_not_kept(tmp_path: Path) -> None:
+    class Theirs:
+        def simulate(self, time: np.ndarray) -> np.ndarray:
+            return np.sin(time)
+
+    hybrid = SETUP.forecaster("filtered-gru").set_params(base=Simulation(Theirs()))
+    asked = replace(job(), forecaster=hybrid)
+    assert run(asked, tmp_path)[0].model is not None
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_record_with_gaps_is_told_from_one_without(tmp_path: Path) -> None:
+    y = record().y.copy()
+    y[50] = np.nan
+    holed = Record.with_gaps(y, DT)
+    filled = replace(holed, y=np.nan_to_num(y), measured=None)
+    assert job("gru", record=holed, tests=[]).key != job("gru", record=filled, tests=[]).key

@@ -1,0 +1,244 @@
+"""Comparisons from plan to result: rounds, deadlines, interruptions, failures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from splitband import GRU, Record, Single
+from splitband.evaluation import candidates
+from splitband.evaluation.clock import Clock
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import forecast
+from splitband.evaluation.plan import BUDGET, plan
+from splitband.evaluation.run import Standing, compare, fit, run
+from splitband.forecasters.backtest import first_held_out
+from splitband.runtime.workers import Workers
+from tests.records import QUICK, SETUP, TRAIN, record
+from tests.support import slowed
+
+METHODS = ["mean", "persistence", "gru", "state-space"]
+RECORD = record(nu=1)
+SMALL = {"settings": {"warmup": 10}, "sizes": SETUP.sizes}
+
+
+@pytest.fixture(autouse=True)
+def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candidates, "FIRST_ROUND", 4)
+    monkeypatch.setattr(candidates, "FIRST_STEPS", 3)
+
+
+def compared(**options: object) -> Comparison:
+    given = {**SMALL, "rounds": 2} | options
+    return compare(RECORD, TRAIN, METHODS, **given)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def whole() -> Comparison:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(candidates, "FIRST_ROUND", 4)
+        patch.setattr(candidates, "FIRST_STEPS", 3)
+        return compared()
+
+
+def same(one: Comparison, other: Comparison) -> None:
+    assert [*one.fits] == [*other.fits]
+    assert one.attempts == other.attempts
+    for name, fits in one.fits.items():
+        assert len(fits) == len(other.fits[name])
+        for a, b in zip(fits, other.fits[name], strict=True):
+            np.testing.assert_array_equal(a.ahead, b.ahead)
+    assert one.recommended == other.recommended
+
+
+def test_all_methods_have_a_result_and_the_best_one_a_model(whole: Comparison) -> None:
+    assert {*whole.fits} == {*METHODS}
+    assert whole.model.name == whole.recommended
+    assert whole.model.predict(5, u=np.zeros((5, 1))).y.shape == (5, 1)
+    assert {attempt.round for attempt in whole.attempts} == {1, 2}
+    assert not whole.interrupted
+
+
+def test_rounds_give_the_same_numbers_on_any_executor_and_from_finished_jobs(
+    whole: Comparison, tmp_path: Path
+) -> None:
+    # In one process and in threads, whose jobs end in another order.
+    with ThreadPoolExecutor(1) as executor:
+        same(whole, compared(executor=executor, folder=tmp_path))
+    kept = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert len(kept) == len(whole.attempts) + sum(
+        len(whole.fits[n]) for n in ("gru", "state-space")
+    )
+    same(whole, compared(folder=tmp_path))
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == kept
+
+
+def test_another_seed_gives_other_numbers(whole: Comparison) -> None:
+    other = compared(seed=1)
+    assert not np.array_equal(other.fits["gru"][0].ahead, whole.fits["gru"][0].ahead)
+    np.testing.assert_array_equal(other.fits["mean"][0].ahead, whole.fits["mean"][0].ahead)
+
+
+@pytest.mark.parametrize("looks", [-10, 40, 400])
+def test_there_is_a_result_whatever_the_deadline(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, METHODS, budget=1e6, **SMALL)  # type: ignore[arg-type]
+    result = run(planned, clock=Clock(float(looks), clock.at))
+    assert {"mean", "persistence"} <= {*result.fits}
+    assert {*result.table.index} == {*METHODS}
+    notes = result.table["note"]
+    assert all("time" in notes[name] for name in {*METHODS} - {*result.fits})
+    assert result.recommended in result.fits
+
+
+@pytest.mark.parametrize("looks", [-10, 200])
+def test_networks_alone_have_a_result_whatever_the_deadline(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, ["gru"], budget=1e6, **SMALL)  # type: ignore[arg-type]
+    result = run(planned, clock=Clock(float(looks), clock.at))
+    assert [*result.fits] == ["gru"]
+
+
+def test_what_has_settled_ends_before_its_time_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("splitband.evaluation.search.MOST_MEMBERS", 1)
+    constant = Record(np.ones(200) + 1e-3 * np.sin(np.arange(200.0)), 0.1)
+    result = compare(constant, 150, ["mean", "gru"], budget=1e5, **SMALL)  # type: ignore[arg-type]
+    assert "settled" in result.clock.in_words()
+
+
+def interrupted_at(doing: str) -> Callable[[Standing], None]:
+    def watch(standing: Standing) -> None:
+        if standing.doing.startswith(doing):
+            raise KeyboardInterrupt
+
+    return watch
+
+
+@pytest.mark.parametrize("doing", ["round 1, 1", "round 2, 1", "final trainings, 1"])
+def test_ctrl_c_ends_with_what_there_is(doing: str) -> None:
+    result = compared(watch=interrupted_at(doing))
+    assert result.interrupted
+    assert {"mean", "persistence"} <= {*result.fits}
+    if not doing.startswith("round 1"):
+        assert {*result.fits} == {*METHODS}
+        three_quarters = "three quarters"
+        assert any(three_quarters in note for note in result.clock.notes)
+    assert result.model.predict(5, u=np.zeros((5, 1))).y.shape == (5, 1)
+    assert "interrupted" in repr(result)
+
+
+def test_ctrl_c_before_there_is_anything_is_an_interruption() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        compare(RECORD, TRAIN, ["gru"], rounds=1, watch=interrupted_at("round"), **SMALL)  # type: ignore[arg-type]
+
+
+def test_the_model_so_far_is_there_after_every_round() -> None:
+    seen: list[tuple[str, int]] = []
+
+    def watch(standing: Standing) -> None:
+        if standing.whole:
+            fitted = standing.model.require_fitted()
+            seen.append((standing.doing, len(fitted.record)))
+            assert standing.model.name == standing.trial.recommended
+
+    compared(watch=watch)
+    assert [doing for doing, _ in seen] == ["baselines", "round 1", "round 2"]
+    assert {samples for _, samples in seen} <= {TRAIN, first_held_out(TRAIN)}
+
+
+def test_one_failure_takes_no_other_with_it_and_all_of_them_are_an_error() -> None:
+    wrong = Single(GRU(3), replace(QUICK, learning_rate=1e30), name="wrong")
+    result = compare(RECORD, TRAIN, ["mean", wrong, "gru"], rounds=1, **SMALL)  # type: ignore[arg-type]
+    assert "diverged" in result.table["note"]["wrong"]
+    assert {"mean", "gru"} == {*result.fits}
+    with pytest.raises(ValueError, match=r"no method could be fitted; wrong: .*diverged"):
+        compare(RECORD, TRAIN, [wrong])
+
+
+def test_settings_that_are_given_have_no_time_limit_and_are_not_altered() -> None:
+    planned = plan(RECORD, TRAIN, ["gru"], settings=QUICK)
+    assert planned.budget is None
+    assert not planned.searched
+    assert plan(RECORD, TRAIN, ["gru"]).budget == BUDGET
+    result = run(replace(planned, seeds=2))
+    assert [f.fitted.settings for f in result.fits["gru"]] == [QUICK, QUICK]
+    assert result.attempts == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"budget": 0.0}, "budget must be a positive number of seconds, got 0"),
+        ({"budget": 10.0, "rounds": 2}, "budget and rounds exclude each other"),
+        ({"rounds": 0}, "rounds must be at least 1, got 0"),
+        ({"seed": -1}, "seed must be between 0 and .*, got -1"),
+        ({"rounds": 2, "settings": QUICK}, "rounds must be left out where no training is searched"),
+        ({"settings": {"epoch": 3}}, "settings must be out of window, .*, got epoch"),
+    ],
+)
+def test_limits_are_checked_before_anything_runs(options: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        plan(RECORD, TRAIN, METHODS, **options)  # type: ignore[arg-type]
+
+
+def test_a_refit_goes_on_over_the_whole_record(whole: Comparison) -> None:
+    result = compare(RECORD, TRAIN, ["gru"], rounds=1, refit=True, **SMALL)  # type: ignore[arg-type]
+    assert len(result.model.require_fitted().record) == len(RECORD)
+
+
+@pytest.mark.parametrize("looks", [-10, 40, 400])
+def test_without_time_for_a_refit_there_is_a_result(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, ["gru", "mean"], budget=1e6, refit=True, **SMALL)  # type: ignore[arg-type]
+    result = run(planned, clock=Clock(float(looks), clock.at))
+    refitted = len(result.model.require_fitted().record) == len(RECORD)
+    assert refitted != any("could not be refitted" in note for note in result.clock.notes)
+
+
+def test_a_fit_searches_and_ends_with_one_training() -> None:
+    planned = plan(RECORD, len(RECORD), ["gru"], horizon=0, rounds=2, **SMALL)  # type: ignore[arg-type]
+    model = fit(planned)
+    assert model.name == "gru"
+    assert model.seeds == (0,)
+    assert len(model.require_fitted().record) == len(RECORD)
+
+
+def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    for looks in (1, 300):
+        found = forecast(record()[:TRAIN], 10, ["gru", "mean"], budget=looks + clock.tick, **SMALL)  # type: ignore[arg-type]
+        assert found.method in ("gru", "mean")
+        assert found.prediction.y.shape == (10, 1)
+
+
+@pytest.mark.soak
+def test_two_worker_processes_give_the_numbers_of_one() -> None:
+    one = compare(RECORD, TRAIN, METHODS, rounds=1, **SMALL)  # type: ignore[arg-type]
+    two = compare(RECORD, TRAIN, METHODS, rounds=1, cores=2, **SMALL)  # type: ignore[arg-type]
+    same(one, two)
+    with Workers(2) as executor:
+        same(one, compare(RECORD, TRAIN, METHODS, rounds=1, executor=executor, **SMALL))  # type: ignore[arg-type]
+
+
+def test_a_network_on_the_best_baseline_is_tried_where_no_network_is_better() -> None:
+    sine = Record(np.sin(0.3 * np.arange(240)) + 0.3 * np.sin(0.93 * np.arange(240)), 0.1)
+    result = compare(sine, 180, rounds=2, **SMALL)  # type: ignore[arg-type]
+    added = [name for name in result.fits if name.startswith("residual-")]
+    assert added
+    assert {each.round for each in result.attempts if each.method == added[0]} == {2}
+    assert added[0] in result.methods
+    named = compare(sine, 180, ["harmonic", "gru"], rounds=2, **SMALL)  # type: ignore[arg-type]
+    assert {*named.fits} == {"harmonic", "gru"}

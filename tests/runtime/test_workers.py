@@ -1,0 +1,185 @@
+"""Jobs in worker processes, in this process and on any executor."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import threadpoolctl
+import torch
+
+from splitband.runtime.deadlines import Deadline
+from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+
+# What the scripts below import instead of torch, which every process would take seconds to load.
+NO_TORCH = "def set_num_threads(count): pass\n\n\ndef get_num_threads(): return 1\n"
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 300) -> None:
+    """Wait until it holds; the limit is for what never comes, not for what is slow."""
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def square(job: int) -> int:
+    if job < 0:
+        raise ValueError(f"job must not be negative, got {job}")
+    return job**2
+
+
+@pytest.mark.parametrize("executor", [None, ThreadPoolExecutor(2)], ids=["here", "threads"])
+def test_every_job_comes_with_its_result_or_its_error(executor: Executor | None) -> None:
+    found = dict(run_jobs(square, [1, 2, -3], executor))
+    assert {job: future.result() for job, future in found.items() if job > 0} == {1: 1, 2: 4}
+    with pytest.raises(ValueError, match="must not be negative, got -3"):
+        found[-3].result()
+
+
+def leave(job: int) -> str:
+    """Leave a temporary folder, and end the process of the second job."""
+    folder = tempfile.mkdtemp(prefix="left-")
+    if job == 1:
+        os._exit(job)
+    if job == 2:
+        Path(folder, "begun").touch()
+        time.sleep(600)
+    return folder
+
+
+class Once(Deadline):
+    """A deadline that comes with the first result."""
+
+    def __init__(self, done: list[int]) -> None:
+        super().__init__()
+        object.__setattr__(self, "done", done)
+
+    @property
+    def over(self) -> bool:
+        return bool(self.done)  # type: ignore[attr-defined]
+
+
+def test_a_job_whose_process_ends_or_hangs_takes_no_other_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with Workers(2) as workers:
+        found = {}
+        for job, future in run_jobs(leave, [0, 1, 3], workers):
+            found[job] = future
+        assert Path(found[0].result()).parent.parent == tmp_path
+        assert "ended from outside" in ended_from_outside(found[1].exception() or ValueError())
+        assert found[3].exception() is None
+        done: list[int] = []
+        for job, _ in run_jobs(leave, [2, 0], workers, Once(done)):
+            done.append(job)
+        assert done == [0]  # the other one is ended
+    assert not [path.name for path in tmp_path.iterdir() if not path.name.startswith("pymp-")]
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended may still have an entry (a zombie)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+SCRIPT = """
+import os, pathlib, time
+from splitband.runtime.workers import Workers, run_jobs
+
+here = pathlib.Path(__file__).parent
+if __name__ == "__mp_main__":
+    (here / f"{os.getpid()}.loading").touch()
+    while (here / "wait").exists():
+        time.sleep(0.05)
+
+def work(job):
+    (here / f"{job}").write_text(str(os.getpid()))
+    if (here / "hang").exists():
+        time.sleep(600)
+    return os.environ["SIMULATOR"], job
+
+if __name__ == "__main__":
+    os.environ["SIMULATOR"] = "a"
+    with Workers(2) as workers:
+        print(sorted(future.result() for _, future in run_jobs(work, [1, 2], workers)))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux for processes")
+def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text(NO_TORCH)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    (tmp_path / "hang").touch()
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "script.py")])
+    marks = [tmp_path / "1", tmp_path / "2"]
+    eventually(lambda: all(mark.exists() and mark.read_text() for mark in marks))
+    pids = [int(mark.read_text()) for mark in marks]
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    eventually(lambda: not any(alive(pid) for pid in pids))
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="POSIX")
+def test_a_process_has_the_environment_and_does_not_hear_ctrl_c_while_it_loads(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "torch.py").write_text(NO_TORCH)
+    (tmp_path / "script.py").write_text(SCRIPT)
+    (tmp_path / "wait").touch()
+    command = [sys.executable, str(tmp_path / "script.py")]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    eventually(lambda: len([*tmp_path.glob("*.loading")]) == 2)
+    for path in tmp_path.glob("*.loading"):
+        os.kill(int(path.stem), signal.SIGINT)
+    (tmp_path / "wait").unlink()
+    assert parent.communicate(timeout=300) == ("[('a', 1), ('a', 2)]\n", "")
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text(NO_TORCH)
+    (tmp_path / "script.py").write_text(
+        "from splitband.runtime.workers import Workers, ended_from_outside, run_jobs\n"
+        "for job, future in run_jobs(abs, [1, 2], Workers(2)):\n"
+        "    print(ended_from_outside(future.exception()))\n"
+    )
+    command = [sys.executable, str(tmp_path / "script.py")]
+    where = os.environ | {"TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, check=False, env=where
+    )
+    assert 'if __name__ == "__main__":' in done.stdout
+
+
+def blas() -> list[int]:
+    return [pool["num_threads"] for pool in threadpoolctl.threadpool_info()
+            if pool["user_api"] == "blas"]  # fmt: skip
+
+
+def seen(_: int) -> tuple[int, list[int]]:
+    return torch.get_num_threads(), blas()
+
+
+def test_a_job_has_one_thread_and_blas_and_torch_have_theirs_again_afterwards() -> None:
+    np.ones((2, 2)) @ np.ones((2, 2))
+    torchs = torch.get_num_threads()
+    with threadpoolctl.threadpool_limits(3, user_api="blas"):
+        torch.set_num_threads(2)
+        before = 2, blas()
+        inside = [future.result() for _, future in run_jobs(seen, [0, 1])]
+        after = torch.get_num_threads(), blas()
+    torch.set_num_threads(torchs)
+    assert after == before
+    assert inside == [(1, [1] * len(before[1]))] * 2

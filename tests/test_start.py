@@ -1,0 +1,108 @@
+"""What needs no network starts without the libraries of networks and pictures."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SLOW = "torch", "numba", "matplotlib"
+LOADED = f"print([name for name in {SLOW} if name in sys.modules])"
+"""The last line of a program: the libraries that it has loaded."""
+
+BASELINES = """
+import sys
+import numpy as np
+import splitband as sb
+from splitband.filters.cutoff import choose
+from splitband.filters.spectrum import oracle
+from splitband.forecasters.names import NAMES, named, with_base, with_variants
+
+record, u = sb.read("rig.csv", inputs=["force"]), np.zeros((5, 1))
+for model in (sb.Mean(), sb.Persistence(), sb.Linear(), sb.Harmonic()):
+    y = model.fit(record).predict(5, u=u).y
+    assert np.isfinite(y).all()
+model = named("linear").fit(record)
+model.require_held_out()
+model.save("model")
+again = sb.load("model").predict(5, u=u, level=0.9)
+assert (again.y == model.predict(5, u=u).y).all()
+assert len(again.to_frame()) == 5
+model.stream().step(u[0])
+chosen = choose(record.y, record.sampling_rate, warmup=30)
+pair = sb.ComplementaryPair.butterworth(chosen.cutoff, record.sampling_rate, chosen.order)
+low, high = pair.split(record.y)
+oracle(record.y, low, record.sampling_rate, chosen.cutoff)
+assert "filtered-linear-gru" in with_base(["filtered-gru"], "linear")
+assert with_variants(["filtered-gru"], calibrate=True, conditioned=False)
+assert all(method.in_words() for method in NAMES.values())
+sb.Clock, sb.Ode, sb.Fmu, sb.Settings, sb.Progress
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a record of 400 samples."""
+    time = 0.1 * np.arange(400)
+    force = np.sign(np.sin(0.7 * time))
+    angle = np.convolve(force, 0.1 * 0.9 ** np.arange(60))[:400] + 0.1 * np.sin(2 * time)
+    table = np.column_stack([time, force, angle])
+    np.savetxt(tmp_path / "rig.csv", table, "%.9g", ",", header="time,force,angle", comments="")
+    return tmp_path
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_baselines_and_filters_need_no_torch(folder: Path) -> None:
+    done = run(folder, "-c", BASELINES + LOADED)
+    assert done.stdout == "[]\n", done.stderr
+
+
+def test_a_wrong_name_ends_a_comparison_before_anything_is_loaded(folder: Path) -> None:
+    given = "compare", "rig.csv", "--columns", "angel", "--methods", "nonsense"
+    done = run(folder, "-m", "splitband", *given)
+    assert done.returncode == 2
+    assert "angel" in done.stderr or "nonsense" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_network_is_loaded_where_it_is_named(folder: Path) -> None:
+    program = "import sys\nfrom splitband.forecasters.names import named\n"
+    done = run(folder, "-c", f"{program}{LOADED}\nnamed('gru')\n{LOADED}")
+    assert done.stdout == "[]\n['torch']\n", done.stderr
+
+
+def test_a_saved_network_loads_where_nothing_else_has_loaded_its_parts(folder: Path) -> None:
+    train = """
+import splitband as sb
+record = sb.read("rig.csv", inputs=["force"])
+model = sb.Filtered(sb.Linear(), sb.GRU(4), sb.Bands(0.5, 1), settings=sb.Settings(40, 10, 1))
+model.fit(record).save("model")
+print(model.predict(5, u=[[0.0]] * 5).y.tolist())
+"""
+    ask = """
+import splitband as sb
+print(sb.load("model").predict(5, u=[[0.0]] * 5).y.tolist())
+"""
+    trained, loaded = run(folder, "-c", train), run(folder, "-c", ask)
+    assert loaded.stdout == trained.stdout != "", trained.stderr + loaded.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [
+        ("--inputs force --methods linear,mean", 0),
+        ("--inputs voltage", 2),
+        ("--inputs force --train 4000", 2),
+    ],
+    ids=["baselines and their page", "a wrong column", "a wrong --train"],
+)
+def test_a_command_without_networks_needs_no_torch(folder: Path, options: str, status: int) -> None:
+    words = ["compare", "rig.csv", *options.split(), "--quiet"]
+    program = f"import sys\nfrom splitband.cli import main\nprint(main({words}))\n"
+    done = run(folder, "-c", program + LOADED)
+    assert done.stdout == f"{status}\n[]\n", done.stderr
