@@ -1,0 +1,70 @@
+"""A training that goes on from a trained forecaster: `fit(record, start=...)`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband import Bands, Record, Settings
+
+SHORT = Settings(40, 10, 1, 16)
+ONE_MORE = replace(SHORT, epochs=0, quasi_newton=1)
+
+
+def rig(delay: int, scale: float = 1.0, samples: int = 300) -> Record:
+    """A first-order lag that acts after some samples, in other units and about another level."""
+    rng = np.random.default_rng(delay)
+    u = np.repeat(rng.normal(size=samples // 10), 10)
+    acting = np.concatenate([np.zeros(delay), u])[:samples]
+    y = np.convolve(acting, 0.1 * 0.9 ** np.arange(60))[:samples]
+    return Record(scale * (y + 3), 0.1, u=u)
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        sb.Single(sb.GRU(4), SHORT),
+        sb.Single(sb.StateSpace(2, 3), SHORT),
+        sb.Split(sb.GRU(3), sb.GRU(3), settings=SHORT),
+        sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT),
+    ],
+    ids=["gru", "state-space", "split-gru", "residual-linear-gru"],
+)
+def test_it_begins_with_weights_scaling_delays_and_bands(network: sb.Forecaster) -> None:
+    """They mean the same after steps of no size on a record of another delay, level and scale."""
+    start = network.clone().fit(rig(6), seed=3)
+    hardly = network.clone().set_params(settings=replace(SHORT, learning_rate=1e-9))
+    model = hardly.fit(rig(0, 2.0), start=start)
+    assert model.delays == start.delays == (6,)
+    assert getattr(model, "trained_in", None) == getattr(start, "trained_in", None)
+    if getattr(start, "base", None) is None:  # a base is fitted to the other record
+        history = rig(6)[:100]
+        before, after = (each.predict(50, history).y for each in (start, model))
+        np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_the_trainings_add_up_in_words() -> None:
+    network = sb.Single(sb.GRU(4), replace(SHORT, quasi_newton=20))
+    start = network.clone().fit(rig(0))
+    model = network.clone().set_params(settings=ONE_MORE).fit(rig(0), start=start)
+    assert "L-BFGS 21" in model.training_in_words()
+    assert "1 epoch" in model.training_in_words()
+
+
+def test_a_base_that_was_fitted_to_the_same_samples_is_not_fitted_again() -> None:
+    network = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT)
+    start = network.clone().fit(rig(6))
+    again = network.clone().fit(rig(6), start=start)
+    longer = network.clone().fit(rig(6, samples=400), start=start)
+    assert again.fitted_base is start.fitted_base
+    assert longer.fitted_base is not start.fitted_base
+
+
+@pytest.mark.parametrize("other", [sb.Mean(), sb.Split(sb.GRU(3), sb.GRU(3), Bands(0.5, 1, 2))])
+def test_another_kind_is_refused(other: sb.Forecaster) -> None:
+    fitted = other.fit(rig(0)) if not other.random else other
+    with pytest.raises(ValueError, match="start must be a trained gru, got"):
+        sb.Single(sb.GRU(4), SHORT).fit(rig(0), start=fitted)
