@@ -20,15 +20,23 @@ def environment() -> dict[str, Any]:
 
 
 def _commit() -> str | None:
-    """Return the commit of the checkout that the package runs from, if it runs from one."""
+    """Return the commit of the checkout that the package runs from, if it runs from one.
+
+    It ends with "-dirty" where the code was changed since; results beside it may change.
+    """
     root = Path(__file__).resolve().parents[3]
     if not (root / ".git").exists():
         return None
     try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=12"],
-            cwd=root, capture_output=True, text=True, timeout=10, check=True,
-        )  # fmt: skip
+        commit, changed = (
+            subprocess.run(
+                ["git", *command], cwd=root, capture_output=True, text=True, timeout=10, check=True
+            ).stdout.strip()
+            for command in (
+                ("rev-parse", "--short=12", "HEAD"),
+                ("status", "--porcelain", "--", "src", "reproduction"),
+            )
+        )
     except (OSError, subprocess.SubprocessError):
         return None
-    return described.stdout.strip()
+    return f"{commit}-dirty" if changed else commit
