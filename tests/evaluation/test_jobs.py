@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -162,3 +164,13 @@ def test_a_record_with_gaps_is_told_from_one_without(tmp_path: Path) -> None:
     holed = Record.with_gaps(y, DT)
     filled = replace(holed, y=np.nan_to_num(y), measured=None)
     assert job("gru", record=holed, tests=[]).key != job("gru", record=filled, tests=[]).key
+
+
+def test_kernels_that_compile_for_too_long_do_not_hold_up_a_command(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done = Event()
+    monkeypatch.setattr("splitband.evaluation.jobs._compile", lambda cell: done.wait())
+    with ThreadPoolExecutor(1) as executor:
+        Runner(2, executor).compile([SETUP.forecaster("gru")], Deadline(0.0))
+        done.set()

@@ -113,15 +113,13 @@ def _run(known: Sequence[Mapping[str, Any]], deadline: Deadline, job: Job) -> Fi
 
 
 def _compile(cell: Any) -> None:
-    """Run a cell forward and back in both precisions, which compiles its kernels."""
+    """Run a cell forward and back, which compiles its kernels."""
     import torch  # noqa: PLC0415  in a worker
 
     from splitband.networks import rollout  # noqa: PLC0415
 
-    for dtype in (torch.float32, torch.float64):
-        network = cell.sized(1, 2, 4).to(dtype)
-        y, u = torch.zeros(2, 4, 1, dtype=dtype), torch.zeros(2, 12, 2, dtype=dtype)
-        rollout(network, y, 8, u).sum().backward()
+    y, u = torch.zeros(2, 4, 1), torch.zeros(2, 12, 2)
+    rollout(cell.sized(1, 2, 4), y, 8, u).sum().backward()
 
 
 class Runner:
@@ -151,15 +149,17 @@ class Runner:
         if self._own is not None:
             self._own.shutdown()
 
-    def compile(self, forecasters: Sequence[Forecaster]) -> None:
+    def compile(self, forecasters: Sequence[Forecaster], until: Deadline) -> None:
         """Let the workers compile, side by side, the kernels that the networks need.
 
-        Compiled once after installation, they are on the disk.
+        Compiled once after installation, they are on the disk. What is not done by the deadline is
+        compiled in a training.
         """
         networks = [each.network for each in forecasters]
         cells = [getattr(n, name) for n in networks if n is not None for name in n.cells]
         kinds = [*{type(cell): cell for cell in cells}.values()]
-        for _, future in run_jobs(_compile, kinds if self.executor else [], self.executor):
+        kinds = kinds if self.executor else []
+        for _, future in run_jobs(_compile, kinds, self.executor, until):
             future.exception()  # a user's cell may fail here; its training says why
 
     def run(

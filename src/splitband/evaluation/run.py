@@ -229,7 +229,7 @@ class Course:
         ready = replace(self.plan, methods=tuple(self._ready))
         search = self._search = Search(ready, self._runner.cores)
         clock, most = self.clock, self.plan.rounds
-        self._runner.compile([f for f in self._ready if f.random])
+        self._runner.compile([f for f in self._ready if f.random], self._half())
         while most is None or search.round < most:
             reserve = self._reserve(search)
             if search.round and clock.left <= reserve:
