@@ -52,13 +52,11 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
         facts, model = results(tmp_path), sb.load(tmp_path / "model")
         assert model.name == facts["recommended"]
         assert model.predict(5, record).y.shape == (5, 1)
-        seen[standing.doing] = facts.get("unfinished", "all of it is final")
+        seen[standing.doing] = facts["unfinished"]
 
     watched(monkeypatch, look)
     call(f"{LINE} --rounds 2", tmp_path)
-    assert seen == {
-        "baselines": "all of it is final", "round 1": "round 1", "round 2": "round 2"
-    }  # fmt: skip
+    assert seen == {each: each for each in ("baselines", "round 1", "round 2")}
     said = capsys.readouterr().out
     assert "round 1; best so far: " in said
     assert "round 2; best so far: " in said

@@ -78,6 +78,28 @@ def test_rounds_give_the_same_numbers_on_any_executor_and_from_finished_jobs(
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == kept
 
 
+def test_rounds_are_the_same_on_any_number_of_cores() -> None:
+    """On which the number of candidates that go on depends otherwise."""
+    one = compare(RECORD, TRAIN, ["state-space", "mean"], rounds=4, **SMALL)  # type: ignore[arg-type]
+    with ThreadPoolExecutor(1) as executor:
+        four = compare(
+            RECORD,
+            TRAIN,
+            ["state-space", "mean"],
+            rounds=4,
+            cores=4,
+            executor=executor,
+            **SMALL,  # type: ignore[arg-type]
+        )
+    same(one, four)
+
+
+def test_ctrl_c_keeps_the_trainings_of_its_round_that_are_done() -> None:
+    result = compared(watch=interrupted_at("round 1, 1"))
+    assert len(result.attempts) == 1
+    assert {"mean", "persistence", result.attempts[0].method} <= {*result.fits}
+
+
 def test_another_seed_gives_other_numbers(whole: Comparison) -> None:
     other = compared(seed=1)
     assert not np.array_equal(other.fits["gru"][0].ahead, whole.fits["gru"][0].ahead)

@@ -122,7 +122,7 @@ def fit(
     said = training_in_words or forecaster.describe()
     begin = max(forecaster.warmup, 2)
     showing.console.print(
-        f"{forecaster.name} ({said}) fitted to {len(training)} samples in "
+        f"{forecaster.name} ({said}) fitted to {len(fitted.record)} samples in "
         f"{fitted.report.seconds:.1f} s"
         + (
             ""

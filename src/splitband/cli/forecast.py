@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import showing
+from splitband.cli import INTERRUPTED, showing
 from splitband.cli.comparing import Request, arguments, command_of, planned, workers
 from splitband.cli.live import running
 from splitband.cli.options.groups import with_groups
@@ -88,8 +88,10 @@ def forecast(
         result = run_forecast(plan, **where, **how)
     used = usage("forecast", arguments(context.params), out, plan, result.model)
     results.save_forecast(result, out, used)
-    shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     _show(result, out, used)
+    if result.interrupted:
+        raise typer.Exit(INTERRUPTED)
+    shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
 
 
 def _show(result: Forecast, out: Path, used: Usage) -> None:

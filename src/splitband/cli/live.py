@@ -78,7 +78,8 @@ class Display:
         try:
             if standing.final and not self._written:
                 self._written = True
-                results.save(standing.comparison(), self._out, self._facts)
+                facts = self._facts | {"unfinished": standing.doing}
+                results.save(standing.comparison(), self._out, facts)
                 standing.clock.writing = standing.clock.used - began
             else:
                 results.save_standing(standing, self._out, self._facts)

@@ -38,7 +38,7 @@ class Forecast:
     leaves : Samples before a training's forecast leaves the range of `metrics.leaves_range`; None
         if it does not.
     inputs_beyond_training : Future inputs that exceed their range in training.
-    clock : See `Comparison`.
+    clock, interrupted : See `Comparison`.
     """
 
     plan: Plan
@@ -49,6 +49,7 @@ class Forecast:
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
     clock: Clock = field(default_factory=Clock)
+    interrupted: bool = False
 
     @property
     def record(self) -> Record:
@@ -145,4 +146,5 @@ def run_forecast(
         min((samples for samples in left if samples is not None), default=None),
         model.require_fitted().inputs_beyond(None if u is None else u[: plan.horizon]),
         course.clock,
+        course.interrupted,
     )

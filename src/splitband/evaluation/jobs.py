@@ -6,6 +6,7 @@ finds the fit. A job that a deadline cut short is not finished.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -73,6 +74,7 @@ class Job:
         plain = {
             "seed": self.seed, "end": asked.end, "warmup": asked.warmup, "initial": asked.initial,
             "origins": [(each.fitted, each.at) for each in asked.origins], "trains": self.trains,
+            "others": len(asked.others), "tests": len(asked.tests), "new": self.start is None,
         }  # fmt: skip
         digest.update(json.dumps(plain, sort_keys=True).encode())
         records = [asked.record, *asked.others, *asked.tests]
@@ -87,13 +89,13 @@ class Job:
             if not self.trains and self.start is not None:
                 return as_it_is(self.start, self.question, self.seed)
             return backtest(self.forecaster, self.question, self.seed, self.start)
-        except OSError:
-            raise  # a full disk concerns every method
         except DeadlineError:
             return self.late()
         except (FloatingPointError, ValueError) as error:
             failure = " ".join(str(error).split())
         except Exception as error:
+            if getattr(error, "errno", None) in (errno.ENOSPC, errno.EROFS):
+                raise  # a full disk concerns every method
             failure = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return Fit(self.method, self.seed, failure=failure, seconds=now() - began)
 
@@ -262,5 +264,5 @@ def prepare(
     What fails here is not lost: the job that needs it computes it again and says why.
     """
     for forecaster in forecasters:
-        with suppress(ValueError, DeadlineError), within(deadline):
+        with suppress(Exception), within(deadline):
             forecaster.prepare(records, runner.executor or 1, runner.folder)

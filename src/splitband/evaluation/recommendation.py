@@ -149,16 +149,18 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
     """
     if not fits or not fits[0].fitted.random:
         return [*fits]
-    stable = [fit for fit in fits if fit.report.stable]
-    failed = {
-        fit.seed: "it is unstable, and may grow without bound" for fit in fits if fit not in stable
-    }
-    usual = median_low(_from_start(fit, training) for fit in stable or fits)
-    for fit in stable:
-        if usual and (error := _from_start(fit, training)) > FAILED * usual:
-            failed[fit.seed] = f"training error {error / usual:.3g} times the usual one"
-    kept = [fit for fit in fits if fit.seed not in failed]
-    said = [f"seed {seed} left out: {why}" for seed, why in failed.items()]
+    errors = [_from_start(fit, training) for fit in fits]
+    stable = [error for fit, error in zip(fits, errors, strict=True) if fit.report.stable]
+    usual = median_low(stable or errors)
+    kept, said = list[Fit](), list[str]()
+    for fit, error in zip(fits, errors, strict=True):
+        if not fit.report.stable:
+            said.append(f"seed {fit.seed} left out: it is unstable, and may grow without bound")
+        elif usual and error > FAILED * usual:
+            times = f"{error / usual:.3g}"
+            said.append(f"seed {fit.seed} left out: training error {times} times the usual one")
+        else:
+            kept.append(fit)
     if not kept:
         kept, said = [*fits], ["unstable: a simulation may grow without bound"]
     return [replace(kept[0], notes=(*kept[0].notes, *said)), *kept[1:]]

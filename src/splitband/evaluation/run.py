@@ -164,7 +164,8 @@ def carried_out(
     try:
         course.run_quick()
         course.run_rounds()
-        course.run_finals()
+        if not course.interrupted:
+            course.run_finals()
     except KeyboardInterrupt:
         if not course.held:
             raise
@@ -227,8 +228,9 @@ class Course:
 
         self._ready = [built(f) for f in self._ready]
         ready = replace(self.plan, methods=tuple(self._ready))
-        search = self._search = Search(ready, self._runner.cores)
         clock, most = self.clock, self.plan.rounds
+        # Counted rounds are the same on any number of cores.
+        search = self._search = Search(ready, self._runner.cores if most is None else 1)
         self._runner.compile([f for f in self._ready if f.random], self._half())
         while most is None or search.round < most:
             reserve = self._reserve(search)
@@ -242,9 +244,12 @@ class Course:
             until = Deadline.after((clock.left - reserve) / search.growth)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
             self.held |= {name: search.held_out(name) for name in search.methods}
-            if search.round == 1 and self.plan.extended:
+            if search.round == 1 and self.plan.extended and (most is None or most > 1):
                 self._extend(search)
-            self._report(f"round {search.round}", whole=True)
+            if not self.interrupted:
+                self._report(f"round {search.round}", whole=True)
+            if search.cut or self.interrupted:
+                break
         self.failed |= search.failed
         if search.settled:
             clock.notes.append(
@@ -298,7 +303,9 @@ class Course:
                 self._keep_final(Job(method, self.plan.question(method)))
                 continue
             question = self.plan.question(held[0].fitted)
-            jobs = [Job(method, question, fit.seed, fit.model, trains=False) for fit in held]
+            best = self._search is not None and name == self._search.methods[0]
+            models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
+            jobs = [Job(method, question, i, each, trains=False) for i, each in enumerate(models)]
             fits = [job.run() for job in jobs]
             if good := [fit for fit in fits if fit.model is not None]:
                 self.final[name] = good
@@ -352,9 +359,11 @@ class Course:
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
         question = Question(record, [Origin(samples, samples - 1)], samples, others)
+        kept = {id(fit.model) for fit in self.fits()[name]}
         jobs = [
             Job(job.forecaster, question, job.seed, None if job.start is None else fit.model)
             for job, fit in zip(self._finals.get(name, []), self.final[name], strict=False)
+            if id(fit.model) in kept
         ]
         ready = next(f for f in self._ready if f.name == name)
         if not ready.random:
@@ -419,12 +428,17 @@ class Course:
     def _trained(self, jobs: Sequence[Job], until: Deadline, doing: str) -> list[Fit]:
         """Return the fits of jobs, in their order."""
         fits: dict[Job, Fit] = {}
-        self._report(f"{doing}, 0 of {len(jobs)} trainings")
-        for job, fit in self._runner.run(jobs, until, self._forecasting()):
-            fits[job] = fit
-            self.clock.trained += fit.seconds
-            self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
-        return [fits[job] for job in jobs]
+        try:
+            self._report(f"{doing}, 0 of {len(jobs)} trainings")
+            for job, fit in self._runner.run(jobs, until, self._forecasting()):
+                fits[job] = fit
+                self.clock.trained += fit.seconds
+                self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
+        except KeyboardInterrupt:
+            if not self.held and not any(fit.model is not None for fit in fits.values()):
+                raise
+            self.interrupted = True
+        return [fits.get(job) or job.late() for job in jobs]
 
     def _report(self, doing: str, whole: bool = False) -> None:
         if self._watch is not None and (self.held or not whole):
@@ -439,8 +453,9 @@ class Course:
         """Return the seconds that the final trainings of what is best so far will take."""
         expected = [(job.method, seconds) for job, seconds in search.finals()]
         again = [s for name, s in expected if self.plan.refit and name == expected[0][0]]
-        seconds = sum(s for _, s in expected) + sum(again)
-        return seconds / self._runner.cores + self._forecasting()
+        every = [*(s for _, s in expected), *again]
+        longest = max(every, default=0.0)
+        return max(longest, sum(every) / self._runner.cores) + self._forecasting()
 
     def _forecasting(self) -> float:
         """Return the seconds that the forecasts of a final training take, by those of the trial.
@@ -490,6 +505,8 @@ def fit(
     if plan.searched:
         with Runner(cores, executor, kept) as runner:
             course = carried_out(replace(plan, seeds=1), runner, watch, clock)
+        if course.interrupted:
+            raise KeyboardInterrupt  # what is finished is in the folder
         return course.final[forecaster.name][0].fitted
     checkpoint = None
     if kept is not None:

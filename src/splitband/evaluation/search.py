@@ -76,6 +76,7 @@ class Search:
     given : Fits of the networks whose settings are given, by method.
     failed : Why methods have no fit so far.
     settled : Whether further rounds would change nothing.
+    cut : Whether a deadline has ended a training early.
     """
 
     def __init__(self, plan: Plan, cores: int = 1) -> None:
@@ -91,7 +92,7 @@ class Search:
         self._course = self._rounds()
         self._asked: list[Candidate] = []
         self._left = math.inf
-        self._cut = False
+        self.cut = False
         self.round = 0
         self.attempts: list[Attempt] = []
         self.tried: list[Candidate] = []
@@ -113,7 +114,9 @@ class Search:
         except ValueError:
             return False  # its job says why
         sized = plan.searched.get(network.name, False)
-        found = candidates(network, sized, self._record, plan.others, plan.seed)
+        # The seeds of a comparison are no others', so that several of them are independent.
+        first = plan.seed * MOST_MEMBERS
+        found = candidates(network, sized, self._record, plan.others, first)
         self._choices[network.name] = found
         return True
 
@@ -124,7 +127,7 @@ class Search:
         """
         self._left = left
         self._asked = next(self._course, [])
-        self.settled = not self._asked and bool(self.tried) and not self._cut
+        self.settled = not self._asked and bool(self.tried) and not self.cut
         self.round += 1
         jobs = [self._job(candidate) for candidate in self._asked]
         if self.round == 1:
@@ -136,7 +139,7 @@ class Search:
         of_candidates, given = fits[: len(self._asked)], fits[len(self._asked) :]
         for candidate, fit in zip(self._asked, of_candidates, strict=True):
             failed = fit.model is None
-            self._cut = self._cut or fit.cut
+            self.cut = self.cut or fit.cut
             if failed and fit.cut:
                 continue  # there was no time to begin with it
             error = math.inf if failed else held_out_score(self._record, [fit])
@@ -173,7 +176,7 @@ class Search:
         The final trainings take a share of what a round adds to the best candidates.
         """
         members = len(self.members(self.methods[0])) if self.methods else 1
-        return 1 + max(members, 1) * SETTLING / (1 - HELD_OUT_SHARE) / self._cores
+        return 1 + max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
 
     def held_out(self, method: str) -> list[Fit]:
         """Return the fits of a method whose median has the lowest held-out error."""
@@ -215,7 +218,8 @@ class Search:
             for number, candidate in enumerate(self.members(name)[: None if place == 0 else 1]):
                 network, last = candidate.final(), candidate.fits[candidate.best]
                 question = self._plan.question(network)
-                job = Job(network, question, self._plan.seed + number, last.model)
+                seed = self._plan.seed * MOST_MEMBERS + number
+                job = Job(network, question, seed, last.model)
                 found.append((job, candidate.final_seconds))
         return found
 

@@ -288,7 +288,10 @@ class Network(Forecaster):
         # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
         self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
-        report = FitReport(seed, history.seconds, history.losses, notes, history.cut, stable)
+        cut = history.cut or (
+            self.fitted_base is not None and self.fitted_base.require_fitted().report.cut
+        )
+        report = FitReport(seed, history.seconds, history.losses, notes, cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:

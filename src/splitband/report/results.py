@@ -76,7 +76,9 @@ def save_standing(standing: Standing, folder: Path, facts: dict[str, Any]) -> No
     """
     trial, record = standing.trial, standing.plan.record
     with staged(folder) as new:
-        marked = {"unfinished": standing.doing, "trained_on": "three quarters of the training part"}
+        part = "the training part"
+        part = part if trial.recommended in standing.final else f"three quarters of {part}"
+        marked = {"unfinished": standing.doing, "trained_on": part}
         saving.save(standing.model, new / MODEL_FOLDER, marked)
         said = {
             "unfinished": standing.doing,

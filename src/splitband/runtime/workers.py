@@ -127,8 +127,10 @@ def run_jobs(
                 future.set_exception(error)
             yield job, future
         return
-    waiting = {executor.submit(_on_one_thread, work, job): job for job in jobs}
+    waiting: dict[Future[Result], Job] = {}
     try:
+        for job in jobs:
+            waiting[executor.submit(_on_one_thread, work, job)] = job
         while waiting and not patience.over:
             done, _ = wait(waiting, min(TICK, max(patience.left, 0.0)), FIRST_COMPLETED)
             for future in done:
