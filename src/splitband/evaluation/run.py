@@ -204,6 +204,8 @@ class Course:
         )
         for forecaster in at_once:
             self._try(forecaster)
+        for forecaster in at_once:
+            self._keep_final(Job(forecaster, self.plan.question(forecaster)))
         if slow:
             self._report("baselines", whole=True)
         until = self._half()
@@ -215,7 +217,6 @@ class Course:
                 prepare([forecaster], records, self._runner, until)
         for forecaster in slow:
             self._try(forecaster)
-        for forecaster in quick:
             self._keep_final(Job(forecaster, self.plan.question(forecaster)))
         if self.final and len(quick) < len(self._ready):
             self._report("baselines", whole=True)
@@ -422,7 +423,9 @@ class Course:
                 self.failed[job.method] = fit.failure
 
     def _at_once(self, job: Job) -> Fit:
-        with one_thread(), within(self._half()):
+        # A deadline would change a quick fit for no gain.
+        until = self._half() if job.forecaster.fits_simulator else Deadline()
+        with one_thread(), within(until):
             return job.run()
 
     def _trained(self, jobs: Sequence[Job], until: Deadline, doing: str) -> list[Fit]:
