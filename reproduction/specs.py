@@ -69,7 +69,7 @@ SPECS = {
     ),
     "pendulum": Spec(
         "Rows (ii) to (iv) on the simulated pendulum, each with its own excitation",
-        ("ii-simulated", "iii-simulated", "iv-simulated"), (*_GRU, *_NAIVE), {}, own_warmup=True,
+        ("ii-simulated", "iii-simulated", "iv-simulated"), (*_GRU, *_NAIVE), {},
     ),
     "noise-draws": Spec(
         f"System (i) over {DRAWS} noise draws, one seed each",
