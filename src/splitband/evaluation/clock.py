@@ -27,6 +27,7 @@ class Clock:
     cores : Trainings that run side by side.
     trained : Seconds that all trainings took together.
     notes : What the deadline has changed, in words.
+    interrupted : Whether Ctrl-C ended it early.
     """
 
     limit: float | None = None
@@ -35,6 +36,7 @@ class Clock:
     cores: int = 1
     trained: float = 0.0
     notes: list[str] = field(default_factory=list)
+    interrupted: bool = False
 
     @property
     def used(self) -> float:

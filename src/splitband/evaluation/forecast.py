@@ -38,7 +38,7 @@ class Forecast:
     leaves : Samples before a training's forecast leaves the range of `metrics.leaves_range`; None
         if it does not.
     inputs_beyond_training : Future inputs that exceed their range in training.
-    clock, interrupted : See `Comparison`.
+    clock : See `Comparison`.
     """
 
     plan: Plan
@@ -49,7 +49,6 @@ class Forecast:
     leaves: int | None
     inputs_beyond_training: list[Extrapolation]
     clock: Clock = field(default_factory=Clock)
-    interrupted: bool = False
 
     @property
     def record(self) -> Record:
@@ -65,6 +64,11 @@ class Forecast:
     def method(self) -> str:
         """Return the name of the recommended method."""
         return self.model.name
+
+    @property
+    def interrupted(self) -> bool:
+        """Return whether Ctrl-C ended it early."""
+        return self.clock.interrupted
 
     def __repr__(self) -> str:
         steps = len(self.prediction)
@@ -146,5 +150,4 @@ def run_forecast(
         min((samples for samples in left if samples is not None), default=None),
         model.require_fitted().inputs_beyond(None if u is None else u[: plan.horizon]),
         course.clock,
-        course.interrupted,
     )

@@ -171,6 +171,7 @@ def carried_out(
             raise
         course.interrupted = True
     course.complete()
+    course.clock.interrupted = course.interrupted
     return course
 
 
