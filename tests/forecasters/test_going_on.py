@@ -68,3 +68,21 @@ def test_another_kind_is_refused(other: sb.Forecaster) -> None:
     fitted = other.fit(rig(0)) if not other.random else other
     with pytest.raises(ValueError, match="start must be a trained gru, got"):
         sb.Single(sb.GRU(4), SHORT).fit(rig(0), start=fitted)
+
+
+def test_a_base_is_fitted_again_where_its_inputs_or_its_options_differ() -> None:
+    network = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT)
+    start, record = network.clone().fit(rig(6)), rig(6)
+    assert record.u is not None
+    driven = network.clone().fit(replace(record, u=-record.u), start=start)
+    other = sb.Residual(sb.Linear(order=3), sb.GRU(3), settings=SHORT).fit(record, start=start)
+    assert driven.fitted_base is not start.fitted_base
+    assert other.fitted_base is not start.fitted_base
+
+
+def test_another_size_or_another_median_is_refused_in_one_line() -> None:
+    start = sb.Single(sb.GRU(4), SHORT).fit(rig(0))
+    with pytest.raises(ValueError, match="start must have the sizes and channels of gru: 5 hidden"):
+        sb.Single(sb.GRU(5), SHORT).fit(rig(0), start=start)
+    with pytest.raises(ValueError, match="start must be a trained median of 2, got"):
+        sb.Ensemble(sb.Single(sb.GRU(4), SHORT), 2).fit(rig(0), start=start)

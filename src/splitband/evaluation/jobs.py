@@ -77,6 +77,9 @@ class Job:
             "others": len(asked.others), "tests": len(asked.tests), "new": self.start is None,
         }  # fmt: skip
         digest.update(json.dumps(plain, sort_keys=True).encode())
+        for simulator in (part.simulator for part in simulations(self.forecaster)):
+            # With the ranges of its parameters, which a saved model does not tell apart.
+            digest.update(str(getattr(simulator, "fingerprint", lambda: None)()).encode())
         records = [asked.record, *asked.others, *asked.tests]
         for part in [self.forecaster, *([] if self.start is None else [self.start]), *records]:
             digest.update(packed(part))

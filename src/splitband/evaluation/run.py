@@ -250,7 +250,7 @@ class Course:
                 self._extend(search)
             if not self.interrupted:
                 self._report(f"round {search.round}", whole=True)
-            if search.cut or self.interrupted:
+            if until.over or self.interrupted:
                 break
         self.failed |= search.failed
         if search.settled:
@@ -327,6 +327,9 @@ class Course:
         for name, fits in self.final.items():
             for fit in fits:
                 with_simulators_of(fit.fitted, methods[name])
+                if (network := fit.fitted.network) is not None:
+                    # A copy that is fitted again is trained as long as all rounds together.
+                    network.settings = network.trained_by
 
     def fits(self) -> dict[str, list[Fit]]:
         """Return the final fits, without failed trainings where their number was left open."""
@@ -511,7 +514,10 @@ def fit(
             course = carried_out(replace(plan, seeds=1), runner, watch, clock)
         if course.interrupted:
             raise KeyboardInterrupt  # what is finished is in the folder
-        return course.final[forecaster.name][0].fitted
+        model = course.final[forecaster.name][0].fitted
+        trial = judged(plan.training, course.held, course.final, {})
+        model.held_out = trial.held_out.get(forecaster.name)
+        return model
     checkpoint = None
     if kept is not None:
         from splitband.training import Checkpoint  # noqa: PLC0415  which loads torch

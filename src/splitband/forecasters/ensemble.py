@@ -148,7 +148,7 @@ class Ensemble(Forecaster):
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with its own numbered checkpoint file."""
         seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
-        starts = getattr(how["start"], "members", None) or [None] * self.count
+        starts = [None] * self.count if how["start"] is None else self._starts(how["start"])
         each = zip(self.templates, self.seeds, starts, strict=True)
         for i, (template, of_first, start) in enumerate(each):
             of_member = None if checkpoint is None else checkpoint.numbered(i)
@@ -158,6 +158,13 @@ class Ensemble(Forecaster):
             member.fit(*records, seed=own, start=start, progress=watch, checkpoint=of_member)
             self.members.append(member)
         self._take(self.members, seed)
+
+    def _starts(self, start: Forecaster) -> list[Forecaster | None]:
+        """Return the trained members to go on from; raises ValueError for another forecaster."""
+        members: list[Forecaster | None] = [*getattr(start, "members", ())]
+        if len(members) != self.count:
+            raise ValueError(f"start must be a trained median of {self.count}, got {start!r}")
+        return members
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
         """Return the median of the members, by component where all have the same components.

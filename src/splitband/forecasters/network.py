@@ -276,7 +276,13 @@ class Network(Forecaster):
             )
         self.model = self._built(seen[0], settings, seed)
         if start is not None:
-            self.model.load_state_dict(start.state())
+            try:
+                self.model.load_state_dict(start.state())
+            except RuntimeError:
+                raise ValueError(
+                    f"start must have the sizes and channels of {self.name}: "
+                    f"{self.training_in_words()}, got {start.training_in_words()}"
+                ) from None
             self.model.units_kept = True
         elif settings.linear_start:
             begin_as_linear(self.model, seen, settings.normalize, seed)
@@ -348,7 +354,8 @@ class Network(Forecaster):
         """
         seen = [*records]
         if self.base is not None:
-            base = None if start is None else start._base_for(records)
+            same = start is not None and repr(start.base) == repr(self.base)
+            base = start._base_for(records) if start is not None and same else None
             if base is None:
                 base = self.base.clone().fit(*records, seed=seed).as_simulator()
             self.fitted_base = base
@@ -364,7 +371,7 @@ class Network(Forecaster):
         fitted = self.require_fitted()
         before = [fitted.record, *fitted.others]
         same = len(before) == len(records) and all(
-            np.array_equal(old.seen, new.seen, equal_nan=True)
+            old.grid == new.grid and all(map(_equal, _signals(old), _signals(new)))
             for old, new in zip(before, records, strict=True)
         )
         return self.fitted_base if same else None
@@ -418,3 +425,14 @@ class Network(Forecaster):
             self.fitted_base,
             self.prehistory,
         )
+
+
+def _signals(record: Record) -> tuple[Array | None, ...]:
+    """Return what a base is fitted to: outputs, inputs and the simulator's output."""
+    return record.seen, record.u, record.y_sim
+
+
+def _equal(one: Array | None, other: Array | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return np.array_equal(one, other, equal_nan=True)
