@@ -12,7 +12,14 @@ import numpy as np
 
 from splitband.data import Record, check_alike, require_records
 from splitband.data.gaps import first_after
-from splitband.forecasters.backtest import Origin, Question, first_held_out, first_origin, for_trial
+from splitband.forecasters.backtest import (
+    Origin,
+    Question,
+    first_held_out,
+    first_origin,
+    for_trial,
+    held_out_origins,
+)
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.configurable import parts_of
@@ -107,6 +114,12 @@ class Plan:
             warmup,
             self.initial,
         )
+
+    def held_out_question(self, forecaster: Forecaster) -> Question:
+        """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
+        record = replace(self.training, y_true=None)
+        origins = held_out_origins(forecaster, record)
+        return Question(record, origins, self.train + self.horizon, self.others)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.

@@ -20,7 +20,6 @@ from splitband.forecasters.backtest import (
     Origin,
     Question,
     for_trial,
-    held_out_origins,
 )
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
@@ -212,7 +211,7 @@ class Course:
         until = self._half()
         prepared = [f for f in self._ready if f not in at_once]
         for forecaster in prepared:
-            question = self._trial(forecaster)
+            question = self.plan.held_out_question(forecaster)
             for samples in sorted({origin.fitted for origin in question.origins}):
                 records = [question.record[:samples], *question.others]
                 prepare([forecaster], records, self._runner, until)
@@ -403,15 +402,10 @@ class Course:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None
 
-    def _trial(self, forecaster: Forecaster) -> Question:
-        record = replace(self.plan.training, y_true=None)
-        origins = held_out_origins(forecaster, record)
-        return Question(record, origins, len(record) + self.plan.horizon, self.plan.others)
-
     def _try(self, forecaster: Forecaster) -> None:
         """Fit a quick method to three quarters of the training part, in this process."""
         shorter = for_trial(forecaster, self.plan.train)
-        fit = self._at_once(Job(shorter, self._trial(shorter)))
+        fit = self._at_once(Job(shorter, self.plan.held_out_question(shorter)))
         if fit.model is not None:
             self.held[forecaster.name] = [fit]
         else:

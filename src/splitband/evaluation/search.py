@@ -22,9 +22,7 @@ from splitband.evaluation.plan import Plan
 from splitband.forecasters.backtest import (
     HELD_OUT_SHARE,
     Fit,
-    Question,
     for_trial,
-    held_out_origins,
     held_out_score,
 )
 from splitband.forecasters.base import Forecaster
@@ -288,16 +286,12 @@ class Search:
     def _job(self, candidate: Candidate) -> Job:
         network = for_trial(candidate.next(), len(self._record))
         start = candidate.fits[-1].model if candidate.fits else None
-        return Job(network, self._question(network), candidate.seed, start)
+        return Job(network, self._plan.held_out_question(network), candidate.seed, start)
 
     def _jobs_as_given(self, method: Forecaster) -> list[Job]:
         shorter = for_trial(method, len(self._record))
-        return [Job(shorter, self._question(shorter), seed) for seed in self._seeds()]
+        return [Job(shorter, self._plan.held_out_question(shorter), seed) for seed in self._seeds()]
 
     def _seeds(self) -> range:
         first, count = self._plan.seed, self._plan.seeds or GIVEN_SEEDS
         return range(first * count, (first + 1) * count)
-
-    def _question(self, forecaster: Forecaster) -> Question:
-        record, end = self._record, len(self._record) + self._plan.horizon
-        return Question(record, held_out_origins(forecaster, record), end, self._plan.others)
