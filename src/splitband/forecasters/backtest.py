@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current, now
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
-
-if TYPE_CHECKING:
-    pass
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
@@ -318,11 +315,14 @@ def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOu
     return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
 
 
-def interval_errors_of(forecaster: Forecaster) -> HeldOut:
+def held_out_of(forecaster: Forecaster) -> HeldOut:
     """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
-    Raises ValueError for a loaded forecaster, which does not have all of its training records.
+    They are kept with it. Raises ValueError for a loaded forecaster without them, which does not
+    have all of its training records.
     """
+    if forecaster.held_out is not None:
+        return forecaster.held_out
     fitted = forecaster.require_fitted()
     record = fitted.record
     if fitted.begin or not fitted.whole:
@@ -334,7 +334,8 @@ def interval_errors_of(forecaster: Forecaster) -> HeldOut:
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)
-    return interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
+    forecaster.held_out = interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
+    return forecaster.held_out
 
 
 def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:

@@ -39,7 +39,6 @@ from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import attributes
-from splitband.runtime.provided import provided
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
 from splitband.training import Checkpoint, Progress
@@ -287,8 +286,9 @@ class Forecaster(Configurable):
         ValueError
             For a forecaster without inputs, and one that needs a simulator's output from a record.
         """
-        found: Responses = provided("step responses")(self, steps, at, size)
-        return found
+        from splitband.forecasters.responses import respond  # noqa: PLC0415  it imports this
+
+        return respond(self, steps, at, size)
 
     def check_residuals(self, record: Record) -> ModelCheck:
         """Check the fitted forecaster on a record, preferably one that it was not fitted to.
@@ -304,8 +304,9 @@ class Forecaster(Configurable):
             For a forecaster that has not been fitted, and a record that does not match it or is too
             short.
         """
-        found: ModelCheck = provided("check")(self, record)
-        return found
+        from splitband.forecasters.checking import check  # noqa: PLC0415  it imports this
+
+        return check(self, record)
 
     @final
     def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
@@ -400,8 +401,9 @@ class Forecaster(Configurable):
             For another ending, and for a part that cannot be exported, which it names, such as a
             cell of your own.
         """
-        files: list[Path] = provided("export")(self, path, precision, history)
-        return files
+        from splitband.export.writing import export  # noqa: PLC0415  of a higher layer
+
+        return export(self, path, precision, history)
 
     def untrained(self) -> Forecaster:
         """Return it not fitted, with the settings and bands that its fit has chosen."""
@@ -438,7 +440,9 @@ class Forecaster(Configurable):
         The folder also holds the end of the training record (for the warm-up), the calibration,
         units, input ranges, and the held-out errors, if an interval has been requested.
         """
-        provided("saving")(self, folder)
+        from splitband.forecasters.saving import save  # noqa: PLC0415  it imports this
+
+        save(self, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the options and fitted attributes of the forecaster, for `save`.
@@ -478,7 +482,6 @@ class Forecaster(Configurable):
         The first call refits copies to shorter parts of its training record. ValueError is raised
         where that is too short, and for a loaded forecaster that was saved without these errors.
         """
-        if self.held_out is None:
-            self.held_out = provided("held-out forecasts")(self)
-        assert self.held_out is not None
-        return self.held_out
+        from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
+
+        return held_out_of(self)

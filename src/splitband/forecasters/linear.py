@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, Literal, Self, final
 
 import numpy as np
@@ -168,7 +167,9 @@ class Linear(Forecaster):
 
     def to_control(self) -> Any:
         """Return `state_space` as a `control.StateSpace` (the extra `control`), with its names."""
-        control, record = import_module("control"), self.require_fitted().record
+        import control  # noqa: PLC0415  an extra
+
+        record = self.require_fitted().record
         return control.ss(
             *self.model.state_space(), record.sampling_time,
             inputs=[*record.inputs], outputs=[*record.columns],

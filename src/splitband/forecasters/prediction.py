@@ -16,7 +16,6 @@ from splitband.data.timing import stamps_at
 from splitband.forecasters.medians import mean_over, middle_members
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,8 +98,9 @@ class Prediction:
 
     def plot(self) -> Figure:
         """Return a plot of the prediction."""
-        figure: Figure = provided("picture of a prediction")(self)
-        return figure
+        from splitband.report.pictures import prediction  # noqa: PLC0415  of a higher layer
+
+        return prediction(self)
 
 
 def median_of(predictions: Sequence[Prediction]) -> Prediction:
