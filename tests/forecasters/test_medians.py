@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splitband.forecasters.medians import mean_over, median, middle_members
+from splitband.forecasters.prediction import mean_over, median, middle_members
 
 
 @given(count=st.integers(1, 9), seed=st.integers(0, 2**16))

@@ -25,7 +25,7 @@ from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.metrics import rmse
 from splitband.models import Signals, Split
 from splitband.runtime.files import CHECKPOINTS

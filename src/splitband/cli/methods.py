@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import showing
-from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.base import parts_of
 from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
 
 

@@ -21,8 +21,7 @@ from splitband.forecasters.backtest import (
     held_out_origins,
 )
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.base import Forecaster, parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
 from splitband.runtime.arguments import whole
@@ -317,7 +316,7 @@ def chosen_bands(
 
 def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:
     """Yield the parts of a forecaster that use the simulator's output in the record."""
-    for part in parts_of(forecaster).values():
+    for part in parts_of(forecaster):
         if parts_of(part):
             yield from _simulators_in(part)
         elif "simulator" in part.needs:

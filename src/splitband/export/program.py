@@ -12,7 +12,7 @@ import numpy as np
 from splitband.data import Record
 from splitband.data.preparation import seconds
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.streaming import program_of
+from splitband.forecasters.stepping import program_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.graph import Block, Node, Symbol
 from splitband.runtime.tracing import trace

@@ -5,51 +5,58 @@ from __future__ import annotations
 import contextlib
 import time
 import warnings
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
+import numpy as np
 import numpy.typing as npt
 
 from splitband.baselines.delays import check_delays
-from splitband.data import Record, require_records
-from splitband.forecasters.configurable import Configurable
+from splitband.data import Record, check_alike, require_records
+from splitband.data.gaps import last_before
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.known import Known
-from splitband.forecasters.predicting import (
-    first_needed,
+from splitband.forecasters.prediction import (
+    Known,
+    Prediction,
     known_at_origin,
     known_of,
     predicted,
     prepared_like,
     seconds_after,
 )
-from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.stepping import (
     Extrapolated,
     NotSteppedError,
     Part,
     Recursion,
+    Stream,
+    stream_of,
 )
-from splitband.forecasters.streaming import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import attributes
+from splitband.runtime.options import WithRepr, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
-from splitband.training import Checkpoint, Progress
+from splitband.training import Checkpoint, Progress, Settings
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
+    import torch
+    from torch import nn
 
     from splitband.baselines.linear import LinearModel
-    from splitband.forecasters.checking import ModelCheck
+    from splitband.forecasters.checking import ModelCheck, Responses
     from splitband.forecasters.differentiable import TorchSimulation
-    from splitband.forecasters.responses import Responses
+    from splitband.forecasters.network import Network
+
+SHORT = 20_000
+"""Longest training record with a simulator's output, in samples, that is saved whole. By eye."""
 
 
 class Training(TypedDict):
@@ -61,7 +68,7 @@ class Training(TypedDict):
     checkpoint: Checkpoint | None
 
 
-class Forecaster(Configurable):
+class Forecaster(WithRepr, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
@@ -75,14 +82,172 @@ class Forecaster(Configurable):
     fitted : The training records and the report of the fit; None before `fit`.
     delays : Delay of each input in samples, as found in training; empty where none are estimated.
     held_out : Errors of held-out forecasts, once an interval has been requested.
+    cells : Options that hold the templates of its networks' cells; empty without networks.
+    settings : Of its networks' training; None where they are not set or nothing is trained.
+    fits_simulator : Whether its fit runs a simulator many times, which may take minutes.
+    words : Description that all instances of the class share; see `in_words`.
+    slow_part : Description as the slow component of a hybrid, such as "linear model".
     """
 
+    cells: ClassVar[tuple[str, ...]] = ()
+    settings: Settings | None = None
+    fits_simulator: ClassVar[bool] = False
+    words: ClassVar[str] = ""
+    slow_part: ClassVar[str] = ""
     affine: ClassVar[bool] = False
     """Whether predictions are affine in the inputs, or do not depend on them; needed by `as_torch`,
     unless `differentiable` is overridden."""
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Return its name in tables and files, unique within a comparison."""
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Return what it needs of a record: "inputs", "simulator"."""
+        return frozenset().union(*(part.needs for part in parts_of(self)))
+
+    @property
+    def random(self) -> bool:
+        """Return whether its fit depends on a seed, as the slow training of a network does."""
+        return any(part.random for part in parts_of(self))
+
+    @property
+    def anchored(self) -> bool:
+        """Return whether a forecast depends on the time since the training record began.
+
+        Such a forecaster cannot predict a record whose time is unrelated to that of training.
+        """
+        return any(part.anchored for part in parts_of(self))
+
+    @property
+    def calibrates(self) -> bool:
+        """Return whether it calibrates a simulator, which may need output beyond the record."""
+        return any(part.calibrates for part in parts_of(self))
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Return the seeds of an ensemble's members; (0,) for a single forecaster."""
+        return (0,)
+
+    @property
+    def network(self) -> Network | None:
+        """Return itself if it is a network, with settings, sizes and weights; else None."""
+        return None
+
+    @property
+    def shares_bands(self) -> bool:
+        """Return whether it takes the bands that a comparison chooses, see `with_defaults`."""
+        return any(part.shares_bands for part in parts_of(self))
+
+    @property
+    def refits(self) -> bool:
+        """Return whether it is refitted at each origin of a trial, as its fit is quick."""
+        return not self.random
+
+    @property
+    def slow_label(self) -> str:
+        """Return the label of the slow component of a prediction, if that is the forecaster."""
+        return self.name
+
+    def hybrid_name(self, kind: str, cell: str) -> str:
+        """Return the name of a hybrid of this kind, with the forecaster as the slow component."""
+        return f"{kind}-{self.name}-{cell}"
+
+    def in_words(self) -> str:
+        """Return a description that can follow "is"; empty where there is none."""
+        return self.words
+
+    def training_in_words(self) -> str:
+        """Return sizes, window and steps of its networks, for tables; empty without."""
+        return ""
+
+    def to(self, device: str | torch.device) -> Self:
+        """Train and run networks on this device from now on, and return the forecaster itself."""
+        for part in parts_of(self):
+            part.to(device)
+        return self
+
+    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """Return it with a comparison's settings and bands, where its own are not set."""
+        return self.with_parts(lambda part: part.with_defaults(settings, bands))
+
+    def for_samples(self, samples: int, instead_of: int) -> Self:
+        """Return it adapted to `samples` of a training record of `instead_of` samples."""
+        return self.with_parts(lambda part: part.for_samples(samples, instead_of))
+
+    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
+        """Return it with its own simulator's output computed once, for all processes.
+
+        The output covers the training record and `horizon` samples more, and other records.
+        """
+        return self.with_parts(lambda part: part.simulated(record, horizon, *others))
+
+    def with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
+        """Return it with each part changed; itself without parts."""
+        return self._with_changed(changed) if parts_of(self) else self
+
+    def prepare(
+        self,
+        records: Sequence[Record],
+        workers: int | Executor = 1,
+        folder: Path | None = None,
+    ) -> None:
+        """Compute once the results that the fits of several forecasters and seeds share.
+
+        `workers` may run it in parallel; an interrupted computation may resume from files in
+        `folder`.
+        """
+        for part in parts_of(self):
+            part.prepare(records, workers, folder)
+
+    def check(self, *records: Record) -> None:
+        """Raise ValueError for unsuitable training records, before anything runs."""
+        if not records:
+            raise ValueError("records must be one or several, got none")
+        require_records("records", *records)
+        for other in records[1:]:
+            check_alike(other, records[0], other.name or "another record")
+        for record in records:
+            if "inputs" in self.needs and record.u is None:
+                raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
+            if "simulator" in self.needs and record.y_sim is None:
+                raise ValueError(f"{self.name} needs a simulator, {_named(record)} has none")
+        for part in parts_of(self):
+            part.check(*records)
+
+    def get_params(self) -> dict[str, Any]:
+        """Return the options by name: the arguments of the constructor.
+
+        Raises TypeError where the constructor does not keep an argument as an attribute.
+        """
+        return options(self)
+
+    def set_params(self, **params: Any) -> Self:
+        """Change some options and return the forecaster itself, which is then not fitted.
+
+        Raises TypeError for an unknown option, and the errors of the constructor.
+        """
+        new = self._made({**self.get_params(), **params})
+        vars(self).clear()
+        vars(self).update(vars(new))
+        return self
+
+    def clone(self) -> Self:
+        """Return a new forecaster with the same options, not fitted."""
+        return self._with_changed(lambda part: part.clone())
+
+    def _with_changed(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
+        given = self.get_params().items()
+        return self._made({name: _changed(option, changed) for name, option in given})
+
+    def _made(self, params: dict[str, Any]) -> Self:
+        """Return a forecaster of the same class with these options."""
+        return type(self)(**params)
 
     @property
     def calibration(self) -> Calibration | None:
@@ -182,8 +347,7 @@ class Forecaster(Configurable):
         """
         self.check(*records)
         seed = whole("seed", seed, None)
-        kept = {name: vars(self)[name] for name in attributes(self).values()}
-        self._become(self.clone(), kept)  # nothing of an earlier fit
+        self.set_params()  # removes what an earlier fit has found
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
@@ -286,7 +450,7 @@ class Forecaster(Configurable):
         ValueError
             For a forecaster without inputs, and one that needs a simulator's output from a record.
         """
-        from splitband.forecasters.responses import respond  # noqa: PLC0415  it imports this
+        from splitband.forecasters.checking import respond  # noqa: PLC0415  it imports this
 
         return respond(self, steps, at, size)
 
@@ -463,11 +627,19 @@ class Forecaster(Configurable):
 
     def first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs."""
-        return first_needed(self)
-
-    def state(self) -> dict[str, Tensor]:
-        """Return the trained weights, from which another training can start."""
-        return {}
+        record = self.require_fitted().record
+        if "simulator" in self.needs and len(record) <= SHORT:
+            return 0
+        measured = ~np.isnan(record.seen)
+        first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
+        if self.warmup:
+            start = last_before(record.complete, self.warmup, len(record))
+            first = min(first, (self.warmup if start is None else start) - self.warmup)
+        first -= max(self.delays, default=0)
+        if "simulator" in self.needs:
+            # A calibrated delay or clock uses earlier output, up to a seventh of the record.
+            first = min(first, len(record) - len(record) // 5)
+        return max(0, min(first, len(record) - 2))
 
     def require_fitted(self) -> Fitted:
         """Return the training records and the report of the fit; raises ValueError before `fit`."""
@@ -485,3 +657,23 @@ class Forecaster(Configurable):
         from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
 
         return held_out_of(self)
+
+
+def parts_of(forecaster: Forecaster) -> list[Forecaster]:
+    """Return the options of a forecaster, and those in lists, that are forecasters themselves."""
+    given = forecaster.get_params().values()
+    several = [each if isinstance(each, list | tuple) else [each] for each in given]
+    return [each for inner in several for each in inner if isinstance(each, Forecaster)]
+
+
+def _changed(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
+    """Return an option with the forecasters in it changed; everything else is shared."""
+    if isinstance(option, Forecaster):
+        return changed(option)
+    if type(option) in (list, tuple):
+        return type(option)(_changed(part, changed) for part in option)
+    return option
+
+
+def _named(record: Record) -> str:
+    return record.name or "the record"

@@ -15,7 +15,7 @@ from splitband.baselines.seasonal import LastPeriod
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
 from splitband.runtime.arrays import Array

@@ -10,9 +10,7 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.known import Known
-from splitband.forecasters.medians import mean_over, middle_members
-from splitband.forecasters.predicting import total
+from splitband.forecasters.prediction import Known, mean_over, middle_members, total
 from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array

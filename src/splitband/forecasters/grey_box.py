@@ -12,13 +12,12 @@ import numpy as np
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.caching import Cached
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
 from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import current
+from splitband.runtime.caching import cached
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
@@ -53,8 +52,8 @@ class _Fit:
         return f"{fit_key(self.simulator, experiments, self.effort.starts)} {self.effort.seconds}"
 
 
-ESTIMATES: Cached[Estimate] = Cached(_Fit.result)
-"""Cache of fits: hybrids, seeds and trials need the same one, which takes seconds."""
+estimated = cached(_Fit.result)
+"""Fits a simulator once: hybrids, seeds and trials need the same fit, which takes seconds."""
 
 
 @final
@@ -166,12 +165,7 @@ class GreyBox(Forecaster):
         self._estimated(records, Effort(self.starts, self.seconds, workers, folder))
 
     def _estimated(self, records: Sequence[Record], effort: Effort) -> Estimate:
-        fit = _Fit(self._matched(records[0]), tuple(records), effort)
-        found = ESTIMATES(fit)
-        if found.cut and effort.seconds is None and current().left == np.inf:
-            ESTIMATES.forget(fit)  # a deadline has cut it, and there is none now
-            found = ESTIMATES(fit)
-        return found
+        return estimated(_Fit(self._matched(records[0]), tuple(records), effort))
 
     def _matched(self, record: Record) -> Any:
         """Return the simulator for the channels and inputs of a record."""

@@ -17,7 +17,7 @@ from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_linear import Driven
 from splitband.runtime.arguments import whole

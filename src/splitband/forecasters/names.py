@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from splitband import networks
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, parts_of
 from splitband.forecasters.closed_form import (
     Harmonic,
     Mean,
@@ -21,10 +21,8 @@ from splitband.forecasters.closed_form import (
     Persistence,
     SeasonalNaive,
 )
-from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.learned import Single, Split
+from splitband.forecasters.learned import Filtered, Residual, Single, Split
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.networks.cell import Cell, Template
@@ -103,7 +101,7 @@ def _baselines() -> list[Forecaster]:
     return [Mean(), Persistence(), SeasonalNaive(), Harmonic(), Periodic(), Linear()]
 
 
-BASES = {each.name: each for each in _baselines() if each.as_base.words}
+BASES = {each.name: each for each in _baselines() if each.slow_part}
 """Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
 _REPLACEMENTS: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}

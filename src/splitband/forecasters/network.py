@@ -2,14 +2,14 @@
 
 A forecaster holds a model of `splitband.models`, the settings of its training, its bands, and the
 base that it is combined with. Networks alone are in `forecasters.learned`, hybrids with a simulator
-or another forecaster in `forecasters.hybrids`.
+or another forecaster in `forecasters.learned`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
@@ -19,18 +19,17 @@ from splitband import models, training
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
 from splitband.data import Record
-from splitband.data.gaps import first_after
+from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.caching import Cached
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.free_run import FreeRun
 from splitband.forecasters.initialisation import begin_as_linear
-from splitband.forecasters.known import Known
-from splitband.forecasters.predicting import known_of
+from splitband.forecasters.prediction import Known, known_of, total
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.stepping import Recursion
+from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
+from splitband.models.labels import FAST, SLOW
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import cached, key_of
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
@@ -44,8 +43,8 @@ if TYPE_CHECKING:
 
     from splitband.models import Model
 
-DELAYS = Cached(input_delays)
-"""Cache of input delays: many trainings need those of the same records."""
+delays_of = cached(input_delays)
+"""Estimates the delays once, as many trainings need those of the same records."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
 
@@ -184,15 +183,6 @@ class Network(Forecaster):
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
-    def state(self) -> dict[str, torch.Tensor]:
-        """Return the state dict of the trained model, on the CPU."""
-        return {name: x.detach().cpu().clone() for name, x in self._trained().state_dict().items()}
-
-    def weights(self, record: Record) -> int:
-        """Return the number of trained weights, for such a record."""
-        model = self._built(record, self._settings_for(record), seed=0)
-        return sum(weight.numel() for weight in model.parameters())
-
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved: the model as its weights; `device` is omitted."""
         said = super().to_dict()
@@ -277,7 +267,7 @@ class Network(Forecaster):
         self.model = self._built(seen[0], settings, seed)
         if start is not None:
             try:
-                self.model.load_state_dict(start.state())
+                self.model.load_state_dict(start._trained().state_dict())
             except RuntimeError:
                 raise ValueError(
                     f"start must have the sizes and channels of {self.name}: "
@@ -301,35 +291,78 @@ class Network(Forecaster):
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return a free run from the last `warmup` samples without a gap, by component."""
-        return self._free_run().components(known)
+        """Return the forecast after a history by component, `(steps, ny)` each.
 
-    def trajectory(self, known: Known) -> Array:
-        """Return a free run from the first warm-up of the history on, `(time + steps, ny)`."""
-        return self._free_run().trajectory(known)
+        It warms up on the last `warmup` samples without a gap. Where the history is shorter, the
+        samples before it are estimated.
+        """
+        return self._run(self._trained().simulate_components, known)
 
     def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
-        return self._free_run().unfiltered(known_of(self, steps, history, None, None)[0])
+        known = known_of(self, steps, history, None, None)[0]
+        return self._run(self._trained().simulate_unfiltered, known)
 
-    def stepped(self, outside: bool = False) -> Recursion:
-        """Return the step-by-step form of its model, warmed up."""
-        return self._free_run().stepped(outside)
+    def trajectory(self, known: Known) -> Array:
+        """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
 
-    def differentiable(self, known: Known) -> nn.Module:
-        """Return its model, warmed up."""
-        return self._free_run().differentiable(known)
+        The samples before the run are the measured ones.
+        """
+        complete = np.asarray(~np.isnan(known.y).any(axis=1))
+        start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
+        if start is None or not complete[:start].all():
+            raise ValueError(
+                f"history must begin with {self.warmup} measured samples for {self.name}"
+            )
+        steps = len(known.y) + known.steps - start
+        begun = replace(known, y=known.y[:start], steps=steps)
+        return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
     def doubts(self, known: Known) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
-        return self._free_run().doubts(known)
+        doubts = [] if self.fitted_base is None else self.fitted_base.doubts(known)
+        if self._short(known):
+            short = (
+                f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
+                "what came before is estimated"
+            )
+            doubts = [*dict.fromkeys([*doubts, short])]
+        return doubts
+
+    def stepped(self, outside: bool = False) -> Recursion:
+        """Return the step-by-step form of model and base, warmed up."""
+        try:
+            model = self._trained().stepped()
+        except ValueError as error:
+            raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
+        part = None if self.fitted_base is None else self.fitted_base.part(outside)
+        return Warmed(model, part, self.warmup, self.delays)
+
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return model and base as a torch module, warmed up."""
+        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
+            ModelSimulation,
+        )
+
+        model, base = self._trained(), self.fitted_base
+        if base is not None and not base.affine:
+            raise ValueError(
+                f"{self.name} cannot be run by torch: its base, {base.name}, is not affine in the "
+                "inputs"
+            )
+        beside = None if base is None else base.differentiable(known)
+        y, u, slow, since = self._warmed(known)
+        longest = max(self.delays, default=0)
+        late = np.zeros((0, 0)) if known.u is None else _last(known.u, longest)
+        made = ModelSimulation(model, (y, u, slow), since, late, self.delays, beside)
+        return made.to(next(model.parameters()).device)
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""
         fitted, base = self.require_fitted(), self.fitted_base
         said = []
-        if base is not None and base.as_base.described:
-            said = [f"{base.as_base.label}: {base.describe()}"]
+        if base is not None and (base.slow_label != SLOW or base.calibrates):
+            said = [f"{base.slow_label}: {base.describe()}"]
         said += [self.training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
@@ -362,18 +395,14 @@ class Network(Forecaster):
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
-            found = DELAYS([(r.seen, r.u) for r in records]) if start is None else start.delays
+            found = delays_of([(r.seen, r.u) for r in records]) if start is None else start.delays
             self.delays = found
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     def _base_for(self, records: Sequence[Record]) -> Forecaster | None:
         """Return its base where that was fitted to the same samples, which saves another fit."""
         fitted = self.require_fitted()
-        before = [fitted.record, *fitted.others]
-        same = len(before) == len(records) and all(
-            old.grid == new.grid and all(map(_equal, _signals(old), _signals(new)))
-            for old, new in zip(before, records, strict=True)
-        )
+        same = _samples([fitted.record, *fitted.others]) == _samples(records)
         return self.fitted_base if same else None
 
     def _remarks(self, record: Record) -> list[str]:
@@ -415,24 +444,60 @@ class Network(Forecaster):
         assert self.model is not None
         return self.model
 
-    def _free_run(self) -> FreeRun:
-        """Return the trained model, ready to simulate."""
-        return FreeRun(
-            self.name,
-            self._trained(),
-            self.warmup,
-            self.delays,
-            self.fitted_base,
-            self.prehistory,
-        )
+    def _short(self, known: Known) -> bool:
+        """Return whether the history is shorter than the warm-up and can be completed."""
+        short = 0 < len(known.y) < self.warmup
+        return short and self.prehistory is not None and not np.isnan(known.y).any()
+
+    def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
+        """Return what a simulation of the model gives after the history, by component.
+
+        The base labels the slow one.
+        """
+        y, u, slow, since = self._warmed(known)
+        found = {}
+        for part, values in simulate(y, since + known.steps, u, slow).items():
+            label = part
+            if self.fitted_base is not None and part.startswith(SLOW):
+                # The base may have the label of the fast component; labels must differ.
+                slow_label = self.fitted_base.slow_label
+                label = "base" if slow_label == FAST else slow_label
+                label += part.removeprefix(SLOW)
+            found[label] = values[since:]
+        return found
+
+    def _warmed(self, known: Known) -> tuple[Array, Array | None, Array | None, int]:
+        """Return the last warm-up without a gap, and the samples between its end and the origin.
+
+        The warm-up holds the measured samples `(warmup, ny)`, and the inputs and the base's output
+        from its beginning to the last sample of the forecast.
+        """
+        y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
+        slow, base = None, self.fitted_base
+        if self._short(known):
+            assert self.prehistory is not None
+            slow = None if base is None else base.trajectory(known)
+            y, u, slow = self.prehistory.completed(self._trained(), y, u, slow)
+        complete = np.asarray(~np.isnan(y).any(axis=1))
+        start = last_before(complete, self.warmup, len(y))
+        if start is None:
+            raise ValueError(
+                f"history must have {self.warmup} measured samples in a row to warm up on, got "
+                f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
+            )
+        begin, since = start - self.warmup, len(y) - start
+        if base is not None and slow is None:
+            slow = base.trajectory(replace(known, since=begin))[begin:]
+        return y[begin:start], None if u is None else u[begin:], slow, since
 
 
-def _signals(record: Record) -> tuple[Array | None, ...]:
-    """Return what a base is fitted to: outputs, inputs and the simulator's output."""
-    return record.seen, record.u, record.y_sim
+def _last(u: Array, rows: int) -> Array:
+    """Return the last rows; the first row is repeated where there are fewer, as in `delayed`."""
+    return np.concatenate(
+        [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
+    )
 
 
-def _equal(one: Array | None, other: Array | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return np.array_equal(one, other, equal_nan=True)
+def _samples(records: Sequence[Record]) -> str:
+    """Return a hash of what a base is fitted to: times, outputs, inputs, the simulator's output."""
+    return key_of(*(part for r in records for part in (r.grid, r.seen, r.u, r.y_sim)))

@@ -13,14 +13,13 @@ import numpy as np
 from splitband.data import Aligned, Grid, Record, check_alike
 from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.caching import Cached
-from splitband.forecasters.configurable import AsBase
 from splitband.forecasters.fitted import NEAR_ROW, first_only
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
 from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import cached
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibrating import calibrate
@@ -30,8 +29,8 @@ from splitband.simulators.starting import is_driven, matched
 if TYPE_CHECKING:
     from torch import nn
 
-CALIBRATIONS = Cached(calibrate)
-"""Cache of calibrations: forecasters, seeds and trials need the same one, which takes seconds."""
+calibrated = cached(calibrate)
+"""Calibrates once: forecasters, seeds and trials need the same calibration, which takes seconds."""
 LONGEST = 10**8
 """Most samples of a simulator's run, counted from the first training sample: bounds the memory.
 By eye."""
@@ -95,18 +94,16 @@ class _Runs:
 
 
 def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
-    """Give a trained copy of a method its simulators again, in place of what they were run for."""
-    own = {id(part.simulator): part.simulator for part in simulations(method)}
-    for part in simulations(model):
-        part.simulator = own.get(getattr(part.simulator, "ran", 0), part.simulator)
+    """Give a trained copy of a method its simulators again.
 
-
-def with_own_simulators(model: Forecaster, method: Forecaster) -> None:
-    """Give a loaded copy of a method, which has descriptions instead, its simulators again."""
+    They replace what they were run for and, in a copy that was loaded, what describes them.
+    """
     own = [part.simulator for part in simulations(method) if part.simulator is not None]
+    by_id = {id(simulator): simulator for simulator in own}
     for part in simulations(model):
         if isinstance(part.simulator, Absent) and own:
             part.simulator = own[0]
+        part.simulator = by_id.get(getattr(part.simulator, "ran", 0), part.simulator)
 
 
 def simulations(value: Any) -> Iterator[Any]:
@@ -127,6 +124,9 @@ class SimulatorForecaster(Forecaster):
     affine = True
     applied = Calibration()
     """The calibration of the output."""
+    slow_label = SLOW
+    suffix = ""
+    """End of its name and of that of a hybrid."""
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
@@ -142,7 +142,11 @@ class SimulatorForecaster(Forecaster):
     @property
     def name(self) -> str:
         """Return the given name, or "simulator" with the suffix of its calibration."""
-        return self._name or "simulator" + self.as_base.after
+        return self._name or f"simulator{self.suffix}"
+
+    def hybrid_name(self, kind: str, cell: str) -> str:
+        """Return the name of a hybrid of this kind, with the simulator as the slow component."""
+        return f"{kind}-{cell}{self.suffix}"
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for wrong records; only the first one needs a simulator's output."""
@@ -381,10 +385,7 @@ class Simulation(SimulatorForecaster):
     name : By default "simulator".
     """
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return its texts as the slow component of a hybrid."""
-        return AsBase(SLOW, words="simulator", described=False)
+    slow_part = "simulator"
 
     def calibrated(self) -> Calibrated:
         """Return the same simulator with calibration."""
@@ -426,13 +427,13 @@ class Calibrated(SimulatorForecaster):
         self.terms = None if terms is None else tuple(terms)
 
     @property
-    def as_base(self) -> AsBase:
-        """Return its texts as the slow component of a hybrid."""
-        after = "-calibrated"
-        if self.terms is not None:
-            after = "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
-        return AsBase(SLOW, after=after, words="calibrated simulator")
+    def suffix(self) -> str:
+        """Return the end of its name: the terms that it fits."""
+        if self.terms is None:
+            return "-calibrated"
+        return "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
 
+    slow_part = "calibrated simulator"
     calibrates = True
     fits_simulator = True
 
@@ -465,4 +466,4 @@ class Calibrated(SimulatorForecaster):
 
     def _fitted_to(self, record: Record) -> Calibration:
         terms = () if self.terms is None else (self.terms,)
-        return CALIBRATIONS(self._output(record), record.seen, record.sampling_time, *terms)
+        return calibrated(self._output(record), record.seen, record.sampling_time, *terms)

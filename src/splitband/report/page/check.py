@@ -8,9 +8,7 @@ import numpy as np
 from bokeh.models import Segment
 from bokeh.models.annotations import BoxAnnotation
 
-from splitband.forecasters.checking import ModelCheck
-from splitband.forecasters.residuals import LEVEL, Correlation, ResidualTests
-from splitband.forecasters.responses import Responses
+from splitband.forecasters.checking import LEVEL, Correlation, ModelCheck, ResidualTests, Responses
 from splitband.report import words
 from splitband.report.numbers import number
 from splitband.report.page import tables

@@ -7,8 +7,9 @@ from dataclasses import asdict
 
 from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.backtest import Fit
-from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.base import parts_of
 from splitband.forecasters.prediction import Prediction
+from splitband.models.labels import SLOW
 from splitband.report import words
 from splitband.report.numbers import number
 from splitband.report.page import linear, tables
@@ -155,8 +156,8 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
     for fits in comparison.fits.values():
         run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
-        slow = [part.as_base for part in parts_of(method).values()]
-        for label in [base.label for base in slow if base.before and base.label in parts]:
+        slow = [part.slow_label for part in parts_of(method)]
+        for label in [each for each in slow if each in parts and each != SLOW]:
             whole = record.y.copy()
             whole[len(whole) - len(parts[label]) :] = parts[label]
             found.setdefault(label, whole[:train])

@@ -15,8 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.forecasters.checking import ModelCheck
-from splitband.forecasters.responses import Responses
+from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.report.colors import DARK, PALETTE
 from splitband.report.page import check, comparison, forecast
 from splitband.report.page.parts import Page, Plot, Usage
