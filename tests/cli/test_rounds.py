@@ -166,6 +166,9 @@ def test_a_summary_has_a_row_for_each_folder(
     said_of_other = capsys.readouterr().err
     assert said_of_other.startswith("error: DIR must be a folder that splitband compare wrote")
     assert said_of_other.endswith("got other\n")
+    Path("tank/results.json").write_text(json.dumps({**results(Path("tank")), "format": 1}))
+    assert main(["summary", "tank"]) == 2
+    assert "got 1 in tank: make them again with `splitband compare`" in capsys.readouterr().err
 
 
 def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:

@@ -215,9 +215,8 @@ def test_of_classes_that_a_notebook_defines_again_the_latest_is_loaded(
 
     def defined(level: float) -> sb.Forecaster:
         cell = (
-            "import numpy as np\nimport splitband as sb\n"
-            "class Level(sb.Forecaster):\n    name = 'level'\n"
-            f"    def extrapolate(self, known):\n        return np.full((known.steps, 1), {level})\n"
+            "import splitband as sb\nclass Level(sb.Forecaster):\n    name = 'level'\n"
+            f"    def extrapolate(self, known):\n        return {level} + 0 * known.y[:1]\n"
         )
         exec(cell, vars(notebook))
         made: sb.Forecaster = notebook.Level()

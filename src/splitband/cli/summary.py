@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from splitband.cli import showing
-from splitband.runtime.outputs import FACTS
+from splitband.runtime.outputs import FACTS, FORMAT
 
 
 def summary(
@@ -41,12 +41,18 @@ def _row(folder: Path) -> dict[str, Any]:
     path = folder / FACTS if folder.is_dir() else folder
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
-        best, table = facts["recommended"], facts["table"]
+        best, written = facts["recommended"], facts.get("format")
+        table = facts["table"] if written == FORMAT else []
         record = facts["record"]["name"] if "record" in facts else ""
     except (OSError, ValueError, KeyError, TypeError):
         raise ValueError(
             f"DIR must be a folder that splitband compare wrote, with {FACTS}, got {folder}"
         ) from None
+    if written != FORMAT:
+        raise ValueError(
+            f"DIR must hold results of format {FORMAT}, got {written} in {folder}: make them again "
+            "with `splitband compare`"
+        )
 
     def value(*headings: str) -> float | None:
         found = [c["values"].get(best) for h in headings for c in table if c["heading"] == h]
