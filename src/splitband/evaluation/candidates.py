@@ -9,6 +9,7 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial
+from splitband.forecasters.base import cells_of
 from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
@@ -172,7 +173,7 @@ def candidates(
     steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
     first = replace(usual, epochs=steps, quasi_newton=FIRST_ROUND, most_samples=FIRST_SAMPLES)
     size, *sizes = _sizes(forecaster) if sized else [forecaster]
-    if record.nu and all(isinstance(cell, LinearPart) for cell in _cells(forecaster)):
+    if record.nu and all(isinstance(cell, LinearPart) for cell in cells_of(forecaster).values()):
         window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
         iterations = FIRST_ROUND * (1 if samples <= SHORT else LONGER)
         base = replace(first, window=window, epochs=0, quasi_newton=iterations)
@@ -198,17 +199,12 @@ def candidates(
     return [*distinct.values()]
 
 
-def _cells(forecaster: Network) -> list[Any]:
-    return [getattr(forecaster, name) for name in forecaster.cells]
-
-
 def _sizes(forecaster: Network) -> list[Network]:
     """Return the network with each size of its cells to try, the usual one first."""
-    cells = _cells(forecaster)
-    if not all(hasattr(cell, "variants") for cell in cells):
+    cells: dict[str, Any] = {**cells_of(forecaster)}
+    if not all(hasattr(cell, "variants") for cell in cells.values()):
         return [forecaster.clone()]
-    every = zip(*(cell.variants() for cell in cells), strict=True)
+    every = zip(*(cell.variants() for cell in cells.values()), strict=True)
     return [
-        forecaster.clone().set_params(**dict(zip(forecaster.cells, sized, strict=True)))
-        for sized in every
+        forecaster.clone().set_params(**dict(zip(cells, sized, strict=True))) for sized in every
     ]

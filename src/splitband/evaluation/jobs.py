@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from splitband.data import Record
 from splitband.forecasters.backtest import Fit, Origin, Question, as_it_is, backtest
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, cells_of
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import simulations, with_simulators_of
 from splitband.runtime.caching import KEPT, Kept, keep
@@ -156,8 +156,7 @@ class Runner:
         Compiled once after installation, they are on the disk. What is not done by the deadline is
         compiled in a training.
         """
-        networks = [each.network for each in forecasters]
-        cells = [getattr(n, name) for n in networks if n is not None for name in n.cells]
+        cells = [cell for each in forecasters for cell in cells_of(each).values()]
         kinds = [*{type(cell): cell for cell in cells}.values()]
         kinds = kinds if self.executor else []
         for _, future in run_jobs(_compile, kinds, self.executor, until):

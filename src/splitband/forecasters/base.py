@@ -39,6 +39,7 @@ from splitband.forecasters.stepping import (
     stream_of,
 )
 from splitband.metrics import ExtrapolationWarning
+from splitband.networks.cell import Template
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import WithRepr, options
@@ -82,14 +83,12 @@ class Forecaster(WithRepr, ABC):
     fitted : The training records and the report of the fit; None before `fit`.
     delays : Delay of each input in samples, as found in training; empty where none are estimated.
     held_out : Errors of held-out forecasts, once an interval has been requested.
-    cells : Options that hold the templates of its networks' cells; empty without networks.
     settings : Of its networks' training; None where they are not set or nothing is trained.
     fits_simulator : Whether its fit runs a simulator many times, which may take minutes.
     words : Description that all instances of the class share; see `in_words`.
     slow_part : Description as the slow component of a hybrid, such as "linear model".
     """
 
-    cells: ClassVar[tuple[str, ...]] = ()
     settings: Settings | None = None
     fits_simulator: ClassVar[bool] = False
     words: ClassVar[str] = ""
@@ -664,6 +663,12 @@ def parts_of(forecaster: Forecaster) -> list[Forecaster]:
     given = forecaster.get_params().values()
     several = [each if isinstance(each, list | tuple) else [each] for each in given]
     return [each for inner in several for each in inner if isinstance(each, Forecaster)]
+
+
+def cells_of(forecaster: Forecaster) -> dict[str, Template]:
+    """Return the options of a forecaster that are templates of its networks' cells, by name."""
+    given = forecaster.get_params().items()
+    return {name: each for name, each in given if isinstance(each, Template)}
 
 
 def _changed(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:

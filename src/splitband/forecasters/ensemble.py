@@ -10,7 +10,7 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.prediction import Known, mean_over, middle_members, total
+from splitband.forecasters.prediction import Known, median_components, total
 from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -175,8 +175,7 @@ class Ensemble(Forecaster):
         ]
         if any(each.keys() != parts[0].keys() for each in parts):
             parts = [{self.name: total([*each.values()])} for each in parts]
-        middle = middle_members([total([*each.values()]) for each in parts])
-        return {name: mean_over([each[name] for each in parts], middle) for name in parts[0]}
+        return median_components(parts, [total([*each.values()]) for each in parts])
 
     def stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""

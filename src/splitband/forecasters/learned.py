@@ -87,7 +87,6 @@ class Split(Network):
     ['high band', 'low band']
     """
 
-    cells = ("low", "high")
     bands: Bands
 
     def __init__(

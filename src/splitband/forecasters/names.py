@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from splitband import networks
-from splitband.forecasters.base import Forecaster, parts_of
+from splitband.forecasters.base import Forecaster, cells_of, parts_of
 from splitband.forecasters.closed_form import (
     Harmonic,
     Mean,
@@ -153,7 +154,7 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
 
 def built(forecaster: Forecaster) -> Forecaster:
     """Return a forecaster with its cells built, where they are not; that loads torch."""
-    cells = {option: getattr(forecaster, option) for option in forecaster.cells}
+    cells: dict[str, Any] = {**cells_of(forecaster)}
     if not any(hasattr(cell, "build") for cell in cells.values()):
         return forecaster
     # Templates draw weights that are never used; this must not change the user's random numbers.

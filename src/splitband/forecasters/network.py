@@ -11,7 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from splitband.baselines.identification import input_delays
 from splitband.data import Record
 from splitband.data.gaps import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import Forecaster, Training
+from splitband.forecasters.base import Forecaster, Training, cells_of
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.prediction import Known, known_of, total
@@ -61,7 +61,6 @@ class Network(Forecaster):
     name : By default derived from its parts.
     """
 
-    cells: ClassVar[tuple[str, ...]] = ("cell",)
     base: Forecaster | None = None
     """The forecaster of the slow component, in a hybrid."""
     bands: Bands | None = None
@@ -175,8 +174,8 @@ class Network(Forecaster):
 
     def training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
-        sizes = [describe() for cell in self.cells
-                 if (describe := getattr(getattr(self, cell), "size_in_words", None))]  # fmt: skip
+        cells = cells_of(self).values()
+        sizes = [cell.size_in_words() for cell in cells if hasattr(cell, "size_in_words")]
         said = [" and ".join(sizes)] if sizes else []
         settings = self.trained_by or self.settings
         if settings is not None:
@@ -245,7 +244,7 @@ class Network(Forecaster):
             )
         checked_starts(records, settings.window, settings.warmup)
         # Cells that are given by name are built when they are trained, as torch loads slowly.
-        if not any(hasattr(getattr(self, name), "build") for name in self.cells):
+        if not any(hasattr(cell, "build") for cell in cells_of(self).values()):
             self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise ValueError(
@@ -395,8 +394,8 @@ class Network(Forecaster):
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
-            found = delays_of([(r.seen, r.u) for r in records]) if start is None else start.delays
-            self.delays = found
+            driven = [(r.seen, r.u) for r in records if r.u is not None]
+            self.delays = delays_of(driven) if start is None else start.delays
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     def _base_for(self, records: Sequence[Record]) -> Forecaster | None:

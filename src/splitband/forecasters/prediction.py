@@ -97,24 +97,25 @@ def continued(
     return np.concatenate([past, values if more else values[:steps]])
 
 
-def middle_members(totals: Sequence[Array]) -> Any:
-    """Return the members whose mean is the median: one or two for each sample and channel.
+def median_components(
+    parts: Sequence[Mapping[str, Array]], totals: Sequence[Array]
+) -> dict[str, Array]:
+    """Return the components of the median of several predictions, which add up to it.
+
+    At each sample they are those of the member in the middle, or the mean of the two there.
 
     Parameters
     ----------
-    totals : Predictions of the members, `(time, ny)`.
-
-    Returns
-    -------
-    Indices of members, `(1 or 2, time, ny)`.
+    parts : The components of each member, by the same names, `(time, ny)` each.
+    totals : Their sums.
     """
     count = len(totals)
-    return np.argsort(totals, axis=0, kind="stable")[(count - 1) // 2 : count // 2 + 1]
-
-
-def mean_over(values: Sequence[Array], members: Any) -> Array:
-    """Return the mean of `values`, one `(time, ny)` for each member, over `middle_members`."""
-    return np.asarray(np.take_along_axis(np.asarray(values), members, axis=0).mean(axis=0))
+    ordered = np.argsort(totals, axis=0, kind="stable")
+    middle = ordered[(count - 1) // 2 : count // 2 + 1]
+    return {
+        name: np.take_along_axis(np.array([each[name] for each in parts]), middle, 0).mean(axis=0)
+        for name in parts[0]
+    }
 
 
 def median(values: Sequence[Any], least: Callable[..., Any], most: Callable[..., Any]) -> Any:
@@ -222,14 +223,13 @@ def median_of(predictions: Sequence[Prediction]) -> Prediction:
     warnings of all are kept.
     """
     first = predictions[0]
-    middle = middle_members([p.y for p in predictions])
-    parts = [name for name in first.components if all(name in p.components for p in predictions)]
+    totals = [p.y for p in predictions]
+    shared = [name for name in first.components if all(name in p.components for p in predictions)]
+    parts = [{name: p.components[name] for name in shared} for p in predictions]
     return replace(
         first,
-        y=mean_over([p.y for p in predictions], middle),
-        components={
-            name: mean_over([p.components[name] for p in predictions], middle) for name in parts
-        },
+        y=np.median(totals, axis=0),
+        components=median_components(parts, totals),
         lower=None,
         upper=None,
         level=None,

@@ -125,8 +125,6 @@ class SimulatorForecaster(Forecaster):
     applied = Calibration()
     """The calibration of the output."""
     slow_label = SLOW
-    suffix = ""
-    """End of its name and of that of a hybrid."""
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
@@ -143,6 +141,11 @@ class SimulatorForecaster(Forecaster):
     def name(self) -> str:
         """Return the given name, or "simulator" with the suffix of its calibration."""
         return self._name or f"simulator{self.suffix}"
+
+    @property
+    def suffix(self) -> str:
+        """Return the end of its name and of that of a hybrid: the terms that it fits."""
+        return ""
 
     def hybrid_name(self, kind: str, cell: str) -> str:
         """Return the name of a hybrid of this kind, with the simulator as the slow component."""

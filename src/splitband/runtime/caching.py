@@ -13,7 +13,8 @@ import numpy as np
 from splitband.runtime.deadlines import current
 from splitband.runtime.threads import one_thread
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Kept(NamedTuple):
@@ -39,11 +40,12 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def found(*arguments: P.args, **named: P.kwargs) -> R:
-        assert not named
-        key = key_of(function.__module__, function.__qualname__, *_parts(arguments))
+        key = key_of(
+            function.__module__, function.__qualname__, *_parts([*arguments, *named.items()])
+        )
         if key not in KEPT or (KEPT[key].late and current().at == math.inf):
             with one_thread():
-                result = function(*arguments)
+                result = function(*arguments, **named)
             keep({key: Kept(result, current().over)})
         kept: R = KEPT[key].result
         return kept

@@ -42,7 +42,8 @@ def options(value: object) -> dict[str, Any]:
 
     Raises TypeError if an argument is not kept as an attribute, or has no name (*args, **kwargs).
     """
-    kind, found = type(value), {}
+    kind: Any = type(value)
+    found = {}
     for parameter in _parameters(kind):
         name = parameter.name
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
@@ -60,7 +61,7 @@ def options(value: object) -> dict[str, Any]:
 
 
 @cache  # a table of methods asks hundreds of times for the same few
-def _parameters(kind: type) -> tuple[inspect.Parameter, ...]:
+def _parameters(kind: Any) -> tuple[inspect.Parameter, ...]:
     """Return the constructor's parameters, without fields that a dataclass's `repr` leaves out."""
     if kind.__init__ is object.__init__:
         return ()
@@ -93,7 +94,7 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
 
 def _call(value: object) -> str:
-    kind = type(value)
+    kind: Any = type(value)
     package = "sb." if kind.__module__.startswith("splitband.") else ""
     try:
         given = options(value)
