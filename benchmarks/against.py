@@ -135,7 +135,7 @@ def ours(
     record, tests = load(benchmark.training), [load(test) for test in benchmark.tests]
     network, settings = TRAINED[library](name)
     compiling = replace(settings, epochs=1, most_batches=1, quasi_newton=1)
-    network.trained_as(compiling).fit(record[: 3 * settings.window], seed=0)
+    network._trained_as(compiling).fit(record[: 3 * settings.window], seed=0)
     left, watch = sorted(minutes), _Watch()
 
     def look(progress: sb.Progress) -> None:

@@ -94,7 +94,7 @@ def _title(result: Comparison) -> str:
 def _show_bands(result: Comparison) -> None:
     """Print the cut-off of the recommended model, and whether hybrids were left out."""
     bands, training = result.plan.bands, result.plan.training
-    network = result.methods[result.recommended].network
+    network = result.methods[result.recommended]._network
     splits = network is not None and network.bands is not None
     if splits and bands.cutoff is not None and bands.downsampling is not None:
         below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)

@@ -110,7 +110,7 @@ class Candidate:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
         usual = Settings.most_samples
         more = replace(self.settings, epochs=0, quasi_newton=iterations, most_samples=usual)
-        return self.network.trained_as(more)
+        return self.network._trained_as(more)
 
     def again(self, seed: int) -> Candidate:
         """Return the same choice with another seed, not trained."""
@@ -149,7 +149,7 @@ def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate |
     network.set_params(
         **{name: getattr(other.network, name) for name in theirs - {*vars(best.settings)}}
     )
-    return Candidate(network.trained_as(replace(best.settings, **trained)), usual.seed)
+    return Candidate(network._trained_as(replace(best.settings, **trained)), usual.seed)
 
 
 def candidates(
@@ -194,8 +194,8 @@ def candidates(
         every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
     distinct: dict[str, Candidate] = {}
     for network, how in every:  # windows may become equal on the shorter record of a trial
-        shorter = for_trial(network.trained_as(how), samples)
-        distinct.setdefault(shorter.training_in_words(), Candidate(network.trained_as(how), seed))
+        shorter = for_trial(network._trained_as(how), samples)
+        distinct.setdefault(shorter._training_in_words(), Candidate(network._trained_as(how), seed))
     return [*distinct.values()]
 
 

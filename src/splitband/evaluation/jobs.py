@@ -262,4 +262,4 @@ def prepare(
     """
     for forecaster in forecasters:
         with suppress(Exception), within(deadline):
-            forecaster.prepare(records, runner.executor or 1, runner.folder)
+            forecaster._prepare(records, runner.executor or 1, runner.folder)

@@ -84,8 +84,8 @@ class Search:
         self._choices: dict[str, list[Candidate]] = {}
         self._added: list[Candidate] = []
         for method in plan.methods:
-            if method.name in plan.searched and method.network is not None:
-                self._choose(method.network)
+            if method.name in plan.searched and method._network is not None:
+                self._choose(method._network)
         self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
         self._course = self._rounds()
         self._asked: list[Candidate] = []
@@ -100,7 +100,7 @@ class Search:
 
     def add(self, method: Forecaster) -> bool:
         """Add a method, if it can be trained; its first candidate is one of the next round."""
-        able = method.network is not None and self._choose(method.network)
+        able = method._network is not None and self._choose(method._network)
         self._added += self._choices[method.name][:1] if able else []
         return able
 
@@ -143,8 +143,8 @@ class Search:
             error = math.inf if failed else held_out_score(self._record, [fit])
             candidate.fits.append(fit)
             candidate.errors.append(error if math.isfinite(error) else math.inf)
-            training = candidate.network.training_in_words() if failed else ""
-            training = training or fit.fitted.training_in_words()
+            training = candidate.network._training_in_words() if failed else ""
+            training = training or fit.fitted._training_in_words()
             score = None if failed else error
             self.attempts.append(
                 Attempt(self.round, candidate.method, training, candidate.seed, score)

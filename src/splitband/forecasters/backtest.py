@@ -217,7 +217,7 @@ def predicted(
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
             forecasts[origin] = fitted.predict(question.end - origin.at, history)
         if origin.at < origin.fitted:
-            unfiltered = fitted.unfiltered(question.end - origin.at, history)
+            unfiltered = fitted._unfiltered(question.end - origin.at, history)
     return forecasts, unfiltered
 
 
@@ -267,7 +267,7 @@ def check_held_out(record: Record) -> None:
 
 def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
     """Return the forecaster adapted to `samples` without their held-out part."""
-    return forecaster.for_samples(first_held_out(samples), samples)
+    return forecaster._for_samples(first_held_out(samples), samples)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
@@ -283,10 +283,10 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     fitted, ends = first_held_out(samples), dict.fromkeys(origins(samples))
     measured = np.cumsum(~np.isnan(record.seen), axis=0)
     early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
-    if not forecaster.refits:
+    if not forecaster._refits:
         held = samples - fitted
         once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-        quick = not forecaster.random and not forecaster.fits_simulator
+        quick = not forecaster.random and not forecaster._fits_simulator
         return [*once, *(Origin(end, end) for end in early[:1] if quick)]
     return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 

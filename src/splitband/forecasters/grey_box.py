@@ -104,7 +104,7 @@ class GreyBox(Forecaster):
         """Return the given name, or "grey-box"."""
         return self._name or "grey-box"
 
-    slow_part = "a simulator with fitted parameters"
+    _slow_part = "a simulator with fitted parameters"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -113,7 +113,7 @@ class GreyBox(Forecaster):
             return {}
         return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
 
-    def given(self, simulator: Any) -> Forecaster:
+    def _given(self, simulator: Any) -> Forecaster:
         """Return it with this simulator, if it has none; else itself."""
         if self.simulator is not None:
             return self
@@ -131,15 +131,15 @@ class GreyBox(Forecaster):
             self.simulator.simulate(None)  # raises the error that asks for it
         check_runs(self.simulator, records[0])
 
-    refits = False
-    fits_simulator = True
+    _refits = False
+    _fits_simulator = True
 
-    def to_dict(self) -> dict[str, Any]:
+    def _to_dict(self) -> dict[str, Any]:
         """Return what is saved, with a description in place of the simulator."""
         described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
-        return {**super().to_dict(), "simulator": described}
+        return {**super()._to_dict(), "simulator": described}
 
-    words = "the simulator, its parameters fitted to the training samples"
+    _words = "the simulator, its parameters fitted to the training samples"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
@@ -155,7 +155,7 @@ class GreyBox(Forecaster):
         fitted = self.require_fitted()
         self.fitted = replace(fitted, report=replace(fitted.report, cut=self.estimate.cut))
 
-    def prepare(
+    def _prepare(
         self,
         records: Sequence[Record],
         workers: int | Executor = 1,
@@ -194,14 +194,14 @@ class GreyBox(Forecaster):
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole.time, whole.u, state)[0]
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the simulator, integrated from the first state of the training record on."""
         if outside:
             ny = self.require_fitted().record.ny
             return Given(np.ones(ny), np.zeros(ny), self.trajectory)
         return self._integrated()
 
-    def stepped(self, outside: bool = False) -> Recursion:
+    def _stepped(self, outside: bool = False) -> Recursion:
         """Return the simulator, with its state estimated from `memory` samples."""
         if outside:
             raise NotSteppedError(

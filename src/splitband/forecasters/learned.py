@@ -47,7 +47,7 @@ class Single(Network):
         super().__init__(settings, name)
         self.cell = as_template(cell)
 
-    def build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with one network, which runs at every sample."""
         cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Recurrent(cell, record.nu > 0)
@@ -107,7 +107,7 @@ class Split(Network):
         self.bands, self.conditioned = bands, conditioned
         self.filter_output = filter_output
 
-    def build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with a network for each band."""
         bands = self._bands_for(record, settings)
         assert bands.downsampling is not None
@@ -134,7 +134,7 @@ class Split(Network):
             said += "each band, the output of the second high-passed"
         else:
             said += "the low band and one for the high band"
-        return said + self.conditioned_in_words
+        return said + self._conditioned_in_words
 
     def _shortest_warmup(self) -> int:
         return 3 * ((self.bands.order or 1) + 1)
@@ -199,7 +199,7 @@ class Filtered(Network):
         self.base, self.cell = as_slow_part(base), as_template(cell)
         self.bands, self.conditioned = bands, conditioned
 
-    def build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with a network and a high-pass filter."""
         bands = self._bands_for(record, settings)
         cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
@@ -208,9 +208,9 @@ class Filtered(Network):
 
     def in_words(self) -> str:
         """Return a description."""
-        slow, network = self.base.slow_part or self.base.slow_label, words_of(self.cell)
+        slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
         words = f"{slow} in the low band, {network} network in the high band"
-        return words + self.conditioned_in_words
+        return words + self._conditioned_in_words
 
     def _shortest_warmup(self) -> int:
         return (self.bands.order or 1) - 1
@@ -225,7 +225,7 @@ class Filtered(Network):
                        record.seen)  # fmt: skip
         if not reachable.nothing_to_learn:
             return []
-        advice = "" if self.calibrates else "; calibrating it may change that"
+        advice = "" if self._calibrates else "; calibrating it may change that"
         return [reachable.describe() + advice]
 
     def _derived_name(self) -> str:
@@ -264,20 +264,20 @@ class Residual(Network):
         self.base, self.cell = as_slow_part(base), as_template(cell)
         self.conditioned = conditioned
 
-    def build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with a network and no filters."""
         cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Residual(cell, self.conditioned, record.nu > 0)
 
     def in_words(self) -> str:
         """Return a description."""
-        slow, network = self.base.slow_part or self.base.slow_label, words_of(self.cell)
+        slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
         words = f"{slow} plus {network} network that learns its error"
-        return words + self.conditioned_in_words
+        return words + self._conditioned_in_words
 
     def _derived_name(self) -> str:
         return _name("residual", self.base, self.cell, self.conditioned)
 
 
 def _name(kind: str, base: Forecaster, cell: Template, conditioned: bool) -> str:
-    return base.hybrid_name(kind, label_of(cell)) + CONDITIONED * conditioned
+    return base._hybrid_name(kind, label_of(cell)) + CONDITIONED * conditioned

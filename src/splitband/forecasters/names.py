@@ -102,7 +102,7 @@ def _baselines() -> list[Forecaster]:
     return [Mean(), Persistence(), SeasonalNaive(), Harmonic(), Periodic(), Linear()]
 
 
-BASES = {each.name: each for each in _baselines() if each.slow_part}
+BASES = {each.name: each for each in _baselines() if each._slow_part}
 """Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
 _REPLACEMENTS: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
@@ -122,7 +122,7 @@ def variants(forecaster: Forecaster, calibrate: bool, conditioned: bool) -> list
     """Return a forecaster and, if requested, its calibrated and conditioned variants."""
     found = [forecaster]
     if calibrate:
-        found.append(forecaster.calibrated())
+        found.append(forecaster._calibrated())
     if conditioned and "conditioned" in forecaster.get_params():
         found += [each.clone().set_params(conditioned=True) for each in found]
     return [*{each.name: each for each in found}.values()]
@@ -134,7 +134,7 @@ def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
         return forecaster
     if not parts_of(forecaster):
         return base.clone()
-    return forecaster.with_parts(lambda part: _on_base(part, base))
+    return forecaster._with_parts(lambda part: _on_base(part, base))
 
 
 NAMES = {each.name: each for each in _methods(Sizes())}
@@ -191,7 +191,7 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
     """
     found = {v.name: v for name in names for v in variants(known(name), calibrate, conditioned)}
     for argument, wanted in (
-        ("calibrate", calibrate and not any(each.calibrates for each in found.values())),
+        ("calibrate", calibrate and not any(each._calibrates for each in found.values())),
         ("conditioned", conditioned and not any(_conditioned(f) for f in found.values())),
     ):
         if wanted:

@@ -69,18 +69,18 @@ class Network(Forecaster):
     """Whether the slow component is an input of the fast network."""
     model: Model | None = None
     """The trained model."""
-    trained_by: Settings | None = None
+    _trained_by: Settings | None = None
     """The settings of the training, given or chosen."""
-    trained_in: Bands | None = None
+    _trained_in: Bands | None = None
     """The bands of the training, given or chosen."""
-    fitted_base: Forecaster | None = None
+    _fitted_base: Forecaster | None = None
     """The fitted base."""
-    prehistory: Prehistory | None = None
+    _prehistory: Prehistory | None = None
     """The distribution of warm-ups, for histories that are shorter than one."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
-        self.device: str | torch.device = "cpu"
+        self._device: str | torch.device = "cpu"
         self._name = name
 
     @property
@@ -91,44 +91,44 @@ class Network(Forecaster):
     random = True
 
     @property
-    def network(self) -> Network:
+    def _network(self) -> Network:
         """Return itself."""
         return self
 
     @property
     def warmup(self) -> int:
         """Return the samples of its warm-up; 0 where `fit` has yet to choose the settings."""
-        settings = self.trained_by or self.settings
+        settings = self._trained_by or self.settings
         return 0 if settings is None else settings.warmup
 
     @property
     def calibration(self) -> Calibration | None:
         """Return the calibration of the base."""
-        return None if self.fitted_base is None else self.fitted_base.calibration
+        return None if self._fitted_base is None else self._fitted_base.calibration
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Return the fitted parameters of the base."""
-        return {} if self.fitted_base is None else self.fitted_base.parameters
+        return {} if self._fitted_base is None else self._fitted_base.parameters
 
     @property
-    def shares_bands(self) -> bool:
+    def _shares_bands(self) -> bool:
         """Return whether it, or its base, takes the bands that a comparison chooses.
 
         A comparison chooses bands for networks alone and for the simulator output of the record.
         Another base shows only after its fit up to which frequency it is accurate; the bands are
         chosen then.
         """
-        return self._takes_bands or super().shares_bands
+        return self._takes_bands or super()._shares_bands
 
     @property
     def _takes_bands(self) -> bool:
         return self.bands == OPEN and (self.base is None or "simulator" in self.base.needs)
 
-    slow_part = "network"
+    _slow_part = "network"
 
     @property
-    def conditioned_in_words(self) -> str:
+    def _conditioned_in_words(self) -> str:
         """Return the words on conditioning, which end `in_words`."""
         seen = ", with the slower part's output as an input"
         return seen if self.conditioned else ""
@@ -138,82 +138,82 @@ class Network(Forecaster):
         """Return the name that is derived from its parts."""
 
     @abstractmethod
-    def build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: Settings) -> Model:
         """Return the untrained model for a record, with weights drawn from torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
         import torch  # noqa: PLC0415  whoever names a device needs it
 
-        self.device = torch.device(device)
+        self._device = torch.device(device)
         if self.model is not None:
-            self.model.to(self.device)
-        if self.fitted_base is not None:
-            self.fitted_base.to(device)
+            self.model.to(self._device)
+        if self._fitted_base is not None:
+            self._fitted_base.to(device)
         return super().to(device)
 
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+    def _with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """Return it with a comparison's settings and bands, where its own are not set."""
-        new = super().with_defaults(settings, bands)
+        new = super()._with_defaults(settings, bands)
         shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if self._takes_bands:
             shared["bands"] = bands
         return new.clone().set_params(**shared) if shared else new
 
-    def trained_as(self, settings: Settings) -> Self:
+    def _trained_as(self, settings: Settings) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
     def untrained(self) -> Forecaster:
         """Return it not trained, with the settings and bands of its training."""
-        chosen = {"settings": self.trained_by or self.settings}
+        chosen = {"settings": self._trained_by or self.settings}
         return self.clone().set_params(
-            **chosen, **({} if self.trained_in is None else {"bands": self.trained_in})
+            **chosen, **({} if self._trained_in is None else {"bands": self._trained_in})
         )
 
-    def training_in_words(self) -> str:
+    def _training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
         cells = cells_of(self).values()
         sizes = [cell.size_in_words() for cell in cells if hasattr(cell, "size_in_words")]
         said = [" and ".join(sizes)] if sizes else []
-        settings = self.trained_by or self.settings
+        settings = self._trained_by or self.settings
         if settings is not None:
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: the model as its weights; `device` is omitted."""
-        said = super().to_dict()
-        del said["device"]  # that of the training may not exist where it is loaded
+    def _to_dict(self) -> dict[str, Any]:
+        """Return what is saved: the model as its weights; the device is omitted."""
+        said = super()._to_dict()
+        del said["_device"]  # that of the training may not exist where it is loaded
         model = said.pop("model", None)
         return said | {"weights": None if model is None else dict(model.state_dict())}
 
     @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
+    def _from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
         weights = found.pop("weights")
-        found["device"] = "cpu"
-        new = super().from_dict(found)
+        found["_device"] = "cpu"
+        new = super()._from_dict(found)
         if new.fitted is not None:
-            record, settings = new.fitted.record, new.trained_by
+            record, settings = new.fitted.record, new._trained_by
             assert settings is not None
             new.model = models.with_weights(lambda: new._built(record, settings, seed=0), weights)
-            if new.prehistory is not None:
-                new.prehistory.check(new.model, settings.warmup)
+            if new._prehistory is not None:
+                new._prehistory.check(new.model, settings.warmup)
         return new
 
-    def first_needed(self) -> int:
+    def _first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs.
 
         With a network as base the whole record is needed, since the base's run starts there.
         """
-        beside_network = self.fitted_base is not None and self.fitted_base.random
-        return 0 if beside_network else super().first_needed()
+        beside_network = self._fitted_base is not None and self._fitted_base.random
+        return 0 if beside_network else super()._first_needed()
 
-    def for_samples(self, samples: int, instead_of: int) -> Self:
+    def _for_samples(self, samples: int, instead_of: int) -> Self:
         """Return it adapted to a part of the training record: long windows shrink with it."""
-        new = super().for_samples(samples, instead_of)
+        new = super()._for_samples(samples, instead_of)
         if self.settings is None:
             return new
         window = self.settings.window
@@ -257,11 +257,11 @@ class Network(Forecaster):
         """Fit the base, choose settings and bands that are not given, and train the model."""
         seed, start = how["seed"], self._start(how["start"])
         settings = self._settings_for(records[0], records[1:])
-        self.trained_by = settings if start is None else settings.after(start.trained_by)
+        self._trained_by = settings if start is None else settings.after(start._trained_by)
         seen = self._seen(records, seed, start)
         if self.bands is not None:
-            self.trained_in = (
-                self._bands_for(seen[0], settings) if start is None else start.trained_in
+            self._trained_in = (
+                self._bands_for(seen[0], settings) if start is None else start._trained_in
             )
         self.model = self._built(seen[0], settings, seed)
         if start is not None:
@@ -270,21 +270,21 @@ class Network(Forecaster):
             except RuntimeError:
                 raise ValueError(
                     f"start must have the sizes and channels of {self.name}: "
-                    f"{self.training_in_words()}, got {start.training_in_words()}"
+                    f"{self._training_in_words()}, got {start._training_in_words()}"
                 ) from None
             self.model.units_kept = True
         elif settings.linear_start:
             begin_as_linear(self.model, seen, settings.normalize, seed)
-        self.model.to(self.device)
+        self.model.to(self._device)
         history = training.fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
         # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
-        self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
+        self._prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         cut = history.cut or (
-            self.fitted_base is not None and self.fitted_base.require_fitted().report.cut
+            self._fitted_base is not None and self._fitted_base.require_fitted().report.cut
         )
         report = FitReport(seed, history.seconds, history.losses, notes, cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
@@ -297,7 +297,7 @@ class Network(Forecaster):
         """
         return self._run(self._trained().simulate_components, known)
 
-    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+    def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
         known = known_of(self, steps, history, None, None)[0]
         return self._run(self._trained().simulate_unfiltered, known)
@@ -319,7 +319,7 @@ class Network(Forecaster):
 
     def doubts(self, known: Known) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
-        doubts = [] if self.fitted_base is None else self.fitted_base.doubts(known)
+        doubts = [] if self._fitted_base is None else self._fitted_base.doubts(known)
         if self._short(known):
             short = (
                 f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
@@ -328,13 +328,13 @@ class Network(Forecaster):
             doubts = [*dict.fromkeys([*doubts, short])]
         return doubts
 
-    def stepped(self, outside: bool = False) -> Recursion:
+    def _stepped(self, outside: bool = False) -> Recursion:
         """Return the step-by-step form of model and base, warmed up."""
         try:
             model = self._trained().stepped()
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
-        part = None if self.fitted_base is None else self.fitted_base.part(outside)
+        part = None if self._fitted_base is None else self._fitted_base._part(outside)
         return Warmed(model, part, self.warmup, self.delays)
 
     def differentiable(self, known: Known) -> nn.Module:
@@ -343,7 +343,7 @@ class Network(Forecaster):
             ModelSimulation,
         )
 
-        model, base = self._trained(), self.fitted_base
+        model, base = self._trained(), self._fitted_base
         if base is not None and not base.affine:
             raise ValueError(
                 f"{self.name} cannot be run by torch: its base, {base.name}, is not affine in the "
@@ -358,17 +358,17 @@ class Network(Forecaster):
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""
-        fitted, base = self.require_fitted(), self.fitted_base
+        fitted, base = self.require_fitted(), self._fitted_base
         said = []
-        if base is not None and (base.slow_label != SLOW or base.calibrates):
-            said = [f"{base.slow_label}: {base.describe()}"]
-        said += [self.training_in_words(), fitted.late_inputs(self.delays)]
+        if base is not None and (base._slow_label != SLOW or base._calibrates):
+            said = [f"{base._slow_label}: {base.describe()}"]
+        said += [self._training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def _made(self, params: dict[str, Any]) -> Self:
         """Return one with other options, on the same device."""
         new = super()._made(params)
-        new.device = self.device
+        new._device = self._device
         return new
 
     def _start(self, start: Forecaster | None) -> Self | None:
@@ -389,8 +389,8 @@ class Network(Forecaster):
             same = start is not None and repr(start.base) == repr(self.base)
             base = start._base_for(records) if start is not None and same else None
             if base is None:
-                base = self.base.clone().fit(*records, seed=seed).as_simulator()
-            self.fitted_base = base
+                base = self.base.clone().fit(*records, seed=seed)._as_simulator()
+            self._fitted_base = base
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
@@ -402,7 +402,7 @@ class Network(Forecaster):
         """Return its base where that was fitted to the same samples, which saves another fit."""
         fitted = self.require_fitted()
         same = _samples([fitted.record, *fitted.others]) == _samples(records)
-        return self.fitted_base if same else None
+        return self._fitted_base if same else None
 
     def _remarks(self, record: Record) -> list[str]:
         """Return remarks for the user on a training record with the base's output."""
@@ -415,8 +415,8 @@ class Network(Forecaster):
     def _bands_for(self, record: Record, settings: Settings) -> Bands:
         """Return the bands; those that are not given are chosen on the training record."""
         assert self.bands is not None
-        if self.trained_in is not None:
-            return self.trained_in
+        if self._trained_in is not None:
+            return self._trained_in
         if self.bands.complete:
             return self.bands
         slow = None if self.base is None else record.y_sim
@@ -433,7 +433,7 @@ class Network(Forecaster):
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
         with seeded(seed):
-            return self.build(record, settings)
+            return self._build(record, settings)
 
     def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> Settings:
         return self.settings or recipe_settings("default", record, others)
@@ -446,7 +446,7 @@ class Network(Forecaster):
     def _short(self, known: Known) -> bool:
         """Return whether the history is shorter than the warm-up and can be completed."""
         short = 0 < len(known.y) < self.warmup
-        return short and self.prehistory is not None and not np.isnan(known.y).any()
+        return short and self._prehistory is not None and not np.isnan(known.y).any()
 
     def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
         """Return what a simulation of the model gives after the history, by component.
@@ -457,9 +457,9 @@ class Network(Forecaster):
         found = {}
         for part, values in simulate(y, since + known.steps, u, slow).items():
             label = part
-            if self.fitted_base is not None and part.startswith(SLOW):
+            if self._fitted_base is not None and part.startswith(SLOW):
                 # The base may have the label of the fast component; labels must differ.
-                slow_label = self.fitted_base.slow_label
+                slow_label = self._fitted_base._slow_label
                 label = "base" if slow_label == FAST else slow_label
                 label += part.removeprefix(SLOW)
             found[label] = values[since:]
@@ -472,11 +472,11 @@ class Network(Forecaster):
         from its beginning to the last sample of the forecast.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
-        slow, base = None, self.fitted_base
+        slow, base = None, self._fitted_base
         if self._short(known):
-            assert self.prehistory is not None
+            assert self._prehistory is not None
             slow = None if base is None else base.trajectory(known)
-            y, u, slow = self.prehistory.completed(self._trained(), y, u, slow)
+            y, u, slow = self._prehistory.completed(self._trained(), y, u, slow)
         complete = np.asarray(~np.isnan(y).any(axis=1))
         start = last_before(complete, self.warmup, len(y))
         if start is None:

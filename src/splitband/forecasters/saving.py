@@ -6,10 +6,10 @@ file with all weights and arrays. The latter is named after its content, so that
 description is saved (`simulators.absent`); `load` takes the simulator itself.
 
 Loading runs no code from a file, and none that a file names. The description of an object contains
-the name of its class, which is looked up in the modules that are loaded: nothing is imported. It
-has to be a forecaster, restored by `from_dict` from the result of `to_dict`; a class of the package
-that is marked as `saved`, restored from its fields; or a cell, which is a module with a method
-`sized`, restored from the arguments of its constructor.
+the name of its class, which is looked up in the modules that are loaded: nothing is imported. The
+class has to be that of a forecaster, restored by `_from_dict` from the result of `_to_dict`; one of
+the package that is marked as `saved`, restored from its fields; or that of a cell, which is a
+module with a method `sized`, restored from the arguments of its constructor.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         tensors[place] = np.array(value, order="C")
         return {"array": place}
     if isinstance(value, Forecaster):
-        return _named("class", value, value.to_dict(), tensors, place)
+        return _named("class", value, value._to_dict(), tensors, place)
     if is_saved(type(value)):
         parts = {name: getattr(value, name) for name in _fields(type(value))}
         return _named("class", value, parts, tensors, place)
@@ -354,7 +354,7 @@ def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a ki
         return _cell(_loaded(value["cell"], value.get("module")), found)
     kind = _loaded(value["class"], value.get("module"))
     if issubclass(kind, Forecaster):
-        return kind.from_dict(found)
+        return kind._from_dict(found)
     _check_numbers(kind, found)
     return kind(**found)
 
@@ -365,8 +365,9 @@ def _loaded(name: str, module: str | None) -> Any:
     It is looked up in the modules that are loaded; without a module it is one of the package.
     """
     own = _inside(sys.modules.get(module or ""), name, module)
-    every = [_inside(each, name, module) for each in [*sys.modules.values()]] if own is None else []
-    found = [own] if own is not None else [*{each for each in every if each is not None}]
+    loaded = [*sys.modules.items()] if own is None else []
+    places = [each for at, each in loaded if module or at.startswith(_PACKAGE)]
+    found = [*{own, *(_inside(each, name, module) for each in places)} - {None}]
     if len(found) == 1:
         return found[0]
     said, where = str(name)[:60], str(module)[:60]

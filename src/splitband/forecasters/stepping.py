@@ -420,7 +420,7 @@ def stream_of(
     if history is not None:
         require_records("history", history)
     try:
-        return _begun(forecaster, forecaster.stepped(), history, other_record)
+        return _begun(forecaster, forecaster._stepped(), history, other_record)
     except NotSteppedError:
         own = None if history is None else _prepared(forecaster, history)
         begin = known_at_origin(forecaster, own, other_record).begin
@@ -435,7 +435,7 @@ def program_of(
 
     The state is None where it depends on past output of a simulator that is not available.
     """
-    recursion = forecaster.stepped(outside=True)
+    recursion = forecaster._stepped(outside=True)
     try:
         stream = _begun(forecaster, recursion, history, False)
     except ValueError:

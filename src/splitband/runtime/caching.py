@@ -26,7 +26,7 @@ class Kept(NamedTuple):
 
 KEPT: dict[str, Kept] = {}
 """Results by the hash of function and arguments; the latest come last."""
-MOST = 256
+MOST = 100
 """Largest number of results that are kept. By eye."""
 
 

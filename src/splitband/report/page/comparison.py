@@ -107,7 +107,7 @@ def _residuals(comparison: Comparison, answer: list[Predicted]) -> Section:
 def _linear(comparison: Comparison) -> list[Section]:
     """Return the section of the linear model, if it is one of the methods."""
     fitted = [fit.fitted for fits in comparison.fits.values() for fit in fits]
-    return [linear.section(each, model) for each in fitted if (model := each.linear_model())]
+    return [linear.section(each, model) for each in fitted if (model := each._linear_model())]
 
 
 def _further(comparison: Comparison, styles: Mapping[str, Method]) -> list[Section]:
@@ -156,7 +156,7 @@ def _bases(comparison: Comparison) -> dict[str, Array]:
     for fits in comparison.fits.values():
         run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
-        slow = [part.slow_label for part in parts_of(method)]
+        slow = [part._slow_label for part in parts_of(method)]
         for label in [each for each in slow if each in parts and each != SLOW]:
             whole = record.y.copy()
             whole[len(whole) - len(parts[label]) :] = parts[label]
