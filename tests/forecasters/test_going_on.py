@@ -80,6 +80,19 @@ def test_a_base_is_fitted_again_where_its_inputs_or_its_options_differ() -> None
     assert other._fitted_base is not start._fitted_base
 
 
+def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:
+    """Whose code says nothing of the parameters that it closes over."""
+
+    def on(level: float) -> sb.Forecaster:
+        simulator = sb.Function(lambda t: np.full(len(t), level))
+        return sb.Residual(simulator, sb.GRU(3), settings=SHORT)
+
+    start = on(1.0).fit(rig(0))
+    other = on(2.0).fit(rig(0), start=start)
+    said = other.predict(3, u=np.zeros((3, 1))).components["simulator"]
+    np.testing.assert_allclose(said, 2.0, rtol=1e-6)
+
+
 def test_another_size_or_another_median_is_refused_in_one_line() -> None:
     start = sb.Single(sb.GRU(4), SHORT).fit(rig(0))
     with pytest.raises(ValueError, match="start must have the sizes and channels of gru: 5 hidden"):

@@ -30,6 +30,7 @@ from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models.labels import FAST, SLOW
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
+from splitband.runtime.options import UNKNOWN
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
@@ -386,7 +387,7 @@ class Network(Forecaster):
         """
         seen = [*records]
         if self.base is not None:
-            same = start is not None and repr(start.base) == repr(self.base)
+            same = start is not None and _same(start.base, self.base)
             base = start._base_for(records) if start is not None and same else None
             if base is None:
                 base = self.base.clone().fit(*records, seed=seed)._as_simulator()
@@ -495,6 +496,18 @@ def _last(u: Array, rows: int) -> Array:
     return np.concatenate(
         [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
     )
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return whether two options are known to be the same; of functions, only by their key."""
+    if one is other or type(one) is not type(other):
+        return one is other
+    if isinstance(one, Forecaster):
+        ours, theirs = one.get_params(), other.get_params()
+        return all(_same(option, theirs[name]) for name, option in ours.items())
+    if callable(getattr(one, "fingerprint", None)):
+        return one.fingerprint() is not None and one.fingerprint() == other.fingerprint()
+    return UNKNOWN not in repr(one) and repr(one) == repr(other)
 
 
 def _samples(records: Sequence[Record]) -> str:
