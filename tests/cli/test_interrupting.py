@@ -16,7 +16,7 @@ import pytest
 import splitband as sb
 from splitband.cli import main
 from splitband.cli.live import Display
-from splitband.evaluation.run import Standing
+from splitband.evaluation.run import Run
 from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import SIMULATOR, complaints, files, results
@@ -44,9 +44,9 @@ def ending(monkeypatch: pytest.MonkeyPatch, end: Callable[[], None], doing: str)
     """End the command where a comparison has come so far."""
     shown = Display.__call__
 
-    def ended(display: Display, standing: Standing) -> None:
-        shown(display, standing)
-        if standing.doing.startswith(doing):
+    def ended(display: Display, run: Run) -> None:
+        shown(display, run)
+        if run.doing.startswith(doing):
             end()
 
     monkeypatch.setattr(Display, "__call__", ended)

@@ -10,7 +10,7 @@ import pytest
 import splitband as sb
 from splitband.cli import main
 from splitband.cli.live import Display
-from splitband.evaluation.run import Standing
+from splitband.evaluation.run import Run
 from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import call, files, results
@@ -24,9 +24,9 @@ def watched(monkeypatch: pytest.MonkeyPatch, look: Any) -> None:
     """Let a test look, too, whenever the display is told where a comparison stands."""
     shown = Display.__call__
 
-    def both(display: Display, standing: Standing) -> None:
-        shown(display, standing)
-        look(standing)
+    def both(display: Display, run: Run) -> None:
+        shown(display, run)
+        look(run)
 
     monkeypatch.setattr(Display, "__call__", both)
 
@@ -46,13 +46,13 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
 ) -> None:
     record, seen = sb.read("record.csv", columns="a"), dict[str, str]()
 
-    def look(standing: Standing) -> None:
-        if not standing.whole:
+    def look(run: Run) -> None:
+        if not run.new_table:
             return
         facts, model = results(tmp_path), sb.load(tmp_path / "model")
         assert model.name == facts["recommended"]
         assert model.predict(5, record).y.shape == (5, 1)
-        seen[standing.doing] = facts["unfinished"]
+        seen[run.doing] = facts["unfinished"]
 
     watched(monkeypatch, look)
     call(f"{LINE} --rounds 2", tmp_path)
@@ -73,14 +73,14 @@ def test_a_disk_error_in_between_is_a_warning(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    def look(standing: Standing) -> None:
+    def look(run: Run) -> None:
         now = {k: v for k, v in files(tmp_path).items() if CHECKPOINTS not in k}
-        if standing.doing == "baselines":
+        if run.doing == "baselines":
             before.update(now)
-        elif standing.whole:
+        elif run.new_table:
             kept.append(now == before)
 
-    monkeypatch.setattr(written, "save_standing", full)
+    monkeypatch.setattr(written, "save_unfinished", full)
     watched(monkeypatch, look)
     call(f"{LINE} --rounds 1", tmp_path)
     assert kept == [True]

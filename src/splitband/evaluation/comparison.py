@@ -59,7 +59,6 @@ class Comparison:
     attempts : All trainings of the search, round by round.
     clock : Time that was used, and what the deadline has changed.
     refit : The recommended method refitted to the whole record, if `Plan.refit`.
-    interrupted : Whether Ctrl-C ended the comparison early.
     """
 
     plan: Plan
@@ -68,7 +67,11 @@ class Comparison:
     attempts: tuple[Attempt, ...] = ()
     clock: Clock = field(default_factory=Clock)
     refit: Forecaster | None = None
-    interrupted: bool = False
+
+    @property
+    def interrupted(self) -> bool:
+        """Return whether Ctrl-C ended the comparison early."""
+        return self.clock.interrupted
 
     @property
     def record(self) -> Record:

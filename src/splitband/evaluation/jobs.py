@@ -25,6 +25,7 @@ from splitband.forecasters.caching import Cached
 from splitband.forecasters.grey_box import ESTIMATES
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import CALIBRATIONS, simulations, with_own_simulators
+from splitband.networks.cell import label_of
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
@@ -154,18 +155,18 @@ class Runner:
         if self._own is not None:
             self._own.shutdown()
 
-    def compile(self, forecasters: Sequence[Forecaster], until: Deadline) -> None:
-        """Let the workers compile, side by side, the kernels that the networks need.
+    def start(self, forecasters: Sequence[Forecaster]) -> None:
+        """Start the workers, which load what the networks need; do not wait for them.
 
-        Compiled once after installation, they are on the disk. What is not done by the deadline is
-        compiled in a training.
+        They compile, side by side, kernels that are not on the disk yet.
         """
+        if self.executor is None:
+            return
         networks = [each.network for each in forecasters]
         cells = [getattr(n, name) for n in networks if n is not None for name in n.cells]
-        kinds = [*{type(cell): cell for cell in cells}.values()]
-        kinds = kinds if self.executor else []
-        for _, future in run_jobs(_compile, kinds, self.executor, until):
-            future.exception()  # a user's cell may fail here; its training says why
+        for cell in {label_of(cell): cell for cell in cells}.values():
+            # A user's cell may fail here; its training says why.
+            self.executor.submit(_compile, cell)
 
     def run(
         self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0

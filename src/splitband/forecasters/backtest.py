@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current, now
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
-
-if TYPE_CHECKING:
-    pass
 
 AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 
@@ -133,7 +130,7 @@ class Fit:
 
     @property
     def from_start(self) -> Prediction:
-        """Return the forecast of the first origin, in a comparison that from the start."""
+        """Return the forecast of the first origin: in a comparison, from the start."""
         return next(iter(self.forecasts.values()))
 
     @property

@@ -18,7 +18,7 @@ from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.run import Standing
+from splitband.evaluation.run import Run
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.checking import ModelCheck
@@ -69,22 +69,22 @@ def _page() -> ModuleType:
     return import_module("splitband.report.page.document")
 
 
-def save_standing(standing: Standing, folder: Path, facts: dict[str, Any]) -> None:
+def save_unfinished(state: Run, folder: Path, facts: dict[str, Any]) -> None:
     """Write the best model so far in place of an earlier result; on an error nothing.
 
     results.json says that the comparison is `unfinished`, and the held-out errors so far.
     """
-    trial, record = standing.trial, standing.plan.record
+    trial, record = state.trial, state.plan.record
     with staged(folder) as new:
         part = "the training part"
-        part = part if trial.recommended in standing.final else f"three quarters of {part}"
-        marked = {"unfinished": standing.doing, "trained_on": part}
-        saving.save(standing.model, new / MODEL_FOLDER, marked)
+        part = part if trial.recommended in state.finals else f"three quarters of {part}"
+        marked = {"unfinished": state.doing, "trained_on": part}
+        saving.save(state.model, new / MODEL_FOLDER, marked)
         said = {
-            "unfinished": standing.doing,
+            "unfinished": state.doing,
             "recommended": trial.recommended,
             "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
-            "time": standing.clock.as_json(),
+            "time": state.clock.as_json(),
             "environment": environment(),
         }
         write_facts(new, facts | said)
