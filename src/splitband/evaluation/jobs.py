@@ -33,6 +33,8 @@ from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 CACHES: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
 """Fits of simulators that several jobs share."""
 LATE = "left out, as the time was over"
+BATCH = 8
+"""Rows of the batch with which kernels of trainings are compiled; any number of several will do."""
 PATIENCE = 2.0
 """Seconds after its deadline in which a job computes its forecasts, before it is ended; what the
 forecasts of a job have taken, if that is more."""
@@ -118,13 +120,13 @@ def _run(known: Sequence[Mapping[str, Any]], deadline: Deadline, job: Job) -> Fi
         return job.run()
 
 
-def _compile(cell: Any) -> None:
-    """Run a cell forward and back, which compiles its kernels."""
+def _compile(rows: int, cell: Any) -> None:
+    """Run a cell forward and back on a batch of so many rows, which compiles its kernels."""
     import torch  # noqa: PLC0415  in a worker
 
     from splitband.networks import rollout  # noqa: PLC0415
 
-    y, u = torch.zeros(2, 4, 1), torch.zeros(2, 12, 2)
+    y, u = torch.zeros(rows, 4, 1), torch.zeros(rows, 12, 2)
     rollout(cell.sized(1, 2, 4), y, 8, u).sum().backward()
 
 
@@ -165,8 +167,12 @@ class Runner:
         networks = [each.network for each in forecasters]
         cells = [getattr(n, name) for n in networks if n is not None for name in n.cells]
         for cell in {label_of(cell): cell for cell in cells}.values():
-            # A user's cell may fail here; its training says why.
-            self.executor.submit(_compile, cell)
+            for rows in (
+                BATCH,
+                1,
+            ):  # trainings, and forecasts, some of which have kernels of their own
+                # A user's cell may fail here; its training says why.
+                self.executor.submit(_compile, rows, cell)
 
     def run(
         self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0
