@@ -292,7 +292,10 @@ class Run:
             best = self._search is not None and name == next(iter(self._search.trials))
             models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
             jobs = [Job(method, question, i, each, trains=False) for i, each in enumerate(models)]
-            fits = [job.run() for job in jobs]
+            if self.clock.interrupted:  # which has ended the workers
+                fits = [job.run() for job in jobs]
+            else:
+                fits = self._trained(jobs, self.clock.deadline, "forecasts")
             if good := [fit for fit in fits if fit.model is not None]:
                 self.finals[name] = good
                 why = self.failed.pop(name, LATE)
