@@ -6,9 +6,9 @@ import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -60,21 +60,15 @@ class ColumnError(InputError):
     """Report that a requested column is missing, or that no column is left to model."""
 
 
-@dataclass(frozen=True)
-class _Picked:
-    """Hold the names of the columns of a record.
-
-    Attributes
-    ----------
-    stamps : The column of time stamps, if there is one; or a date and a time of the day.
-    known, measured : The inputs and the channels.
-    left_out : Other columns with content, each with the reason for leaving it out.
-    """
+class _Picked(NamedTuple):
+    """Hold the names of the columns of a record."""
 
     stamps: list[str]
+    """The column of time stamps, if there is one; or a date and a time of the day."""
     known: list[str]
     measured: list[str]
     left_out: list[str]
+    """Other columns with content, each with the reason for leaving it out."""
 
 
 def read(
@@ -161,8 +155,7 @@ def read(
             table = {name: column.iloc[::-1] for name, column in table.items()}
         y = _matrix(table, picked.measured, gaps, spaced.places)
         u = _matrix(table, picked.known, gaps, spaced.places) if picked.known else None
-        make = Record if gaps == "refuse" else Record.with_gaps
-        record = make(
+        record = Record.with_gaps(
             y, spaced.step, u=u, name=path.stem if frame is None else "", start=spaced.start,
             columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
             inputs=tuple(picked.known),

@@ -340,12 +340,12 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
             return iso, ""
         tries = [iso, *(parsed(**order) for order in orders)]
 
-    def doubt(parsed: pd.Series) -> tuple[int, float]:
+    def doubt(dates: pd.Series) -> tuple[int, float]:
         """Return the number of missing dates, and the unevenness of the steps (relative)."""
-        steps = parsed.dropna().diff().dropna().dt.total_seconds()
+        steps = dates.dropna().diff().dropna().dt.total_seconds()
         usual = abs(steps.median()) or 1.0
         uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
-        return int(parsed.isna().sum()), uneven
+        return int(dates.isna().sum()), uneven
 
     best = min(tries, key=doubt)
     others = {e.iloc[0] for e in tries[1:] if doubt(e) == doubt(best)} - {best.iloc[0]}

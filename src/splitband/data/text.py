@@ -95,15 +95,15 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
         raise InputError("it holds no data")
     sep = sep or _separator(lines, layout)
     lines = _joined(lines, sep)
-    head = _head(lines, written, sep, layout)
-    lines[: head.first - 1] = [""] * (head.first - 1)
+    head, begin = _head(lines, written, sep, layout)
+    lines[: begin - 1] = [""] * (begin - 1)
     body = [i for i, line in enumerate(lines, 1) if line]
     first = _Row.of(body[0], lines[body[0] - 1], sep).cells if body else ()
     names: list[Any] = [*range(len(first))]
-    if head.names is not None:  # pandas would number names that stand twice
-        check_different([name for name in head.names if name])
-        more = ("",) * (len(first) - len(head.names))
-        names = [name or f"Unnamed: {i}" for i, name in enumerate((*head.names, *more))]
+    if head is not None:  # pandas would number names that stand twice
+        check_different([name for name in head if name])
+        more = ("",) * (len(first) - len(head))
+        names = [name or f"Unnamed: {i}" for i, name in enumerate((*head, *more))]
     elif len(body) == 1:  # a single row of numbers is read as a column
         cells = first if first[-1] else first[:-1]
         lines, body, names = [f'"{cell or "nan"}"' for cell in cells], body * len(cells), [0]
@@ -233,10 +233,10 @@ def _separator(lines: Sequence[str], layout: Layout) -> str:
     """
     lines = lines[layout.header_row or 0 :]
     sample = [*islice((line for line in lines if line.strip(" \t;,|")), _SAMPLE)]
-    shares = {}
+    shares, no_values = {}, layout.no_values
     for sep in _SEPARATORS:
         rows = _last([_Row.of(0, line, sep) for line in sample])
-        cells = [c for row in rows for c in row.cells if c.lower() not in layout.no_values]
+        cells = [c for row in rows for c in row.cells if c.lower() not in no_values]
         several = 2 * sum(len(row.cells) > 1 for row in rows) > len(rows)
         shares[sep] = sum(map(_is_value, cells)) / len(cells) if several and cells else -1.0
     best = max(_SEPARATORS, key=shares.__getitem__)  # the first of equals
@@ -250,14 +250,6 @@ def _last(rows: Sequence[_Row]) -> Sequence[_Row]:
 
 
 # ---------------------------------------------------------------- names and numbers
-
-
-@dataclass(frozen=True)
-class _Head:
-    """Hold the names of the columns, and the line of the first row of numbers."""
-
-    names: tuple[str, ...] | None
-    first: int
 
 
 class _Columns:
@@ -301,9 +293,7 @@ class _Columns:
                 word = self.words(row)[0]
                 raise InputError(
                     f"line {row.line} holds {word!r} where line {below.line} has a number: "
-                    f"missing={word!r} (--missing) if it stands for a missing value, "
-                    f"skip_rows={row.line} (--skip-rows) with header_row=N (--header-row) leaves "
-                    "it out"
+                    + _remedy(word, row)
                 )
 
     def check(self, rows: Sequence[_Row]) -> None:
@@ -315,10 +305,15 @@ class _Columns:
                 word = next(iter(self.words(row)), "")
                 raise InputError(
                     f"line {row.line} holds {values[0]!r} and {word!r}, neither names nor a row of "
-                    f"numbers: missing={word!r} (--missing) if the word stands for a missing "
-                    f"value, skip_rows={row.line} (--skip-rows) with header_row=N (--header-row) "
-                    "for lines above the numbers"
+                    f"numbers: {_remedy(word, row)}"
                 )
+
+
+def _remedy(word: str, row: _Row) -> str:
+    return (
+        f"missing={word!r} (--missing) if it stands for a missing value, skip_rows={row.line} "
+        "(--skip-rows) with header_row=N (--header-row) leaves the line out"
+    )
 
 
 def _alike(cell: str) -> str:
@@ -326,8 +321,12 @@ def _alike(cell: str) -> str:
     return re.sub(r"[-+]?\d+(?:\.\d+)?", "#", cell)
 
 
-def _head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout) -> _Head:
-    """Return where the table begins; `lines` are those of `raw` with comments blanked out.
+def _head(
+    lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout
+) -> tuple[tuple[str, ...] | None, int]:
+    """Return the names of the columns, None without any, and the line of the first row of numbers.
+
+    `lines` are those of `raw` with comments blanked out.
 
     Numbers begin with the first row without a word in any column of numbers. The names stand above
     it: in the line that has a word for all of these columns, and of several in the one that names
@@ -342,13 +341,13 @@ def _head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout) ->
     if begin > len(raw):
         raise InputError(f"header_row is {begin}, but there are {len(raw)} lines")
     if layout.header_row == 0:
-        return _Head(None, rows[0].line)
+        return None, rows[0].line
     if begin:
         above = _Row.of(begin, _COMMENT.sub("", raw[begin - 1], count=1), sep)
     columns = _Columns(rows, layout.no_values)
     if not columns.numbers:  # words alone, below the names
         names = rows.pop(0) if above is None else above
-        return _Head(names.cells, rows[0].line if rows else len(lines) + 1)
+        return names.cells, rows[0].line if rows else len(lines) + 1
     count = next((i for i, row in enumerate(rows) if columns.begin(row)), len(rows))
     if count == len(rows):
         columns.check(rows)
@@ -364,13 +363,13 @@ def _head(lines: Sequence[str], raw: Sequence[str], sep: str, layout: Layout) ->
                 f"{above.width}, line {below.line} has {below.width} cells; header_row=0 with "
                 f"skip_rows={below.line - 1} (--skip-rows) reads without names"
             )
-        return _Head(_named(above, rows, below, columns), below.line)
+        return _named(above, rows, below, columns), below.line
     if rows:
-        return _Head(_chosen(rows, body, columns), below.line)
+        return _chosen(rows, body, columns), below.line
     found = _in_comments(raw, below, sep, columns)
     if found is None and _begins_with_numbered_names(body):
-        return _Head(below.cells, below.line + 1)
-    return _Head(found, below.line)
+        return below.cells, below.line + 1
+    return found, below.line
 
 
 def _chosen(above: Sequence[_Row], body: Sequence[_Row], columns: _Columns) -> tuple[str, ...]:

@@ -63,19 +63,15 @@ def seconds_between(first: Stamp, second: Stamp) -> float:
 
     Raises ValueError if only one of them is a date, or only one has a time zone.
     """
-    if isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp):
+    one: Any = first
+    try:
+        later = second - one
+    except TypeError:
+        rule = "time stamps that are put together must all be dates or all be in seconds"
         if zones_differ(first, second):
-            raise InputError(
-                "dates that are put together must all have a time zone, or none: got "
-                f"{in_words(first)} and {in_words(second)}"
-            )
-        return float((second - first) / pd.Timedelta(1, unit="s"))
-    if isinstance(first, pd.Timestamp) or isinstance(second, pd.Timestamp):
-        raise InputError(
-            "time stamps that are put together must all be dates or all be in seconds: "
-            f"got {in_words(first)} and {in_words(second)}"
-        )
-    return second - first
+            rule = "dates that are put together must all have a time zone, or none"
+        raise InputError(f"{rule}: got {in_words(first)} and {in_words(second)}") from None
+    return float(later / pd.Timedelta(1, unit="s") if isinstance(later, pd.Timedelta) else later)
 
 
 def zones_differ(first: Stamp | None, second: Stamp | None) -> bool:
@@ -191,14 +187,15 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
         )
     read = found[0]
     rows, stamps = np.arange(len(column)), read.seconds
-    _check_rising(what, stamps, column if gaps == "refuse" else None)
+    in_order = column if gaps == "refuse" else None
+    _check_rising(what, stamps, in_order)
     cut = _cut_to_units(what, stamps, expected)
     if gaps == "mask":
         rows, stamps = _on_grid(what, stamps, cut)
     unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
     if not cut and unit > 0.99 * float(np.median(np.diff(stamps))):
         unit = 0.0  # rounding this coarse could hide a missing row
-    _check_steps(what, stamps, unit, column if gaps == "refuse" else None)
+    _check_steps(what, stamps, unit, in_order)
     step, start = _line(what, stamps, unit, read.grain)
     return Spacing(
         step,
