@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splitband.data import Record, require_records
-from splitband.data.gaps import first_after
+from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.residuals import LAGS, LEVEL, ResidualTests, residual_tests

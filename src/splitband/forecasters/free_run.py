@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from splitband.baselines.delays import delayed
-from splitband.data.gaps import first_after, last_before
+from splitband.data.signals import first_after, last_before
 from splitband.forecasters.known import Known
 from splitband.forecasters.predicting import total
 from splitband.forecasters.prehistory import Prehistory

@@ -19,7 +19,7 @@ from splitband import models, training
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
 from splitband.data import Record
-from splitband.data.gaps import first_after
+from splitband.data.signals import first_after
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.caching import Cached

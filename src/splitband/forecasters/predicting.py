@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, check_alike
-from splitband.data.gaps import last_before
 from splitband.data.preparation import seconds
+from splitband.data.signals import last_before
 from splitband.data.timing import same_sampling, zones_differ
 from splitband.forecasters.known import Known, continued
 from splitband.forecasters.prediction import Prediction

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splitband.data.gaps import last_before
 from splitband.data.preparation import Preparation
+from splitband.data.signals import last_before
 from splitband.forecasters.known import Known
 from splitband.forecasters.medians import median
 from splitband.runtime.arrays import Array
