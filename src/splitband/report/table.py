@@ -205,10 +205,10 @@ class Table:
             header = textwrap.fill(heading, max(9, *map(len, entries)), break_long_words=False)
             table.add_column(header, justify="right", no_wrap=True)
         for name in self.rows:
-            channels, style = self._channels(name), "bold" if name == self.recommended else ""
-            mark = "*" if name == self.recommended else " "
+            channels, best = self._channels(name), name == self.recommended
+            mark = ("* " if best else "  ") if self.recommended else ""
             for i, channel in enumerate(channels):
-                head = Text("" if i else f"{mark} {name}", style)
+                head = Text("" if i else f"{mark}{name}", "bold" if best else "")
                 cells = [Text(channel)] if several else []
                 cells += [_cell(of_channel, name, channel, i == 0) for of_channel in shown]
                 table.add_row(head, *cells, end_section=several and channel == channels[-1])
@@ -282,7 +282,7 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
     scores = {name: each.score for name, each in of.items() if each.score is not None}
     listed = [
         Column("round", "count", {n: float(each.round) for n, each in of.items()}, ranked=False),
-        Column("score", "deviation", scores),
+        Column("held-out score", "deviation", scores),
     ]
     title = (
         "What was tried, in that order; the score is the RMSE on held-out samples, in standard "

@@ -239,7 +239,7 @@ def cutoffs(choice: Choice) -> Chart:
     _, high = limits([*curves.values()])
     caption = f"Loss: {choice.loss}; dashed: the cut-off chosen, {number(choice.cutoff)} Hz"
     chart = Chart(Axis.over_frequency(every, "Hz"), "loss", (0.0, high), caption, SMALL)
-    for (order, enough), y in curves.items():
+    for (order, enough), y in sorted(curves.items(), key=lambda each: each[0]):
         name = f"order {order}" if enough else f"order {order}, little in the low band"
         style = {"line_width": 1.3, "line_dash": dash(not enough)}
         chart.line(y, name, [f"c{order - 1}"], **style)
