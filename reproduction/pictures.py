@@ -49,8 +49,7 @@ def spectrum(comparison: Comparison) -> Figure:
     for ax in axes:
         ax.grid(True, which="both", color="0.93", lw=0.6)
         if cutoff is not None:
-            label = f"cut-off {cutoff:.4g} Hz" if ax is axes[0] else None
-            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=label)
+            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=f"cut-off {cutoff:.4g} Hz")
     figure.suptitle(f"{literal(record.name)}: spectrum", fontsize=10)
     axes[0].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
     axes[-1].set_xlabel("frequency (Hz)")

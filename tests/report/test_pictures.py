@@ -17,7 +17,7 @@ def test_every_prediction_has_a_panel_with_its_fit() -> None:
         "forecast after the training part", "forecast after the training part",
         "simulation of the test record later", "simulation of the test record later",
     ]  # fmt: skip
-    shown = found.table.loc[found.recommended, "forecast fit %, angle (rad)"]
+    shown = found.table["forecast fit %, angle (rad)"][found.recommended]
     assert f"fit {shown:.1f} %, RMSE" in large[0]
     assert len(titles) == 4 + 3 * 2
     figure.savefig(io.BytesIO(), format="png", dpi=20)
@@ -26,5 +26,7 @@ def test_every_prediction_has_a_panel_with_its_fit() -> None:
 def test_a_prediction_has_its_interval() -> None:
     found = comparisons.compared(comparisons.record(), ("mean",)).predictions["mean"]
     (ax,) = found.plot().axes
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    legend = ax.get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
     assert labels == ["prediction", "90 % interval"]

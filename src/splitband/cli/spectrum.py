@@ -94,7 +94,7 @@ def spectrum(
         "reconstruction_rmse": error,
         "peaks": [{"frequency": f, "share": s} for f, s in peaks],
     }
-    warnings = []
+    warnings = list[str]()
     if shown.y_sim is not None:
         found, total = _checks(shown, shown.y_sim, chosen, pair.order)
         tables.append(_table(found, total, chosen))

@@ -73,8 +73,8 @@ class OverTime:
         height = TALL if record.ny <= FEW else LOW
         chart = Chart(self.axis, column, limits(scale, 0.2), caption, height)
         if best is not None and best.lower is not None and best.upper is not None:
-            edges = (padded(edge[:, i], self._length) for edge in (best.lower, best.upper))
-            chart.band(*edges, recommended.name, recommended.tags)
+            lower, upper = (padded(edge[:, i], self._length) for edge in (best.lower, best.upper))
+            chart.band(lower, upper, recommended.name, recommended.tags)
         # The recommended one is wide, so that it shows behind curves that agree with it.
         for name in sorted(shown.predictions, key=lambda n: self.styles[n].recommended):
             style = {"line_width": 3.5} if self.styles[name].recommended else {}
