@@ -102,7 +102,7 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     assert found.recommended == best
     shown = column(found, "forecast fit %")
     said = " ".join(words.afterwards(found))
-    assert f"fit {shown.entry(best)} %" in " ".join(words.achieved(found))
+    assert f"fit {shown.entry(best)} %" in str(words.headline(found))
     if shown.best == best:
         assert "No other method had a better fit." in said
     else:

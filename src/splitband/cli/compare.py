@@ -72,8 +72,8 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
         showing.console.print("hybrid models are left out; --methods brings them back")
     for message in words.warnings(result):
         showing.warn(message)
-    for line in words.achieved(result):
-        showing.console.print(line, style="bold")
+    for predicted, said in words.headline(result):
+        showing.console.print(f"{predicted}: {', '.join(said)}", style="bold")
     for tested in result.residual_tests():
         showing.console.print(f"residual tests: {tested.verdict()}")
     showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults: {out}/")

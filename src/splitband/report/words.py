@@ -38,16 +38,11 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
 
 
-def achieved(comparison: Comparison) -> list[str]:
-    """Return the fit and the error of the recommended method, a line for each output and record.
-
-    That is on the test records, or else on the samples after the training part.
-    """
-    return [f"{name}: {', '.join(said)}" for name, said in headline(comparison)]
-
-
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the same as pairs: the predicted output and record, and the numbers."""
+    """Return each predicted output and record, with fit and error of the recommended method.
+
+    These are the test records, or else the samples after the training part.
+    """
     best = comparison.recommended
     listed = [column for column in columns(comparison) if best in column.values]
     side = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
