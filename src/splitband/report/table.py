@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import pandas as pd
 import rich.table
+from rich.box import HEAVY_HEAD, Box
 from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text
@@ -173,7 +174,9 @@ class Table:
         """Return what each heading means."""
         return {column.heading: column.note for column in self.columns if column.note}
 
-    def fitting(self, width: int) -> tuple[rich.table.Table, list[str]]:
+    def fitting(
+        self, width: int, box: Box | None = HEAVY_HEAD
+    ) -> tuple[rich.table.Table, list[str]]:
         """Return the table for a terminal, and the headings of columns that were left out.
 
         The best number of each column is bold. With several outputs, a row has a line for each.
@@ -183,17 +186,19 @@ class Table:
             of_heading.setdefault((column.heading, column.record), {})[column.channel] = column
         shown, left_out = [*of_heading.values()], list[str]()
         wide = _console(10_000)
-        drawn = self._drawn(shown)
+        drawn = self._drawn(shown, box)
         while len(shown) > 1 and Measurement.get(wide, wide.options, drawn).maximum > width:
             left_out += dict.fromkeys(column.heading for column in shown.pop().values())
-            drawn = self._drawn(shown)
+            drawn = self._drawn(shown, box)
         return drawn, [*dict.fromkeys(left_out[::-1])]
 
-    def _drawn(self, shown: Sequence[Mapping[str, Column]]) -> rich.table.Table:
+    def _drawn(self, shown: Sequence[Mapping[str, Column]], box: Box | None) -> rich.table.Table:
         """Return the table of the columns of some headings, by channel."""
         several = any(column.channel for column in self.columns)
-        title = self.title or None
-        table = rich.table.Table(title=title, title_justify="left", title_style="bold")
+        table = rich.table.Table(
+            title=self.title or None, title_justify="left", title_style="bold", box=box,
+            padding=(0, 1 if box else 2, 0, 1 if box else 0),
+        )  # fmt: skip
         table.add_column(self.head, no_wrap=True)
         if several:
             table.add_column("output", no_wrap=True)
@@ -220,12 +225,15 @@ class Table:
         return [*found] or [""]
 
     def as_text(self, width: int = 100) -> str:
-        """Return the table as text, with as many columns as fit into `width` characters."""
+        """Return the table as text, with as many columns as fit into `width` characters.
+
+        It has no lines, which not every encoding of a file can hold.
+        """
         console = _console(width)
         with console.capture() as captured:
-            console.print(self.fitting(width)[0])
-        said = [f"{name}: {words}\n" for name, words in self.rows.items() if words]
-        return "".join([captured.get(), *said]).rstrip("\n")
+            console.print(self.fitting(width, None)[0])
+        lines = [line.rstrip() for line in captured.get().splitlines()]
+        return "\n".join(lines + [f"{name}: {words}" for name, words in self.rows.items() if words])
 
 
 def _console(width: int) -> Console:
