@@ -20,7 +20,7 @@ from splitband.cli.usage import usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import TRAINING_SHARE, check_train, chosen_bands
-from splitband.filters.spectrum import Oracle, coherence, oracle, oracle_cutoffs, periodogram
+from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
@@ -96,20 +96,11 @@ def spectrum(
     }
     warnings = list[str]()
     if shown.y_sim is not None:
-        found, total = _checks(shown, shown.y_sim, chosen, pair.order)
-        tables.append(_table(found, total, chosen))
-        agree = _agreement(shown, shown.y_sim, chosen)
-        said.append(
-            "a lower cut-off leaves more to the network; mean coherence of simulator and record "
-            f"up to {chosen:.4g} Hz: {agree:.2f}"
-        )
+        facts["simulator"], oracles, agreement = _beside(shown, shown.y_sim, chosen, pair.order)
+        tables.append(oracles)
+        said.append(agreement)
         training, warnings = _nothing_to_learn(shown[:trained], chosen, pair.order)
-        facts["simulator"] = {
-            "total_rmse": total,
-            "mean_coherence_below_cutoff": agree,
-            "oracle": [asdict(check) for check in found],
-            "training": training,
-        }
+        facts["simulator"]["training"] = training
     if choice is not None:
         said.append(
             f"by the first {trained} samples, the low band keeps one of {bands.downsampling} "
@@ -137,16 +128,16 @@ def _peaks(record: Record, peaks: Sequence[tuple[float, float]]) -> Table:
     return Table(f"{record.name}: strongest peaks", listed, dict.fromkeys(of, ""), "frequency")
 
 
-def _checks(record: Record, y_sim: Array, cutoff: float, order: int) -> tuple[list[Oracle], float]:
-    """Return the oracle check at several cut-offs, and the RMSE of the simulator itself."""
-    rate = record.sampling_rate
-    cutoffs = sorted({*oracle_cutoffs(len(record), rate), cutoff})
-    found = [oracle(record.y, y_sim, rate, each, order, record.seen) for each in cutoffs]
-    return found, rmse(record.seen, y_sim)
-
-
-def _table(checks: Sequence[Oracle], total: float, cutoff: float) -> Table:
-    of = {f"{check.cutoff:g} Hz": check for check in checks}
+def _beside(
+    record: Record, y_sim: Array, cutoff: float, order: int
+) -> tuple[dict[str, Any], Table, str]:
+    """Return how a simulator compares with the record: as facts, as a table, in a sentence."""
+    rate, total = record.sampling_rate, rmse(record.seen, y_sim)
+    cutoffs = {f"{each:g} Hz": each for each in (*oracle_cutoffs(len(record), rate), cutoff)}
+    of = {
+        name: oracle(record.y, y_sim, rate, each, order, record.seen)
+        for name, each in sorted(cutoffs.items(), key=lambda pair: pair[1])
+    }
     perfect = {name: check.perfect_network for name, check in of.items()}
     without = {name: check.no_network for name, check in of.items()}
     listed = [
@@ -154,14 +145,17 @@ def _table(checks: Sequence[Oracle], total: float, cutoff: float) -> Table:
         Column("L(simulator) alone", "record", without, ranked=False),
     ]
     title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
-    return Table(title, listed, dict.fromkeys(of, ""), "cut-off", f"{cutoff:g} Hz")
-
-
-def _agreement(record: Record, y_sim: Array, cutoff: float) -> float:
-    """Return the mean coherence of simulator and record up to the cut-off."""
-    frequencies, coherences = coherence(record.y, y_sim, record.sampling_rate)
+    table = Table(title, listed, dict.fromkeys(of, ""), "cut-off", f"{cutoff:g} Hz")
+    frequencies, coherences = coherence(record.y, y_sim, rate)
     below = frequencies <= cutoff
-    return float(coherences[below].mean()) if below.any() else 0.0
+    agree = float(coherences[below].mean()) if below.any() else 0.0
+    said = (
+        "a lower cut-off leaves more to the network; mean coherence of simulator and record up to "
+        f"{cutoff:.4g} Hz: {agree:.2f}"
+    )
+    checks = [asdict(check) for check in of.values()]
+    facts = {"total_rmse": total, "mean_coherence_below_cutoff": agree, "oracle": checks}
+    return facts, table, said
 
 
 def _nothing_to_learn(
