@@ -279,7 +279,8 @@ def _ranked(table: Table, trial: Trial | None) -> Table:
     if trial is None:
         return table
     best = trial.recommended
-    simple = [name for name in table.rows if name not in trial.trained and name != best]
+    others = trial.trained | trial.failed.keys() | {best}
+    simple = [name for name in table.rows if name not in others]
     return replace(table, recommended=best, minor=frozenset(simple[1:]))
 
 
