@@ -33,7 +33,7 @@ STRETCH = 30.0
 
 def demo(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("demo"),
     jobs: Jobs = None,
 ) -> None:
     """Show what the package does, in about a minute: a crane whose load swings.

@@ -23,7 +23,7 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import Run, run
 from splitband.report import results
 from splitband.report.page.parts import Usage
-from splitband.report.table import tried
+from splitband.report.table import of_trial
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -59,11 +59,9 @@ class Display:
         """Take note of where the comparison stands."""
         if self._in_place:
             if state.new_table:
-                trial, record = state.trial, state.plan.record
-                title = f"{record.name}: held-out errors so far"
-                listed = tried(trial, record, [*trial.errors])
-                ranked = sorted(trial.errors, key=trial.worth)
-                self._table, _ = showing.fitting(title, listed, ranked, trial.recommended)
+                record = state.plan.record
+                table = of_trial(state.trial, record, f"{record.name}: held-out errors so far")
+                self._table, _ = table.fitting(showing.console.width)
             self._live.update(Group(self._table, Text(in_words(state))), refresh=True)
         elif state.new_table:
             showing.console.print(in_words(state))

@@ -241,7 +241,7 @@ class Comparison:
         return figure
 
     def save(self, folder: str | Path) -> None:
-        """Write all files of `splitband compare`: results, predictions, pictures, the page."""
+        """Write all files of `splitband compare`: results, predictions, the page, the model."""
         provided("results")(self, Path(folder))
 
     def report(self, path: str | Path) -> None:
