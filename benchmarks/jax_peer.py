@@ -1,9 +1,10 @@
-"""jax-sysid on a public benchmark: errors on the test files as the CPU time of a training passes.
+"""jax-sysid on a record: errors on the test records as the CPU time of a training passes.
 
-    PYTHON benchmarks/jax_peer.py SET --data FOLDER --minutes 0.5,1 --seed 0 [--train 768]
+    PYTHON benchmarks/jax_peer.py SET TRAINING.npy TEST.npy ... --seconds 10 20 --seed 0
 
 A script for an environment of its own, as jax-sysid 1.1 needs older versions of jax and SciPy than
 the rest of the extra `bench`: it imports nothing of this package. `benchmarks.against` calls it.
+A file holds a column of the input and one of the output.
 
 Settings: x' = A x + B u + f(x, u), y = C x + D u + g(x, u), f and g a layer of tanh units each;
 signals scaled to mean 0 and deviation 1, float64. A, B, C, D are those of jax-sysid's own linear
@@ -18,7 +19,6 @@ import argparse
 import json
 import os
 import time
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,8 @@ from jax_sysid.models import LinearModel, Model
 jax.config.update("jax_enable_x64", True)
 ENDLESS = 1_000_000
 """Evaluations of L-BFGS that no training gets to."""
+KNOWN = 50
+"""Samples at the beginning of a test record from which its first state is estimated."""
 SMALL = 0.01
 """Deviation of the output weights of f and g at the beginning."""
 
@@ -60,15 +62,11 @@ def output_fcn(x: Any, u: Any, params: Any) -> Any:
 class Run:
     """A training, looked at on its way."""
 
-    def __init__(self, setting: Setting, data: Path, seed: int, train: int | None) -> None:
+    def __init__(self, setting: Setting, files: list[Path], seed: int) -> None:
         self.setting, self.seed = setting, seed
-        u, y = _read(data, setting.training)
-        held_out = [] if train is None else [(u[train:], y[train:])]
-        self.tests = held_out or [_read(data, name) for name in setting.tests]
-        u, y = u[:train], y[:train]
+        (u, y), *self.tests = (np.load(file).T for file in files)
         self.means, self.scales = (u.mean(), y.mean()), (u.std(), y.std())
         self.u, self.y = self._scaled(u, y)
-        self.points: list[dict[str, Any]] = []
         self.evaluations = 0
 
     def _scaled(self, u: Any, y: Any) -> tuple[Any, Any]:
@@ -76,9 +74,9 @@ class Run:
         scaled = [((x - mean) / scale)[:, None] for x, mean, scale in pairs]
         return scaled[0], scaled[1]
 
-    def train(self, minutes: list[float]) -> list[dict[str, Any]]:
-        """Train until the last of the times; a point for each."""
-        s, left = self.setting, sorted(minutes)
+    def train(self, moments: list[float]) -> None:
+        """Train until the last of the moments, in CPU seconds; print a point for each."""
+        s, left = self.setting, sorted(moments)
         began = time.process_time()
         model, looked, looking = self._begun(), 0.0, False
 
@@ -91,8 +89,9 @@ class Run:
                 self.evaluations += 1
                 at = time.process_time()
                 seconds = at - began - looked
-                while left and seconds >= 60 * left[0]:
-                    self._keep(model, z[:-1], left.pop(0), seconds)
+                while left and seconds >= left[0]:
+                    left.pop(0)
+                    self._print(model, z[:-1], seconds)
                 looked += time.process_time() - at
                 looking = False
                 if not left:
@@ -108,11 +107,8 @@ class Run:
         try:
             model.fit(self.y, self.u)
         except _OverError:
-            return self.points
-        seconds = time.process_time() - began - looked  # it was over before the last moment
-        for each in left:
-            self._keep(model, model.params, each, seconds)
-        return self.points
+            return
+        self._print(model, model.params, time.process_time() - began - looked)
 
     def _begun(self) -> Model:
         """Return the model with the weights that it begins with."""
@@ -130,50 +126,36 @@ class Run:
         model.init(params=[a, b, c, d, *layers, np.zeros(1)])
         return model
 
-    def _keep(self, model: Model, weights: Any, minutes: float, seconds: float) -> None:
+    def _print(self, model: Model, weights: Any, seconds: float) -> None:
         model.params = [np.asarray(each) for each in weights]
-        errors = [[self._error(model, *test, n) for test in self.tests]
-                  for n in self.setting.initial]  # fmt: skip
-        by = {f"test_rmse_{n}": each for n, each in zip(self.setting.initial, errors, strict=True)}
-        self.points.append({
+        point = {
             "library": "jax-sysid", "version": version("jax-sysid"), "seed": self.seed,
-            "minutes": minutes, "cpu_seconds": round(seconds, 1), "iterations": self.evaluations,
-            "test_rmse": errors[0], **{k: v for k, v in by.items() if k != "test_rmse_50"},
-        })  # fmt: skip
-        print(json.dumps(self.points[-1]), flush=True)
+            "seconds": round(seconds, 1), "iterations": self.evaluations,
+            "test_rmse": [self._error(model, *test) for test in self.tests],
+        }  # fmt: skip
+        print(json.dumps(point), flush=True)
 
-    def _error(self, model: Model, u: Any, y: Any, initial: int) -> float:
+    def _error(self, model: Model, u: Any, y: Any) -> float:
         """Return the RMSE of what follows the first samples, in the unit of the file."""
         inputs, outputs = self._scaled(u, y)
         x0 = model.learn_x0(
-            inputs[:initial], outputs[:initial], rho_x0=1e-4, verbosity=False,
+            inputs[:KNOWN], outputs[:KNOWN], rho_x0=1e-4, verbosity=False,
             LBFGS_refinement=True, RTS_epochs=3,
         )  # fmt: skip
         simulated, _ = model.predict(x0, inputs)
-        wrong = self.scales[1] * np.asarray(simulated)[initial:, 0] + self.means[1] - y[initial:]
+        wrong = self.scales[1] * np.asarray(simulated)[KNOWN:, 0] + self.means[1] - y[KNOWN:]
         return float(np.sqrt(np.mean(wrong**2)))
-
-
-def _read(data: Path, name: str) -> tuple[Any, Any]:
-    _, u, y = np.loadtxt(data / f"{name}.csv", delimiter=",", skiprows=1, unpack=True)
-    return u, y
 
 
 def main() -> None:
     """Train once, and print a line of JSON for each point."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("set", choices=[*SETTINGS])
-    parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--minutes", default="0.5,1", help="of CPU time")
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--seconds", nargs="+", type=float, default=[10, 20, 40])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--train", type=int, help="samples; the rest of the file is the test")
-    parser.add_argument("--penalty", type=float, help="rho_th")
-    arguments = parser.parse_args()
-    setting = SETTINGS[arguments.set]
-    if arguments.penalty is not None:
-        setting = replace(setting, penalty=arguments.penalty)
-    run = Run(setting, arguments.data, arguments.seed, arguments.train)
-    run.train([float(each) for each in arguments.minutes.split(",")])
+    given = parser.parse_args()
+    Run(SETTINGS[given.set], given.files, given.seed).train(given.seconds)
 
 
 if __name__ == "__main__":

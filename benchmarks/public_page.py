@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
+import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
@@ -20,10 +21,11 @@ from splitband.runtime.files import replacing
 
 AGAINST = "against.png"
 
+Array = npt.NDArray[np.float64]
 Runs = dict[str, list[Facts]]
 """Runs by what was asked for."""
 Points = dict[str, list[against.Point]]
-"""Trainings of tsfast's network and of ours, by benchmark."""
+"""Errors of libraries after some time, by benchmark."""
 
 
 def write(out: Path) -> None:
@@ -106,100 +108,42 @@ def _used(runs: Sequence[Facts]) -> str:
 
 
 def _side_by_side(points: Points, out: Path) -> list[str]:
-    """Trainings of tsfast's network and of ours."""
+    """Return how the error falls inside one command, beside other libraries."""
     if not points:
         return []
     said = {point["library"]: point["version"] for of in points.values() for point in of}
-    peers = [peer for peer in ("tsfast", "jax-sysid") if peer in said]
-    parts = [
-        f"## Training time, beside {' and '.join(peers)}",
-        "Error on the test files against CPU time of the training alone, measured side by side on "
-        "one machine that did other work too, one process of one thread each; `python -m "
-        "benchmarks.against` with the extra `bench`. All train on the whole training file, "
-        "the first 50 samples of a test file do not count, and nothing is chosen by it.",
-        f"- tsfast {said.get('tsfast', '')}: `RNNLearner(dls, n_skip=50).fit_flat_cos(epochs)` "
-        "with its own defaults, which are a GRU of 100 units that is told the input alone, and "
-        "with the windows and batches that it has for the benchmark. Its learning rate falls to 0 "
-        "at the end, so that it is trained anew for each time.\n"
-        f"- splitband {said.get('splitband', '')}: the network that `compare` finds on the last "
-        "quarter of the training file, warmed up on the first 50 samples: "
-        + "; ".join(_network(name) for name in points)
-        + ". One training, looked at on its way.",
-        *_further(said),
-        "What finding our network costs is not in these times, nor is what finding tsfast's "
-        "defaults did.",
-    ]
-    for name, of_set in points.items():
-        parts += [f"{SETS[name].title}:", _trainings(SETS[name], of_set)]
-    return [*parts, f"![Error over CPU time of the training]({out.name}/{AGAINST})"]
-
-
-def _further(said: Mapping[str, str]) -> list[str]:
-    """Describe the settings of the curves that are there beside the GRUs."""
-    listed = []
-    if "jax-sysid" in said:
-        sizes = "; ".join(
-            f"on {SETS[name].title}: {s.states} states, {s.units} + {s.units} tanh units, `rho_th` "
-            f"{s.penalty:g}, {s.adam:,} iterations of Adam, then L-BFGS"
-            for name, s in SETTINGS.items()
-        )
-        listed.append(
-            f"- jax-sysid {said['jax-sysid']}: a state-space network that begins as its own linear "
-            f"model, trained on the whole record in one piece in float64: {sizes}. The state at "
-            "the beginning of a test file is estimated from its first samples by `learn_x0`. One "
-            "training, looked at on its way; time includes the linear model and compilation."
-        )
-    if against.STATE_SPACE in said:
-        sizes = "; ".join(
-            f"on {SETS[name].title}: {states} states, {units} + {units} tanh units, windows of "
-            f"{window} samples, penalty {penalty:g}"
-            for name, (states, units, window, penalty) in against.STATES.items()
-        )
-        listed.append(
-            f"- {against.STATE_SPACE} {said[against.STATE_SPACE]}: `sb.StateSpace`, which begins "
-            f"as the linear model, trained by L-BFGS alone: {sizes}."
-        )
-    if against.SEARCHED in said:
-        listed.append(
-            f"- {against.SEARCHED} {said[against.SEARCHED]}: `compare` with its default methods "
-            "by its clock, on one core; time is that of the whole call."
-        )
-    return ["\n".join(listed)] if listed else []
-
-
-def _network(name: str) -> str:
-    units, window, epochs, most = against.FOUND[name]
-    last = "for as long as there is time" if most == against.ENDLESS else f"{most} iterations"
-    return (
-        f"on {SETS[name].title}: {units} units, windows of {window} samples, {epochs} epochs of "
-        f"Adam, then L-BFGS, {last}"
+    sizes = "; ".join(
+        f"on {_title(name)}: {s.states} states, {s.units} + {s.units} tanh units, `rho_th` "
+        f"{s.penalty:g}, {s.adam:,} iterations of Adam, then L-BFGS"
+        for name, s in SETTINGS.items()
+        if name in points
     )
-
-
-def _trainings(benchmark: Benchmark, points: Iterable[against.Point]) -> str:
-    rows = [
-        [
-            point["library"],
-            f"{point['cpu_seconds'] / 60:.2g}",
-            *_in_unit(benchmark, point["test_rmse"]),
-            str(point["seeds"]),
-            f"{point[what]:,} {words}{', then it settled' if 'settled' in point else ''}",
-        ]
-        for point in points
-        for what, words in (("steps", "of Adam"), ("iterations", "of L-BFGS"))
-        if what in point
-    ] + [
-        [
-            point["library"],
-            f"{point['cpu_seconds'] / 60:.2g}",
-            *_in_unit(benchmark, point["test_rmse"]),
-            str(point["seeds"]),
-            point["recommended"],
-        ]
-        for point in points
-        if "recommended" in point
+    described = {
+        against.SPLITBAND: "the plain command, Python's start and everything else included: a "
+        "point is the model that lies in OUT then.",
+        against.JAX_SYSID: "a state-space network that begins as its own linear model, trained on "
+        f"the whole record in one piece in float64: {sizes}. The state at the beginning of a test "
+        "file is estimated from its first samples by `learn_x0`. One training, looked at on its "
+        "way; its linear model and compilation are included.",
+        against.TSFAST: "`RNNLearner(dls, n_skip=50).fit_flat_cos(epochs)` with its own defaults, "
+        "which are a GRU of 100 units that is told the input alone, and with the windows and "
+        "batches that it has for the benchmark. Its rate falls to 0 at the end, so that it is "
+        "trained anew for each time; the training alone counts.",
+    }
+    listed = "\n".join(f"- {name} {said[name]}: {described[name]}" for name in said)
+    return [
+        "## Inside one command",
+        "Error on the test files over time, median and range over seeds (`python -m "
+        "benchmarks.against` with the extra `bench`). Of splitband it is wall time on two quiet "
+        "cores, of the others CPU time of one thread. All train on the whole training file, the "
+        "first 50 samples of a test file do not count, and nothing is chosen by it.",
+        listed,
+        f"![Error over time inside one command]({out.name}/{AGAINST})",
     ]
-    return _lines(["", "CPU minutes", *_heads(benchmark), "seeds", "steps"], rows)
+
+
+def _title(name: str) -> str:
+    return SETS[name].title if name in SETS else f"{name}, 20,000 samples, drawn"
 
 
 def _pendulum(out: Path) -> list[str]:
@@ -268,10 +212,6 @@ def _share(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _in_unit(benchmark: Benchmark, errors: Iterable[float]) -> list[str]:
-    return [f"{benchmark.scale * error:.3g}" for error in errors]
-
-
 def _heads(benchmark: Benchmark) -> list[str]:
     return [f"{column}, {benchmark.unit}" for column in benchmark.columns]
 
@@ -281,38 +221,50 @@ def _lines(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _over_time(points: Points) -> Figure:
-    """Error over CPU time, a panel for each test file."""
-    panels = [(name, i) for name in points for i in range(len(SETS[name].tests))]
-    figure, axes = plt.subplots(
-        1, len(panels), figsize=(4 * len(panels), 4), squeeze=False, sharey=len(points) == 1
-    )
-    for axis, (name, i) in zip(axes[0], panels, strict=True):
-        benchmark = SETS[name]
-        for library, label in against.CURVES.items():
+    """Draw the error over time, a panel for each test file: the median and range over seeds."""
+    panels = [(name, i) for name, of in points.items() for i in range(len(of[0]["test_rmse"]))]
+    columns = min(len(panels), 3)
+    rows = -(-len(panels) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(4 * columns, 3.4 * rows), squeeze=False)
+    for axis in axes.flat[len(panels) :]:
+        axis.set_visible(False)
+    for axis, (name, i) in zip(axes.flat, panels, strict=False):
+        benchmark = SETS.get(name)
+        scale, unit = (benchmark.scale, benchmark.unit) if benchmark else (1.0, "a share")
+        title = f"{benchmark.title}, {benchmark.columns[i]}" if benchmark else _title(name)
+        longest = max(point["seconds"] for point in points[name])
+        for library in against.LIBRARIES:
             of = [point for point in points[name] if point["library"] == library]
-            if not of:
-                continue
-            errors = [benchmark.scale * point["test_rmse"][i] for point in of]
-            axis.loglog([point["cpu_seconds"] / 60 for point in of], errors, "o-", label=label)
-        axis.set(
-            title=f"{benchmark.title}, {benchmark.columns[i]}",
-            xlabel="CPU time (minutes of a core)",
-        )
-        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.xaxis.set_minor_formatter(NullFormatter())
-        _for_errors(axis, benchmark)
-    figure.tight_layout(rect=(0, 0.08, 1, 1))
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=6)
+            if of:
+                times, errors = _steps(of, i, longest)
+                lowest, median, highest = scale * np.quantile(errors, [0, 0.5, 1], axis=0)
+                (line,) = axis.step(times, median, where="post", label=library)
+                axis.fill_between(
+                    times, lowest, highest, step="post", alpha=0.15, color=line.get_color()
+                )
+        axis.set(title=title, xlabel="time in s", ylabel=f"test RMSE ({unit})")
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        for of_axis in (axis.xaxis, axis.yaxis):
+            of_axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            of_axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            of_axis.set_minor_formatter(NullFormatter())
+        axis.grid(alpha=0.3, which="both")
+    figure.tight_layout(rect=(0, 0.06, 1, 1))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3)
     return figure
 
 
-def _for_errors(axis: Axes, benchmark: Benchmark) -> None:
-    axis.set_ylabel(f"test RMSE ({benchmark.unit})")
-    axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.yaxis.set_minor_formatter(NullFormatter())
-    axis.grid(alpha=0.3, which="both")
+def _steps(of: Sequence[against.Point], i: int, longest: float) -> tuple[Array, Array]:
+    """Return times, and for each seed the error of the last model before each of them."""
+    seeds = [[p for p in of if p["seed"] == seed] for seed in sorted({p["seed"] for p in of})]
+    first = max(min(p["seconds"] for p in each) for each in seeds)
+    times = np.geomspace(first, max(longest, first), 200)
+    errors = np.empty((len(seeds), len(times)))
+    for errors_of_seed, each in zip(errors, seeds, strict=True):
+        for point in sorted(each, key=lambda point: float(point["seconds"])):
+            errors_of_seed[times >= point["seconds"] - 1e-9] = point["test_rmse"][i]
+    return times, errors
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -322,32 +274,8 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _points(out: Path) -> Points:
-    """The means over seeds, by time and library; what was over before a time, once."""
-    points = {}
-    for name in SETS:
-        path = against.path_of(out, name)
-        seeds: dict[tuple[str, float], list[against.Point]] = {}
-        for point in read(path)["points"] if path.exists() else ():
-            seeds.setdefault((point["library"], point["minutes"]), []).append(point)
-        once: dict[tuple[str, ...], against.Point] = {}
-        for mean in sorted(map(_mean, seeds.values()), key=lambda p: p["minutes"]):
-            errors = (mean["library"], *map(str, mean["test_rmse"]))
-            if errors in once:
-                once[errors]["settled"] = True
-            once.setdefault(errors, mean)
-        if once:
-            points[name] = sorted(once.values(), key=lambda p: (p["minutes"], p["library"]))
-    return points
-
-
-def _mean(seeds: list[against.Point]) -> against.Point:
-    """Of trainings by one library for one time."""
-    errors = zip(*(point["test_rmse"] for point in seeds), strict=True)
-    return seeds[0] | {
-        "cpu_seconds": statistics.mean(point["cpu_seconds"] for point in seeds),
-        "test_rmse": [statistics.mean(of_test) for of_test in errors],
-        "seeds": len(seeds),
-    }
+    found = {name: against.points(against.path_of(out, name)) for name in (*SETS, against.DRAWN)}
+    return {name: of for name, of in found.items() if of}
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

@@ -13,16 +13,8 @@ from reproduction.runs import as_fit, finished, load
 from reproduction.specs import SPECS, Line, chosen, lines
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.names import QUICK
-from splitband.report import pictures
-
-
-def _spectrum(comparison: Comparison) -> Figure:
-    record = comparison.record
-    found = periodogram(record.y, record.sampling_rate)
-    return pictures.spectrum(record, found, comparison.plan.bands.cutoff)
 
 
 def _unfiltered(comparison: Comparison) -> Figure:
@@ -30,7 +22,7 @@ def _unfiltered(comparison: Comparison) -> Figure:
 
 
 FIGURES: dict[str, Callable[[Comparison], Figure]] = {
-    "spectrum": _spectrum,
+    "spectrum": drawn.spectrum,
     "rollouts": drawn.rollouts,
     "components": drawn.components,
     "unfiltered": _unfiltered,

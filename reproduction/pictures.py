@@ -10,13 +10,51 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from splitband.evaluation.comparison import Comparison
+from splitband.filters.spectrum import coherence, periodogram
 from splitband.forecasters.backtest import Fit
 from splitband.metrics import cumulative_rmse, rmse
 from splitband.report.colors import PALETTE
+from splitband.report.numbers import squared
 from splitband.report.pictures import MEASURED, literal, time_label, times_of
 from splitband.report.table import ordered
 
 Array = npt.NDArray[np.float64]
+
+
+def spectrum(comparison: Comparison) -> Figure:
+    """Draw the power spectral density of every channel, with the cut-off marked.
+
+    With a simulator, also draw its spectrum, dashed, and its coherence with the record.
+    """
+    record, rate = comparison.record, comparison.record.sampling_rate
+    heights = [2.2, 1.0][: 1 + (record.y_sim is not None)]
+    figure = Figure(figsize=(8, 2 + 2 * len(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    found = periodogram(record.y, rate)
+    for i, (name, density) in enumerate(zip(record.columns, found.density.T, strict=True)):
+        shown = np.maximum(density[1:], 1e-300)
+        axes[0].loglog(found.frequencies[1:], shown, lw=1, label=literal(name))
+        if record.y_sim is not None:
+            simulated = periodogram(record.y_sim, rate)
+            color, label = PALETTE[(2 + i) % len(PALETTE)], f"simulator's {literal(name)}"
+            y = simulated.density[1:, i]
+            axes[0].loglog(simulated.frequencies[1:], y, "--", color=color, lw=1.2, label=label)
+            frequencies, agreement = coherence(record.y, record.y_sim, rate)
+            axes[1].semilogx(frequencies[1:], agreement[1:, i], color=color, lw=1.2)
+            axes[1].set(ylim=(0, 1.02), ylabel="coherence")
+    top = float(found.density[1:].max())
+    axes[0].set_ylim(max(float(found.density[1:].min()), top * 1e-9), top * 3)
+    axes[0].set_ylabel(f"power spectral density ({squared(record)}/Hz)")
+    cutoff = comparison.plan.bands.cutoff
+    for ax in axes:
+        ax.grid(True, which="both", color="0.93", lw=0.6)
+        if cutoff is not None:
+            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=f"cut-off {cutoff:.4g} Hz")
+    figure.suptitle(f"{literal(record.name)}: spectrum", fontsize=10)
+    axes[0].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
+    axes[-1].set_xlabel("frequency (Hz)")
+    axes[-1].xaxis.set_major_formatter("{x:g}")
+    return figure
 
 
 def components(

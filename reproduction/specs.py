@@ -84,7 +84,6 @@ SPECS = {
     "epochs": Spec(
         "System (i), trained for longer",
         ("i",), _GRU, {}, shows="losses", varied="epochs", values=(300, 1000, 2000),
-        own_warmup=True,
     ),
     "cutoff": Spec(
         "Ablation of the cut-off w on system (i), k = 2",

@@ -85,7 +85,7 @@ def test_many_records_are_compared_one_by_one_and_summed_up(
     assert main(["summary", "results/arm", "results/pump", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["record"] for row in rows] == ["arm", "pump"]
-    assert all(row["fit"] > 99 for row in rows)
+    assert all(row["forecast fit %"] > 99 for row in rows)
 
 
 def test_the_python_of_the_readme_runs_as_it_stands(

@@ -37,7 +37,7 @@ ONLY_IN = {
     "jinja2": {"report"},
     "numba": {"kernels"},
     "typer": {"cli"},
-    "rich": {"cli"},
+    "rich": {"cli", "report"},
     "fmpy": {"simulators", "export"},
     "onnx": {"export"},
     "pooch": {"data"},

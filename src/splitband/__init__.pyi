@@ -16,7 +16,7 @@ from .evaluation.plan import (
     plan as plan,
 )
 from .evaluation.run import (
-    Standing as Standing,
+    Run as Run,
     compare as compare,
     run as run,
 )

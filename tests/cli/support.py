@@ -8,7 +8,6 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
@@ -123,14 +122,6 @@ def files(folder: Path) -> Files:
 
 def written(path: Path) -> pd.DataFrame:
     return pd.read_csv(path, dtype=str).astype(float)  # to the last bit
-
-
-def assert_pictures(folder: Path, *names: str) -> None:
-    for name in names:
-        height, width = matplotlib.image.imread(folder / name).shape[:2]
-        assert 600 <= width <= 3000
-        assert 250 <= height <= 6000
-    assert sorted(p.name for p in folder.glob("*.png")) == sorted(names)
 
 
 def process(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from splitband.cli import demo
-from splitband.data.crane import overhead_crane
+from splitband.data.named import overhead_crane
 from tests.cli.support import call, results
 
 pytestmark = pytest.mark.usefixtures("inside")

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from splitband import Settings, read
-from splitband.cli.spectrum import _show_simulator
+from splitband.cli.spectrum import _beside
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from tests.cli.support import QUICK, A, B, assert_fails, call, results, written
@@ -228,5 +228,5 @@ def test_the_range_of_a_model_is_that_of_all_its_records(folder: Path, tmp_path:
 
 
 def test_the_error_of_a_simulator_counts_what_was_measured() -> None:
-    found = _show_simulator(with_gaps(SEEN[:, None]), 10 * A[:, None], cutoff=1.0, order=1)
-    assert found["total_rmse"] == pytest.approx(rms((SEEN - 10 * A)[np.isfinite(SEEN)]))
+    facts, *_ = _beside(with_gaps(SEEN[:, None]), 10 * A[:, None], cutoff=1.0, order=1)
+    assert facts["total_rmse"] == pytest.approx(rms((SEEN - 10 * A)[np.isfinite(SEEN)]))

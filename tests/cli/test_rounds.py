@@ -5,12 +5,14 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import splitband as sb
 from splitband.cli import main
 from splitband.cli.live import Display
-from splitband.evaluation.run import Standing
+from splitband.evaluation.run import Run
 from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
 from tests.cli.support import call, files, results
@@ -24,9 +26,9 @@ def watched(monkeypatch: pytest.MonkeyPatch, look: Any) -> None:
     """Let a test look, too, whenever the display is told where a comparison stands."""
     shown = Display.__call__
 
-    def both(display: Display, standing: Standing) -> None:
-        shown(display, standing)
-        look(standing)
+    def both(display: Display, run: Run) -> None:
+        shown(display, run)
+        look(run)
 
     monkeypatch.setattr(Display, "__call__", both)
 
@@ -46,13 +48,13 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
 ) -> None:
     record, seen = sb.read("record.csv", columns="a"), dict[str, str]()
 
-    def look(standing: Standing) -> None:
-        if not standing.whole:
+    def look(run: Run) -> None:
+        if not run.new_table:
             return
         facts, model = results(tmp_path), sb.load(tmp_path / "model")
         assert model.name == facts["recommended"]
         assert model.predict(5, record).y.shape == (5, 1)
-        seen[standing.doing] = facts["unfinished"]
+        seen[run.doing] = facts["unfinished"]
 
     watched(monkeypatch, look)
     call(f"{LINE} --rounds 2", tmp_path)
@@ -73,14 +75,14 @@ def test_a_disk_error_in_between_is_a_warning(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    def look(standing: Standing) -> None:
+    def look(run: Run) -> None:
         now = {k: v for k, v in files(tmp_path).items() if CHECKPOINTS not in k}
-        if standing.doing == "baselines":
+        if run.doing == "baselines":
             before.update(now)
-        elif standing.whole:
+        elif run.new_table:
             kept.append(now == before)
 
-    monkeypatch.setattr(written, "save_standing", full)
+    monkeypatch.setattr(written, "save_unfinished", full)
     watched(monkeypatch, look)
     call(f"{LINE} --rounds 1", tmp_path)
     assert kept == [True]
@@ -140,35 +142,52 @@ def test_a_training_like_an_earlier_one_has_its_settings(
         assert files(earlier) == before
 
 
-def test_a_summary_has_a_row_for_each_folder(
+def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
     tmp_path: Path,
     workspace: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for folder, methods in (("pump", "mean,harmonic"), ("tank", "mean")):
-        call(f"compare {workspace}/record.csv --columns a --methods {methods}", Path(folder))
+    line = f"compare {workspace}/record.csv --jobs 1 --methods"
+    call(f"{line} mean,harmonic --columns a", Path("pump"))
+    call(f"{line} mean --columns a,b --test {workspace}/history.csv", Path("arm"))
+    Path("begun", CHECKPOINTS).mkdir(parents=True)
     capsys.readouterr()
-    call("summary pump tank")
-    said = capsys.readouterr().out.splitlines()
-    for folder, best in (("pump", "harmonic"), ("tank", "mean")):
-        (line,) = (line for line in said if folder in line)
-        assert best in line
-    call("summary pump tank --json")
+    call("summary pump arm begun --out all.csv")
+    said = capsys.readouterr().out
+    assert "begun: -: unfinished: no result yet" in said
+    assert said.index("pump: harmonic") < said.index("arm: mean")
+    call("summary pump arm begun --out all.json --json")
     rows = json.loads(capsys.readouterr().out)
-    assert [row["recommended"] for row in rows] == ["harmonic", "mean"]
-    for row, folder in zip(rows, ("pump", "tank"), strict=True):
-        (fit,) = (c for c in results(Path(folder))["table"] if c["heading"] == "forecast fit %")
-        assert row["fit"] == fit["values"][row["recommended"]]
-    Path("other").mkdir()
-    assert main(["summary", "pump", "other"]) == 2
-    said_of_other = capsys.readouterr().err
-    assert said_of_other.startswith("error: DIR must be a folder that splitband compare wrote")
-    assert said_of_other.endswith("got other\n")
-    Path("tank/results.json").write_text(json.dumps({**results(Path("tank")), "format": 1}))
-    assert main(["summary", "tank"]) == 2
-    assert "got 1 in tank: make them again with `splitband compare`" in capsys.readouterr().err
+    assert rows == json.loads(Path("all.json").read_text())
+    assert [(row["folder"], row["record"], row["output"]) for row in rows] == [
+        ("pump", "record", ""), ("arm", "history", "a"), ("arm", "history", "b"),
+        ("arm", "record", "a"), ("arm", "record", "b"), ("begun", "", ""),
+    ]  # fmt: skip
+    for folder, best in (("pump", "harmonic"), ("arm", "mean")):
+        for column in results(Path(folder))["table"]:
+            for row in rows:
+                where = row["folder"], row["record"], row["output"]
+                own = column.get("record", "record"), column.get("channel", row["output"])
+                if where == (folder, *own) and best in column["values"]:
+                    assert row[column["heading"]] == column["values"][best]
+    table = pd.read_csv("all.csv")
+    assert table["forecast fit %"].tolist() == pytest.approx(
+        [row.get("forecast fit %", np.nan) for row in rows], nan_ok=True
+    )
+    assert table["test fit %"].notna().tolist() == [False, True, True, False, False, False]
+    for given, says in (
+        ("pump other", "DIR must be a folder that splitband compare wrote, with results.json"),
+        ("pump --out all.txt", "--out must end in .csv or .json, got all.txt"),
+        ("pump --out pump/results.json", "is read by DIR..."),
+    ):
+        Path("other").mkdir(exist_ok=True)
+        assert main(["summary", *given.split()]) == 2
+        assert says in capsys.readouterr().err
+    Path("pump/results.json").write_text(json.dumps({**results(Path("pump")), "format": 1}))
+    assert main(["summary", "pump"]) == 2
+    assert "got 1 in pump: make them again with `splitband compare`" in capsys.readouterr().err
 
 
 def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:

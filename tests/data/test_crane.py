@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from splitband.data import crane
-from splitband.data.crane import overhead_crane
+from splitband.data import named as crane
+from splitband.data.named import overhead_crane
 
 
 def test_a_small_swing_has_the_period_of_a_pendulum(monkeypatch: pytest.MonkeyPatch) -> None:

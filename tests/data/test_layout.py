@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import read
-from splitband.data.gaps import ReadingWarning
+from splitband.data.signals import ReadingWarning
 from tests.data.support import message, text_file
 
 Y = np.sin(np.arange(12) / 3).round(3)

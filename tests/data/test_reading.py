@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as hnp
 from splitband.data import (
     read,
 )
-from splitband.data.gaps import ReadingWarning
+from splitband.data.signals import ReadingWarning
 from splitband.runtime.arrays import Array
 from tests.data.support import STEP, WRITERS, U, Y, message, text_file
 

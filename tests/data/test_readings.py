@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import read
-from splitband.data.gaps import ReadingWarning
+from splitband.data.signals import ReadingWarning
 from tests.data.support import message, stamped, text_file
 
 
@@ -133,7 +133,7 @@ def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step:
         ([f"{i / 86400:.11f}" for i in range(20)], {1 / 86400: "seconds", 1: "fractions of a day"}),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore::splitband.data.gaps.ReadingWarning")
+@pytest.mark.filterwarnings("ignore::splitband.data.signals.ReadingWarning")
 def test_stamps_that_mean_several_things_are_refused_with_all_of_them(
     tmp_path: Path, stamps: Sequence[object], others: dict[float, str]
 ) -> None:

@@ -120,16 +120,13 @@ def with_bad(*cells: tuple[int, int], value: float = np.nan) -> Array:
         ({"u": with_bad((5, 1))}, "column 'u1'"),
         ({"y_sim": with_bad((5, 1))}, "y_sim must be finite"),
         ({"y_true": with_bad((5, 1))}, "y_true must be finite"),
-        ({"u": np.ones(39)}, "u must have as many samples as y, (40, 2): its shape is (39, 1)"),
-        ({"y_sim": np.ones(40)}, "y_sim must have the shape of y, (40, 2): its shape is (40, 1)"),
-        ({"y_true": np.ones((41, 2))}, "y_true must have the shape of y"),
-        (
-            {"beyond": np.ones((3, 2))},
-            "beyond must go on from y_sim, (any time, 2): its shape is (3, 2)",
-        ),
+        ({"u": np.ones(39)}, "u must have the shape (40, any number): its shape is (39, 1)"),
+        ({"y_sim": np.ones(40)}, "y_sim must have the shape (40, 2): its shape is (40, 1)"),
+        ({"y_true": np.ones((41, 2))}, "y_true must have the shape (40, 2)"),
+        ({"beyond": np.ones((3, 2))}, "beyond must go on from y_sim, which is not given"),
         (
             {"y_sim": Y, "beyond": np.ones(3)},
-            "beyond must go on from y_sim, (any time, 2): its shape is (3, 1)",
+            "beyond must have the shape (any time, 2): its shape is (3, 1)",
         ),
         (
             {"y_sim": Y, "beyond": with_bad((4, 1)), "columns": ("angle", "torque")},

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from splitband.data import Record, read
-from splitband.data.gaps import Gaps, ReadingWarning
+from splitband.data.signals import Gaps, ReadingWarning
 from tests.data.support import U, iso, message, stamped, text_file
 
 

@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 
 from splitband.data import read
-from splitband.data.gaps import ReadingWarning
+from splitband.data.signals import ReadingWarning
 from tests.data.support import message, text_file
 
 Y = np.sin(np.arange(40) / 3).round(3)
@@ -48,6 +48,7 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
         (table(lambda i: f"{i / 3600:.4f}", "time [h],y\n"), 1, 0, ("y",)),
         (table(lambda i: f"10:{int(3.3 * i) // 60:02d}:{int(3.3 * i) % 60:02d}"), 3.3, 35999.6,
          ("y",)),
+        (table(lambda i: f"{i}h0m"), 3600, 0, ("y",)),
         (table(lambda i: f"{i / 120:.6f}"), 1 / 120, 0, ("y",)),  # a camera of 120 Hz
     ],
 )  # fmt: skip
@@ -93,10 +94,10 @@ def test_files_that_are_read(
         (table(lambda i: f"{202401 + i // 12 * 100 + i % 12}"), "dates from 2024-01-01", OFF, 1),
         (table(str, "time,y\nmsec.,mm\n"), "no time column", OFF, 1),
         (table(lambda i: str(i // 2)), "must increase: row 1 (0 s) follows 0 s (line 3)", OFF, 1),
-        (table(lambda i: f"{i}h0m"), "row 0 holds '0h0m' (line 2)", None, 0),
+        (table(lambda i: f"{i} msec"), "row 0 holds '0 msec' (line 2)", None, 0),
     ],
 )  # fmt: skip
-@pytest.mark.filterwarnings("ignore::splitband.data.gaps.ReadingWarning")
+@pytest.mark.filterwarnings("ignore::splitband.data.signals.ReadingWarning")
 def test_files_that_are_refused_with_what_to_do(
     tmp_path: Path, text: str, words: str, remedy: dict[str, Any] | None, step: float
 ) -> None:

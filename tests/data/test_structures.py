@@ -8,7 +8,7 @@ import pytest
 import scipy
 
 from splitband.data import read
-from splitband.data.gaps import ReadingWarning
+from splitband.data.signals import ReadingWarning
 from tests.data.support import message
 
 T = 0.01 * np.arange(50)

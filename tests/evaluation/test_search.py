@@ -134,7 +134,7 @@ def test_a_late_or_failed_training_is_left_out_and_said() -> None:
     search, trainer = searching(["state-space", "gru"]), Trainer(lambda job, n: 1.0)
     jobs = search.ask()
     search.tell([jobs[0].late(), Fit("gru", failure="diverged")])
-    assert search.methods == []
+    assert not search.trials
     assert search.failed == {"state-space": jobs[0].late().failure, "gru": "diverged"}
     assert [attempt.score for attempt in search.attempts] == [None]
     trainer.run(search, 3)
@@ -145,7 +145,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
     search = searching(["state-space", "gru"])
     trainer = Trainer(lambda job, n: (0.1 if job.method == "gru" else 0.5) / n)
     trainer.run(search, 4)
-    assert search.methods[0] == "gru"
+    assert next(iter(search.trials)) == "gru"
     jobs = [job for job, _ in search.finals()]
     of_gru = [job for job in jobs if job.method == "gru"]
     assert len(of_gru) >= 3  # on a short record the median of fewer is their mean

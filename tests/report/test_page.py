@@ -14,12 +14,12 @@ import scipy.signal
 import splitband as sb
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
+from splitband.forecasters.bands import Bands
 from splitband.report.numbers import number
-from splitband.report.page import comparison, document
-from splitband.report.page import document as report
-from splitband.report.page.charts import Axis
+from splitband.report.page import document, pages
+from splitband.report.page.charts import MOST, Axis, compact
 from splitband.report.page.parts import Usage
-from splitband.report.page.thinning import bin_size, compact, envelope, places, thinned
+from splitband.report.table import Column, Table
 from tests.report import comparisons
 
 
@@ -35,19 +35,19 @@ def everything() -> Comparison:
 
 
 @pytest.fixture(scope="module")
-def pages(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def written(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """One of each kind."""
     folder = tmp_path_factory.mktemp("pages")
     used = Usage([("Fit it", "splitband fit 'a <b>'")], "splitband compare 'a <b>'")
-    report.of_comparison(everything, folder / "comparison", used)
-    report.of_forecast(comparisons.forecasted(), folder / "forecast", used)
+    document.of_comparison(everything, folder / "comparison", used)
+    document.of_forecast(comparisons.forecasted(), folder / "forecast", used)
     return {page.name: page for page in folder.iterdir()}
 
 
 @pytest.mark.parametrize("kind", ["comparison", "forecast"])
-def test_each_page_is_well_formed_and_readable(pages: dict[str, Path], kind: str) -> None:
+def test_each_page_is_well_formed_and_readable(written: dict[str, Path], kind: str) -> None:
     """Landmarks, one first heading, no level left out, captions, words for every plot."""
-    tree = parsed(pages[kind])
+    tree = parsed(written[kind])
     assert tree.get("lang") == "en"
     assert all(tree.find(f".//{landmark}") is not None for landmark in ("header", "main", "nav"))
     headings = [e.tag for e in tree.iter() if e.tag in ("h1", "h2", "h3")]
@@ -63,19 +63,19 @@ def test_each_page_is_well_formed_and_readable(pages: dict[str, Path], kind: str
     assert len(identities) == len(set(identities))
     anchors = {a.get("href")[1:] for a in tree.findall(".//nav//a")}
     assert anchors <= set(identities)
-    assert pages[kind].stat().st_size < 6e6
+    assert written[kind].stat().st_size < 6e6
 
 
-def test_names_are_escaped(pages: dict[str, Path]) -> None:
-    text = pages["comparison"].read_text(encoding="utf-8")
+def test_names_are_escaped(written: dict[str, Path]) -> None:
+    text = written["comparison"].read_text(encoding="utf-8")
     assert "<script>alert" not in text
-    tree = parsed(pages["comparison"])
+    tree = parsed(written["comparison"])
     assert comparisons.NASTY in tree.find(".//h1").text
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
 
 
-def test_the_page_says_what_it_must(pages: dict[str, Path], everything: Comparison) -> None:
-    said = " ".join("".join(parsed(pages["comparison"]).itertext()).split())
+def test_the_page_says_what_it_must(written: dict[str, Path], everything: Comparison) -> None:
+    said = " ".join("".join(parsed(written["comparison"]).itertext()).split())
     for words in (
         f"({everything.recommended})", "samples have missing values", "a note",
         "To keep in mind", "Error over horizon", "Components", "Spectrum and cut-off", "Training",
@@ -103,8 +103,7 @@ def test_a_page_is_written_whole_or_not_at_all(
 def test_where_nothing_is_forecast_there_is_no_forecast(tmp_path: Path) -> None:
     r = comparisons.record()
     found = comparisons.compared(replace(r, start=5.0), ("mean", "persistence"), len(r), [r])
-    page = comparison.page(found, Usage())
-    assert [view.label for view in page.views] == ["Whole record"]
+    assert [*pages.of_comparison(found, Usage()).views] == ["Whole record"]
     found.report(tmp_path / "page.html")
     parsed(tmp_path / "page.html")
 
@@ -121,30 +120,34 @@ def test_time_is_called_what_the_record_knows() -> None:
     assert labels == {"time since the first sample (s)": 0.1, "time (s)": 7.1, "sample": 1.0}
 
 
-def test_thinning_keeps_every_peak_and_its_order() -> None:
+def test_thinning_keeps_every_peak_and_the_direction_of_smooth_curves() -> None:
     rng = np.random.default_rng(0)
-    y = rng.standard_normal(10_007)
+    samples = 5 * MOST + 7
+    y = rng.standard_normal(samples)
     y[1234], y[7777] = 50.0, -40.0
-    size = bin_size(len(y), 1000)
-    drawn = thinned(y, size)
-    assert size == 21
-    assert len(drawn) == len(places(len(y), size)) <= 1000
-    for i in range(0, len(drawn) // 2):
-        of_bin = y[i * size : (i + 1) * size]
-        low, high = of_bin.argmin(), of_bin.argmax()
-        expected = [of_bin[min(low, high)], of_bin[max(low, high)]]
-        np.testing.assert_allclose(drawn[2 * i : 2 * i + 2], expected, rtol=1e-6)
-    assert np.all(np.diff(places(len(y), size)) >= 0)
+    for axis in (
+        Axis.over(np.arange(float(samples)), "sample"),
+        Axis.over_frequency(np.arange(1.0, samples + 1), "Hz"),
+    ):
+        x, drawn = axis.drawn, axis.thinned(y)
+        assert len(x) == len(drawn) <= MOST
+        assert (np.diff(x) >= 0).all()
+        bins = np.split(y, axis.bins[1:])
+        extremes = [[each.min(), each.max()] for each in bins]
+        np.testing.assert_allclose(np.sort(drawn.reshape(-1, 2), axis=1), extremes, rtol=1e-6)
+        assert (np.diff(axis.thinned(-axis.values)) <= 0).all()
 
 
 def test_thinning_leaves_gaps_and_short_curves() -> None:
-    y = np.arange(100.0)
-    np.testing.assert_array_equal(thinned(y, bin_size(100, 100)), y)
+    short = Axis.over(np.arange(100.0), "sample")
+    np.testing.assert_array_equal(short.thinned(short.values), short.values)
+    y = np.arange(5.0 * MOST)
+    axis = Axis.over(y, "sample")
     y[20:40] = np.nan
-    drawn = thinned(y, 10)
+    drawn = axis.thinned(y)
     assert np.isnan(drawn[4:8]).all()
     assert np.isfinite(np.delete(drawn, range(4, 8))).all()
-    lower, upper = envelope(y - 1, y + 1, 10)
+    lower, upper = axis.edges(y - 1, y + 1)
     assert lower[:4].tolist() == [-1, -1, 9, 9]
     assert upper[:4].tolist() == [10, 10, 20, 20]
 
@@ -183,5 +186,21 @@ def test_the_linear_model_shows_its_orders_and_its_gain_with_its_error(tmp_path:
     assert f"2: {number(float(model.model.values[1]))}" in figures[singular]
     least = 100 * model.model.held_out[model.model.orders.index(2)]
     assert f"2: {number(float(least))}" in figures[held_out]
-    assert gain == "Gain, force to y"
-    assert "95 % interval" in figures[gain]
+    assert gain.startswith("Gain, force to y; shaded: 95 % interval, ±")
+
+
+def test_a_spectrum_has_its_tables_and_the_loss_of_each_cutoff(tmp_path: Path) -> None:
+    record = comparisons.record(ny=2, nu=1)
+    record = replace(record, y_sim=0.9 * record.y)
+    bands = Bands().chosen(record.y, record.sampling_rate, 10)
+    table = Table("peaks", [Column("share of power", "share", {"1 Hz": 0.5})], {"1 Hz": ""})
+    facts = {"in_words": ["half of it is low"], "warnings": ["nothing to learn"]}
+    page = pages.of_spectrum(record, bands, [table], facts, Usage())
+    document.write(page, tmp_path / "page.html")
+    tree = parsed(tmp_path / "page.html")
+    captions = [" ".join("".join(each.itertext()).split()) for each in tree.iter("figcaption")]
+    assert [each.split(" ")[0] for each in captions] == [
+        "Spectrum;", "Coherence", "Coherence", "Loss:"
+    ]  # fmt: skip
+    said = " ".join("".join(tree.itertext()).split())
+    assert all(words in said for words in ("Half of it is low.", "Nothing to learn.", "50 %"))

@@ -16,7 +16,7 @@ from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words
 from splitband.report.numbers import number
-from splitband.report.table import Column, columns, remarks
+from splitband.report.table import Column, Table, columns, of_comparison
 from tests.report import comparisons
 
 SCALE = 1000.0
@@ -53,11 +53,11 @@ def column(comparison: Comparison, heading: str, channel: str = "") -> Column:
     return found
 
 
-def printed(comparison: Comparison) -> str:
-    """Return the table as a wide terminal shows it."""
+def printed(comparison: Comparison, width: int = 400) -> str:
+    """Return the table as a terminal of this width shows it."""
     with showing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(showing.console, "width", 400)
-        showing.methods("", columns(comparison), remarks(comparison), comparison.recommended)
+        patch.setattr(showing.console, "width", width)
+        showing.table(of_comparison(comparison))
     return captured.get()
 
 
@@ -102,7 +102,7 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     assert found.recommended == best
     shown = column(found, "forecast fit %")
     said = " ".join(words.afterwards(found))
-    assert f"fit {shown.entry(best)} %" in " ".join(words.achieved(found))
+    assert f"fit {shown.entry(best)} %" in str(words.headline(found))
     if shown.best == best:
         assert "No other method had a better fit." in said
     else:
@@ -175,28 +175,50 @@ def test_rows_are_in_the_order_of_the_score_and_the_recommended_one_is_marked(
     assert scales.recommended in first
 
 
-def test_print_shows_the_fit_of_each_method_in_100_columns(seeds: Comparison) -> None:
-    _, _, heading, *rows = str(seeds).splitlines()
-    assert heading.split()[:4] == ["method", "forecast", "fit", "%"]
-    assert max(map(len, rows)) <= 100
-    marked = [row for row in rows if row.lstrip().startswith("* ")]
-    assert [row.split()[1] for row in marked] == [seeds.recommended]
-    fit = column(seeds, "forecast fit %").entry(seeds.recommended)
-    assert marked[0].split()[2] == fit
-
-
 @pytest.mark.parametrize("ny", [1, 2])
-def test_a_table_fits_a_terminal_of_100_columns(
-    ny: int, seeds: Comparison, scales: Comparison
+@pytest.mark.parametrize("width", [80, 100])
+def test_a_table_fits_a_terminal_as_text_too(
+    ny: int, width: int, seeds: Comparison, scales: Comparison
 ) -> None:
     found = seeds if ny == 1 else scales
-    with showing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(showing.console, "width", 100)
-        showing.methods("", columns(found), remarks(found), found.recommended)
-    table = [line for line in captured.get().splitlines() if line.startswith(("┃", "│"))]
-    assert max(map(len, table)) <= 100
-    assert "fit %" in " ".join(table)
-    assert "Left out of a narrow terminal" in captured.get()
+    said = printed(found, width)
+    assert "Left out of a narrow terminal" in said
+    framed = [line for line in said.splitlines() if line.startswith(("┃", "│"))]
+    table = of_comparison(found)
+    plain = replace(table, title="", rows=dict.fromkeys(table.rows, ""))
+    for lines in (framed, plain.as_text(width).splitlines()):
+        assert max(map(len, lines)) <= width
+        assert "fit %" in " ".join(lines)
+        (marked,) = [line for line in lines if "* " in line]
+        assert found.recommended in marked
+        first = columns(found)[0]
+        assert first.heading.endswith("fit %")
+        assert first.entry(found.recommended) in marked
+    assert plain.as_text(100) in str(found)
+    assert str(found).encode("cp1252")
+
+
+def test_a_notebook_shows_the_table_of_the_page(seeds: Comparison, tmp_path: Path) -> None:
+    seeds.report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    shown = seeds._repr_html_()
+    assert shown[shown.index("<thead>") :].strip() in page
+    assert f"<b>{column(seeds, 'score').entry(seeds.recommended)}</b>" in shown
+
+
+def test_rows_of_different_channels_have_the_lines_that_they_have() -> None:
+    """As results of different records do."""
+    listed = [
+        Column("fit %", "percent", {"arm": 90.0}, "x", ranked=False),
+        Column("fit %", "percent", {"arm": 80.0}, "y", ranked=False),
+        Column("fit %", "percent", {"pump": 70.0}, ranked=False),
+        Column("score", "deviation", {"arm": 0.5, "pump": 0.25}, ranked=False),
+    ]
+    text = Table("", listed, {"arm": "", "pump": "", "none": ""}).as_text()
+    assert [line.split() for line in text.splitlines()[1:]] == [
+        ["arm", "x", "90.0", "0.500"], ["y", "80.0"], ["pump", "70.0", "0.250"],
+        ["none", "–", "–"],  # noqa: RUF001
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

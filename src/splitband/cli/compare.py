@@ -13,12 +13,11 @@ from splitband.cli.live import compared, save
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cluster, Jobs
 from splitband.evaluation.comparison import Comparison
-from splitband.filters.spectrum import periodogram
 from splitband.forecasters.names import HYBRIDS
 from splitband.report import words
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
-from splitband.report.table import columns, remarks
+from splitband.report.table import in_words, of_comparison
 
 
 @with_groups
@@ -60,49 +59,22 @@ def compare(
 def show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the table, the recommendation with its reason, warnings, and how to use the model."""
     plan, trial, best = result.plan, result.require_trial(), result.recommended
-    said = {}
-    for name, note in remarks(result).items():
-        kind = words.in_words(name, result.methods)
-        said[name] = f"{kind}; {note}" if name in trial.trained and kind and note else note or kind
-    showing.methods(_title(result), columns(result), said, best)
+    showing.table(of_comparison(result))
     showing.console.print(result.clock.in_words())
-    kind = words.in_words(best, result.methods)
+    kind = in_words(best, result.methods)
     why = " ".join(words.why(trial, plan.train))
     showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
-    _show_bands(result)
+    network = result.methods[best]._network
+    if network is not None and network.bands is not None:
+        showing.console.print(words.of_bands(plan.bands, plan.training))
+    choice = plan.bands.choice
+    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
+        showing.console.print("hybrid models are left out; --methods brings them back")
     for message in words.warnings(result):
         showing.warn(message)
-    for line in words.achieved(result):
-        showing.console.print(line, style="bold")
+    for predicted, said in words.headline(result):
+        showing.console.print(f"{predicted}: {', '.join(said)}", style="bold")
     for tested in result.residual_tests():
         showing.console.print(f"residual tests: {tested.verdict()}")
-    for what, command in used.commands[:1]:
-        showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
     showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults: {out}/")
-    showing.results_of(out)
-
-
-def _title(result: Comparison) -> str:
-    record, train = result.record, result.plan.train
-    truth = "the noise-free signal" if record.y_true is not None else "what was measured"
-    return (
-        f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to "
-        f"train on, {len(record) - train:,} after them"
-    )
-
-
-def _show_bands(result: Comparison) -> None:
-    """Print the cut-off of the recommended model, and whether hybrids were left out."""
-    bands, training = result.plan.bands, result.plan.training
-    network = result.methods[result.recommended]._network
-    splits = network is not None and network.bands is not None
-    if splits and bands.cutoff is not None and bands.downsampling is not None:
-        below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
-        showing.console.print(
-            f"cut-off {bands.cutoff:g} Hz, order {bands.order}, the "
-            f"low band kept at every {showing.ordinal(bands.downsampling)} sample: "
-            + (bands.choice.reason if bands.choice else f"{below:.0%} of the power lies below it")
-        )
-    unhelpful = bands.choice is not None and bands.choice.simulator_helps is False
-    if unhelpful and not set(result.plan.names) & set(HYBRIDS):
-        showing.console.print("hybrid models are left out; --methods brings them back")
+    showing.results_of(out, used)

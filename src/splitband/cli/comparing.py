@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from splitband.cli import records
+from splitband.cli import records, showing
 from splitband.cli.options.groups import panel
 from splitband.cli.options.models import AUTO, Conditioned, Like, Methods, ModelOptions, Seeds
 from splitband.cli.options.records import (
@@ -254,6 +254,8 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
             f"tcp://10.0.0.5:8786, got {cluster}"
         ) from None
     with client:
+        if not client.nthreads():
+            showing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
         client.wait_for_workers(1)
         client.get_versions(check=True)
         cores = sum(client.nthreads().values())

@@ -13,7 +13,7 @@ from splitband.cli.compare import show
 from splitband.cli.comparing import command_of, workers
 from splitband.cli.live import compared, save
 from splitband.cli.options.models import Jobs
-from splitband.data.crane import overhead_crane
+from splitband.data.named import overhead_crane
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import plan
 from splitband.forecasters.names import Sizes
@@ -33,7 +33,7 @@ STRETCH = 30.0
 
 def demo(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("demo"),
     jobs: Jobs = None,
 ) -> None:
     """Show what the package does, in about a minute: a crane whose load swings.

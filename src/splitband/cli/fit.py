@@ -132,7 +132,7 @@ def fit(
         + ("" if calibration is None else f"\nsimulator calibrated: {calibration}")
         + f"\nmodel: {out}/"
     )
-    showing.results_of(out, page=False)
+    showing.results_of(out)
 
 
 @contextmanager

@@ -33,11 +33,10 @@ from splitband.cli.options.records import (
 from splitband.cli.options.simulators import SimulatorOrBaseOptions
 from splitband.cli.usage import usage
 from splitband.evaluation.forecast import Forecast, run_forecast
-from splitband.metrics import leaving
 from splitband.report import results
 from splitband.report.page.parts import Usage
-from splitband.report.table import tried
-from splitband.report.words import of_inputs
+from splitband.report.table import of_trial
+from splitband.report.words import of_forecast
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -96,19 +95,10 @@ def forecast(
 
 def _show(result: Forecast, out: Path, used: Usage) -> None:
     showing.console.print(result.clock.in_words())
-    trial, record = result.trial, result.record
-    said = dict.fromkeys(trial.errors, "") | trial.without_result
-    title = f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
-    showing.methods(title, tried(trial, record, [*trial.errors]), said, result.method)
+    showing.table(of_trial(result.trial, result.record))
     showing.console.print(
         f"{len(result.prediction)} samples ahead by {result.method}: {out}/forecast.csv"
     )
-    if result.leaves is not None:
-        showing.console.print(leaving(result.leaves))
-    for beyond in of_inputs(result.inputs_beyond_training, record):
-        showing.warn(beyond)
-    for doubt in result.prediction.doubts:
-        showing.warn(f"{result.method}: {doubt}")
-    for what, command in used.commands[:1]:
-        showing.console.print(f"{what}:\n    {command}", soft_wrap=True)
-    showing.results_of(out)
+    for message in of_forecast(result):
+        showing.warn(message)
+    showing.results_of(out, used)

@@ -20,10 +20,10 @@ from splitband.cli.usage import usage
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.run import Standing, run
+from splitband.evaluation.run import Run, run
 from splitband.report import results
 from splitband.report.page.parts import Usage
-from splitband.report.table import tried
+from splitband.report.table import of_trial
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -55,47 +55,45 @@ class Display:
         with self._live:
             yield self
 
-    def __call__(self, standing: Standing) -> None:
+    def __call__(self, state: Run) -> None:
         """Take note of where the comparison stands."""
         if self._in_place:
-            if standing.whole:
-                trial, record = standing.trial, standing.plan.record
-                title = f"{record.name}: held-out errors so far"
-                listed = tried(trial, record, [*trial.errors])
-                ranked = sorted(trial.errors, key=trial.worth)
-                self._table, _ = showing.fitting(title, listed, ranked, trial.recommended)
-            self._live.update(Group(self._table, Text(in_words(standing))), refresh=True)
-        elif standing.whole:
-            showing.console.print(in_words(standing))
-        if standing.whole:
-            self._write(standing)
+            if state.new_table:
+                record = state.plan.record
+                table = of_trial(state.trial, record, f"{record.name}: held-out errors so far")
+                self._table, _ = table.fitting(showing.console.width)
+            self._live.update(Group(self._table, Text(in_words(state))), refresh=True)
+        elif state.new_table:
+            showing.console.print(in_words(state))
+        if state.new_table:
+            self._write(state)
 
-    def _write(self, standing: Standing) -> None:
+    def _write(self, state: Run) -> None:
         """Write the whole result of the baselines, or the best model so far."""
         if self._out is None:
             return
-        began = standing.clock.used
+        began = state.clock.used
         try:
-            if standing.final and not self._written:
+            if state.finals and not self._written:
                 self._written = True
-                facts = self._facts | {"unfinished": standing.doing}
-                results.save(standing.comparison(), self._out, facts)
-                standing.clock.writing = standing.clock.used - began
+                facts = self._facts | {"unfinished": state.doing}
+                results.save(state.comparison(), self._out, facts)
+                state.clock.writing = state.clock.used - began
             else:
-                results.save_standing(standing, self._out, self._facts)
+                results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there
             showing.warn(f"{self._out} could not be written: {error}")
 
 
-def in_words(standing: Standing) -> str:
+def in_words(state: Run) -> str:
     """Return what is done, the best method so far and the time left, in a line."""
-    said = [standing.doing]
-    if standing.held:
-        trial = standing.trial
+    said = [state.doing]
+    if state.trials:
+        trial = state.trial
         best = trial.recommended
         said.append(f"best so far: {best}, held-out score {trial.worth(best):.3g}")
-    if standing.clock.limit is not None:
-        said.append(f"{standing.clock.left:.0f} s left")
+    if state.clock.limit is not None:
+        said.append(f"{state.clock.left:.0f} s left")
     return "; ".join(said)
 
 

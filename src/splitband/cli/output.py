@@ -12,9 +12,9 @@ from splitband.cli.options.simulators import parts_of
 from splitband.forecasters import saving
 from splitband.report.results import MODEL_FOLDER
 from splitband.runtime.files import CHECKPOINTS
-from splitband.runtime.outputs import belongs_to_result, locked
+from splitband.runtime.outputs import FACTS, belongs_to_result, locked
 
-TO_A_FILE = ("simulate", "export")
+TO_A_FILE = ("simulate", "export", "summary")
 """Commands that write a file; all others with --out write a folder."""
 
 
@@ -84,4 +84,5 @@ def _files(named: str) -> list[Path]:
     if os.path.isfile(path):  # also False for text that cannot be a path
         return [path]
     folders = [each for each in (path, path / MODEL_FOLDER) if os.path.isdir(each)]
-    return [file for folder in folders for file in saving.files(folder)]
+    found = [file for folder in folders for file in saving.files(folder)]
+    return [*found, path / FACTS] if (path / FACTS).is_file() else found

@@ -15,10 +15,9 @@ from splitband.cli import showing
 from splitband.cli.options.records import FileOptions, RecordOptions
 from splitband.cli.options.values import names
 from splitband.data import Record, aligned, read, resampled
-from splitband.data.gaps import ReadingWarning, places
 from splitband.data.named import RECORDS
-from splitband.data.names import described, same_names
 from splitband.data.reading import ColumnError
+from splitband.data.signals import ReadingWarning, described, places, same_names
 from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters.base import Forecaster
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
-import textwrap
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 from rich.console import Console
-from rich.measure import Measurement
-from rich.table import Table
-from rich.text import Text
 
 from splitband.metrics import ExtrapolationWarning
-from splitband.report.table import Column
+from splitband.report.page import NAME as PAGE
+from splitband.report.page.parts import Usage
+from splitband.report.table import Table
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
 
@@ -86,76 +84,25 @@ def as_json(facts: object) -> None:
         print(to_json(facts), file=_mode.results)
 
 
-def results_of(out: Path, page: bool = True) -> None:
-    """Print the path of the page of a result; with --json, print results.json."""
-    if page:
-        console.print(f"page: {out / 'report.html'}")
+def results_of(out: Path, used: Usage | None = None) -> None:
+    """Print how to use a result, and the path of its page; with --json, print results.json."""
+    for what, command in () if used is None else used.commands[:1]:
+        console.print(f"{what}:\n    {command}", soft_wrap=True)
+    if (out / PAGE).exists():
+        console.print(f"page: {out / PAGE}")
     if _mode.results is not None:
         print((out / FACTS).read_text(encoding="utf-8").rstrip(), file=_mode.results)
 
 
-def methods(
-    title: str, listed: Sequence[Column], said: Mapping[str, str], recommended: str
-) -> None:
-    """Print a table of columns with a row for each method; the best of each column is bold.
-
-    With several outputs, a row has a line for each. If the terminal is too narrow, the last
-    columns are left out. Remarks on the methods (`said`) follow the table.
-    """
-    table, left_out = fitting(title, listed, [*said], recommended)
-    console.print(table)
+def table(shown: Table) -> None:
+    """Print a table and the remarks on its rows; a narrow terminal leaves out its last columns."""
+    drawn, left_out = shown.fitting(console.width)
+    console.print(drawn)
     if left_out:
-        more = ", ".join(dict.fromkeys(left_out[::-1]))
-        console.print(f"Left out of a narrow terminal: {more}.", style="dim")
-    for name, words in said.items():
+        console.print(f"Left out of a narrow terminal: {', '.join(left_out)}.", style="dim")
+    for name, words in shown.rows.items():
         if words:
             console.print(f"{name}: {words}", style="dim")
-
-
-def fitting(
-    title: str, listed: Sequence[Column], names: Sequence[str], recommended: str
-) -> tuple[Table, list[str]]:
-    """Return a table as wide as the terminal, and the headings of the columns left out."""
-    of_heading: dict[tuple[str, str], list[Column]] = {}
-    for column in listed:
-        of_heading.setdefault((column.heading, column.record), []).append(column)
-    shown, left_out = [*of_heading.values()], list[str]()
-    channels = [*dict.fromkeys(column.channel for column in listed if column.channel)]
-    table = _table(title, shown, channels, names, recommended)
-    everywhere = console.options.update(width=10_000)
-    while len(shown) > 1 and Measurement.get(console, everywhere, table).maximum > console.width:
-        left_out.append(shown.pop()[0].heading)
-        table = _table(title, shown, channels, names, recommended)
-    return table, left_out
-
-
-def _table(
-    title: str,
-    listed: Sequence[Sequence[Column]],
-    channels: Sequence[str],
-    names: Sequence[str],
-    recommended: str,
-) -> Table:
-    """Return a table; `listed` holds the columns of each heading, one for each output."""
-    table = Table(title=title, title_justify="left", title_style="bold", show_lines=bool(channels))
-    table.add_column("method", no_wrap=True)
-    if channels:
-        table.add_column("output", no_wrap=True)
-    for of_heading in listed:
-        single = f"{of_heading[0].heading} {of_heading[0].record}" if channels else ""
-        heading = (single or of_heading[0].label).strip()
-        widest = max(len(column.entry(name)) for column in of_heading for name in names)
-        # A number in two lines would be taken for two outputs.
-        header = textwrap.fill(heading, max(widest, 9), break_long_words=False)
-        table.add_column(header, justify="right", no_wrap=True)
-    for name in names:
-        cells = [Text("\n".join(channels))] if channels else []
-        for of_heading in listed:
-            lines = [Text(c.entry(name), "bold" if c.best == name else "") for c in of_heading]
-            cells.append(Text("\n").join(lines))
-        mark = "* " if name == recommended else "  "
-        table.add_row(Text(mark + name, style="bold" if mark.strip() else ""), *cells)
-    return table
 
 
 @contextmanager
@@ -164,12 +111,6 @@ def without_warnings() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExtrapolationWarning)
         yield
-
-
-def ordinal(k: int) -> str:
-    """Return 1st, 2nd..."""
-    suffix = {1: "st", 2: "nd", 3: "rd"}.get(k % 10 if k % 100 not in (11, 12, 13) else 0, "th")
-    return f"{k}{suffix}"
 
 
 @contextmanager

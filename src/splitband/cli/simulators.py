@@ -17,7 +17,7 @@ from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.options.values import names
 from splitband.cli.records import announce, read_companion, sampled_like
 from splitband.data import Grid, Record
-from splitband.data.names import bare_name
+from splitband.data.signals import bare_name
 from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-import numpy.typing as npt
 import typer
-from rich.table import Column, Table
 
 from splitband.cli import records, showing
+from splitband.cli.comparing import arguments
 from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import AUTO, Cutoff, Order
 from splitband.cli.options.records import RecordArgument, RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import with_simulator
+from splitband.cli.usage import usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import TRAINING_SHARE, check_train, chosen_bands
@@ -25,11 +25,14 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
-from splitband.runtime.outputs import staged, write_facts
+from splitband.report import results
+from splitband.report.table import Column, Table
+from splitband.runtime.arrays import Array
 
 
 @with_groups
 def spectrum(
+    context: typer.Context,
     record: RecordArgument,
     reading: RecordOptions,
     simulator: SimulatorOptions,
@@ -40,7 +43,7 @@ def spectrum(
             show_default="all; the cut-off is chosen by three quarters of a file, as by `compare`",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for results and picture.")] = Path("out"),
+    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("out"),
     cutoff: Cutoff = None,
     order: Order = None,
 ) -> None:
@@ -48,7 +51,8 @@ def spectrum(
 
     Prints the strongest peaks, the share of the power in either band and how well the filter pair
     puts the record together again. With a simulator, also how far it is off, where it is coherent
-    with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off.
+    with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off. OUT
+    gets results.json, and report.html with plots of all of it.
 
     The cut-off is the one that `compare` chooses with the same --train, for the paper's records
     that of its tables where --cutoff does not say auto. `compare --test` trains on the whole
@@ -67,108 +71,111 @@ def spectrum(
     bands = chosen_bands(given, whole[:trained])
     shown = whole[:train]
     rate = shown.sampling_rate
-    measured_spectrum = periodogram(shown.y, rate)
-    training_spectrum = periodogram(shown.y[:trained], rate)
     pair = bands.pair(rate)
     chosen, choice = float(bands.cutoff or 0.0), bands.choice
     low, high = pair.split(shown.y)
+    below = periodogram(shown.y[:trained], rate).share_below(chosen)
+    error = rmse(shown.y, low + high)
+    peaks = periodogram(shown.y, rate).peaks()
+    tables = [_peaks(shown, peaks)]
+    said = [
+        f"cut-off {chosen:.4g} Hz of {rate / 2:g} Hz (Nyquist), order {pair.order}: {below:.0%} of "
+        f"the power of the first {trained} samples lies below it",
+        f"low and high band add up to the record with RMSE {error:.2g}, all of it at the ends",
+    ]
     facts: dict[str, Any] = {
         "record": shown.name,
         "sampling_rate": rate,
         "cutoff": chosen,
         "order": pair.order,
         "train": trained,
-        "share_below": training_spectrum.share_below(chosen),
+        "share_below": below,
         "choice": None if choice is None else asdict(choice),
-        "reconstruction_rmse": rmse(shown.y, low + high),
-        "peaks": [{"frequency": f, "share": s} for f, s in measured_spectrum.peaks()],
+        "reconstruction_rmse": error,
+        "peaks": [{"frequency": f, "share": s} for f, s in peaks],
     }
-    _show_peaks(shown, facts)
+    warnings = list[str]()
     if shown.y_sim is not None:
-        facts["simulator"] = _show_simulator(shown, shown.y_sim, chosen, pair.order)
-        training = shown[:trained]
-        facts["simulator"]["training"] = _warn_of_nothing_to_learn(training, chosen, pair.order)
+        facts["simulator"], oracles, agreement = _beside(shown, shown.y_sim, chosen, pair.order)
+        tables.append(oracles)
+        said.append(agreement)
+        training, warnings = _nothing_to_learn(shown[:trained], chosen, pair.order)
+        facts["simulator"]["training"] = training
     if choice is not None:
-        showing.console.print(
-            f"by the first {trained} samples, the low band kept at every "
-            f"{showing.ordinal(bands.downsampling or 1)} sample: {choice.reason}"
+        said.append(
+            f"by the first {trained} samples, the low band keeps one of {bands.downsampling} "
+            f"samples: {choice.reason}"
         )
-    from splitband.report import pictures  # noqa: PLC0415  matplotlib is slow to load
+    for each in tables:
+        showing.table(each)
+    for line in said:
+        showing.console.print(line)
+    for warning in warnings:
+        showing.warn(warning)
+    facts |= {"in_words": said, "warnings": warnings}
+    used = usage("spectrum", arguments(context.params))
+    results.save_spectrum(shown, bands, tables, facts, out, used)
+    showing.results_of(out)
 
-    drawn = pictures.spectrum(shown, measured_spectrum, chosen, choice)
-    with staged(out) as new:
-        pictures.save(drawn, new / "spectrum.png")
-        write_facts(new, facts)
-    showing.console.print(f"picture: {out / 'spectrum.png'}")
-    showing.results_of(out, page=False)
+
+def _peaks(record: Record, peaks: Sequence[tuple[float, float]]) -> Table:
+    of = {f"{frequency:.4g} Hz": (1 / frequency, share) for frequency, share in peaks}
+    periods, shares = ({name: each[i] for name, each in of.items()} for i in range(2))
+    listed = [
+        Column("period (s)", "record", periods, ranked=False),
+        Column("share of power", "share", shares, ranked=False),
+    ]
+    return Table(f"{record.name}: strongest peaks", listed, dict.fromkeys(of, ""), "frequency")
 
 
-def _warn_of_nothing_to_learn(record: Record, cutoff: float, order: int) -> dict[str, Any]:
-    """Return the oracle check on training samples; if it fails, warn and add a calibrated one."""
+def _beside(
+    record: Record, y_sim: Array, cutoff: float, order: int
+) -> tuple[dict[str, Any], Table, str]:
+    """Return how a simulator compares with the record: as facts, as a table, in a sentence."""
+    rate, total = record.sampling_rate, rmse(record.seen, y_sim)
+    cutoffs = {f"{each:g} Hz": each for each in (*oracle_cutoffs(len(record), rate), cutoff)}
+    of = {
+        name: oracle(record.y, y_sim, rate, each, order, record.seen)
+        for name, each in sorted(cutoffs.items(), key=lambda pair: pair[1])
+    }
+    perfect = {name: check.perfect_network for name, check in of.items()}
+    without = {name: check.no_network for name, check in of.items()}
+    listed = [
+        Column("H(record) + L(simulator)", "record", perfect, ranked=False),
+        Column("L(simulator) alone", "record", without, ranked=False),
+    ]
+    title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
+    table = Table(title, listed, dict.fromkeys(of, ""), "cut-off", f"{cutoff:g} Hz")
+    frequencies, coherences = coherence(record.y, y_sim, rate)
+    below = frequencies <= cutoff
+    agree = float(coherences[below].mean()) if below.any() else 0.0
+    said = (
+        "a lower cut-off leaves more to the network; mean coherence of simulator and record up to "
+        f"{cutoff:.4g} Hz: {agree:.2f}"
+    )
+    checks = [asdict(check) for check in of.values()]
+    facts = {"total_rmse": total, "mean_coherence_below_cutoff": agree, "oracle": checks}
+    return facts, table, said
+
+
+def _nothing_to_learn(
+    record: Record, cutoff: float, order: int
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the oracle check on training samples; if it fails, also a calibrated one, and why."""
     assert record.y_sim is not None
     rate = record.sampling_rate
     found = oracle(record.y, record.y_sim, rate, cutoff, order, record.seen)
     facts: dict[str, Any] = {"oracle": asdict(found), "nothing_to_learn": found.nothing_to_learn}
     if not found.nothing_to_learn:
-        return facts
+        return facts, []
     simulation = Calibrated()
     simulation.fit(record)
     y_sim = simulation.on(record).y_sim
     assert y_sim is not None
     mended = oracle(record.y, y_sim, rate, cutoff, order, record.seen)
-    facts["oracle_calibrated"] = asdict(mended)
-    showing.warn(
+    return facts | {"oracle_calibrated": asdict(mended)}, [
         f"{found.describe()}, to which training does not lead then; calibrated "
         f"(--calibrate), the simulator has {mended.no_network:.3g} and "
         f"{mended.perfect_network:.3g}: "
         + ("the same" if mended.nothing_to_learn else "there is something to learn")
-    )
-    return facts
-
-
-def _show_peaks(record: Record, facts: dict[str, Any]) -> None:
-    headings = [
-        Column(h, justify="right") for h in ("frequency (Hz)", "period (s)", "share of power")
     ]
-    table = Table(*headings, title=f"{record.name}: strongest peaks", title_justify="left")
-    for peak in facts["peaks"]:
-        frequency, share = peak["frequency"], peak["share"]
-        table.add_row(f"{frequency:.4g}", f"{1 / frequency:.4g}", f"{share:.1%}")
-    below, nyquist = facts["share_below"], record.sampling_rate / 2
-    showing.console.print(table)
-    showing.console.print(
-        f"cut-off {facts['cutoff']:.4g} Hz of {nyquist:g} Hz (Nyquist), order {facts['order']}: "
-        f"{below:.0%} of the power of the first {facts['train']} samples lies below it\n"
-        f"low and high band add up to the record with RMSE {facts['reconstruction_rmse']:.2g}, "
-        "all of it at the ends",
-    )
-
-
-def _show_simulator(
-    record: Record, y_sim: npt.NDArray[np.float64], cutoff: float, order: int
-) -> dict[str, Any]:
-    """Print and return how the simulator compares with the record."""
-    rate, total = record.sampling_rate, rmse(record.seen, y_sim)
-    cutoffs = sorted({*oracle_cutoffs(len(record), rate), cutoff})
-    checks = [oracle(record.y, y_sim, rate, c, order, record.seen) for c in cutoffs]
-    title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
-    headings = "cut-off (Hz)", "H(record) + L(simulator)", "L(simulator) alone"
-    columns = [Column(heading, justify="right") for heading in headings]
-    table = Table(*columns, title=title, title_justify="left")
-    for check in checks:
-        style = "bold" if check.cutoff == cutoff else ""
-        values = (check.perfect_network, check.no_network)
-        table.add_row(f"{check.cutoff:g}", *(f"{v:.4f}" for v in values), style=style)
-    showing.console.print(table)
-    frequencies, coherences = coherence(record.y, y_sim, rate)
-    below = frequencies <= cutoff
-    agree = float(coherences[below].mean()) if below.any() else 0.0
-    showing.console.print(
-        f"a lower cut-off leaves more to the network; mean coherence of simulator and record up "
-        f"to {cutoff:.4g} Hz: {agree:.2f}",
-    )
-    return {
-        "total_rmse": total,
-        "mean_coherence_below_cutoff": agree,
-        "oracle": [asdict(check) for check in checks],
-    }

@@ -6,11 +6,15 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
+import pandas as pd
 import typer
-from rich.table import Table
 
 from splitband.cli import showing
+from splitband.report.table import NOTES, OVER_ALL, Column, Table, Unit
+from splitband.runtime.files import CHECKPOINTS, replacing, to_json
 from splitband.runtime.outputs import FACTS, FORMAT
+
+_TIME = "time (s)"
 
 
 def summary(
@@ -18,32 +22,49 @@ def summary(
         list[Path],
         typer.Argument(metavar="DIR...", help="Folders that compare wrote.", show_default=False),
     ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the rows as .csv or .json.", show_default=False),
+    ] = None,
 ) -> None:
-    """Put the results of several comparisons into one table, a row for each folder.
+    """Put the results of several comparisons into one table, in the order given.
 
-    The numbers are those of the recommended method: its fit and error on the test record if there
-    is one, else on the forecast, and the share of the forecast in its interval.
+    A folder has a row for each output and test record, with the numbers of the recommended method
+    under the headings of `compare`. An unfinished comparison is named, with what it has so far.
     """
-    rows = [_row(folder) for folder in folders]
-    table = Table(*("folder", "record", "recommended", "fit %", "RMSE", "in interval", "seconds"))
+    if out is not None and out.suffix not in (".csv", ".json"):
+        raise ValueError(f"--out must end in .csv or .json, got {out}")
+    units: dict[str, Unit] = {_TIME: "seconds"}
+    rows = [row for folder in dict.fromkeys(folders) for row in _rows(folder, units)]
+    order, said = [*NOTES, _TIME], dict[str, str]()
+    values: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:
-        numbers = (row["fit"], row["rmse"], row["in interval"], row["seconds"])
-        table.add_row(
-            row["folder"], row["record"], row["recommended"],
-            *("" if number is None else f"{number:.4g}" for number in numbers),
-        )  # fmt: skip
-    showing.console.print(table)
+        name = f"{row['folder']}: {row['recommended'] or '-'}"
+        said[name] = f"unfinished: {row['unfinished']}" if row["unfinished"] else ""
+        line = ", ".join(filter(None, (row["record"], row["output"])))
+        for heading in [each for each in order if each in row]:
+            of = "" if units[heading] in OVER_ALL else line
+            values.setdefault((heading, of), {})[name] = row[heading]
+    keys = sorted(values, key=lambda key: order.index(key[0]))
+    columns = [Column(h, units[h], values[h, line], line, ranked=False) for h, line in keys]
+    showing.table(Table("", columns, said, "folder: recommended"))
+    if out is not None:
+        text = pd.DataFrame(rows).to_csv(index=False) if out.suffix == ".csv" else to_json(rows)
+        with replacing(out) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     showing.as_json(rows)
 
 
-def _row(folder: Path) -> dict[str, Any]:
-    """Return the numbers of a result; raises ValueError for another folder."""
+def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
+    """Return the rows of a result, and add the units of their headings."""
     path = folder / FACTS if folder.is_dir() else folder
     try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
+        begun = {"recommended": "", "table": [], "unfinished": "no result yet"}
+        facts: dict[str, Any] = begun | {"format": FORMAT}
+        if path.exists() or not (folder / CHECKPOINTS).is_dir():
+            facts = json.loads(path.read_text(encoding="utf-8"))
         best, written = facts["recommended"], facts.get("format")
         table = facts["table"] if written == FORMAT else []
-        record = facts["record"]["name"] if "record" in facts else ""
     except (OSError, ValueError, KeyError, TypeError):
         raise ValueError(
             f"DIR must be a folder that splitband compare wrote, with {FACTS}, got {folder}"
@@ -53,17 +74,14 @@ def _row(folder: Path) -> dict[str, Any]:
             f"DIR must hold results of format {FORMAT}, got {written} in {folder}: make them again "
             "with `splitband compare`"
         )
-
-    def value(*headings: str) -> float | None:
-        found = [c["values"].get(best) for h in headings for c in table if c["heading"] == h]
-        return next((each for each in found if each is not None), None)
-
-    return {
-        "folder": str(folder),
-        "record": record,
-        "recommended": best + (" (unfinished)" if "unfinished" in facts else ""),
-        "fit": value("test fit %", "forecast fit %"),
-        "rmse": value("test RMSE", "forecast RMSE", "held-out RMSE"),
-        "in interval": value("in interval"),
-        "seconds": facts.get("time", {}).get("used_seconds"),
-    }
+    own = facts.get("record", {}).get("name", "")
+    state = facts.get("unfinished") or ("interrupted" if facts.get("interrupted") else "")
+    over_all = {_TIME: facts["time"]["used_seconds"]} if "time" in facts else {}
+    lines: dict[tuple[str, str], dict[str, Any]] = {} if table else {(own, ""): {}}
+    for column in table:
+        units[column["heading"]] = column["unit"]
+        of = column.get("record", own), column.get("channel", "")
+        line = over_all if column["unit"] in OVER_ALL else lines.setdefault(of, {})
+        line |= {column["heading"]: column["values"][best]} if best in column["values"] else {}
+    kept = {"folder": str(folder), "recommended": best, "unfinished": state}
+    return [kept | {"record": r, "output": o} | line | over_all for (r, o), line in lines.items()]

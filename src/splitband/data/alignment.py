@@ -10,6 +10,7 @@ import scipy
 from splitband.data.record import Record
 from splitband.data.timing import Grid, same_sampling, seconds_between
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 NEAR = 0.01
 """Share of a step within which times count as equal, as stamps may be rounded. By eye."""
@@ -48,11 +49,11 @@ def aligned(what: str, values: Array, own: Grid, onto: Grid, smooth: bool = True
     """
     try:
         rows = _rows(own, onto)
-    except ValueError as error:
-        raise ValueError(f"{what}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
     last, slack = len(values) - 1, 0.5 * onto.step / own.step
     if rows[0] < -slack or rows[-1] > last + slack:
-        raise ValueError(_not_covered(what, own, onto))
+        raise InputError(_not_covered(what, own, onto))
     nearest = np.rint(rows).astype(int)
     off = float(np.abs(rows - nearest).max())
     exact = off <= NEAR

@@ -10,6 +10,7 @@ import pandas as pd
 
 from splitband.data.timing import seconds_of, stamp_after
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 if TYPE_CHECKING:
@@ -96,37 +97,32 @@ class Detrended(Preparation):
         return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
 
     def measured(self, y: Array, time: Array) -> Array:
-        """Return measured samples without the trend."""
-        return y - self._trend(time)
+        """Return measured samples, or a simulator's output, without the trend."""
+        return y - self._lines(time, self.levels, self.slopes)
+
+    outputs = measured
 
     def inputs(self, u: Array, time: Array) -> Array:
         """Return inputs without their trend."""
-        return u - np.array(self.input_levels) - self._risen(time, self.input_slopes)
+        return u - self._lines(time, self.input_levels, self.input_slopes)
 
     def inputs_restored(self, u: Array, time: Array) -> Array:
         """Return inputs with their trend."""
-        return u + np.array(self.input_levels) + self._risen(time, self.input_slopes)
-
-    def outputs(self, y: Array, time: Array) -> Array:
-        """Return a simulator's output without the trend of the outputs."""
-        return self.measured(y, time)
+        return u + self._lines(time, self.input_levels, self.input_slopes)
 
     def restored(self, y: Array, time: Array) -> Array:
         """Return predictions with the trend."""
-        return y + self._trend(time)
+        return y + self._lines(time, self.levels, self.slopes)
 
     def counted_from(self, begin: float) -> Detrended:
         """Return the same trend for times counted from `begin`."""
         return replace(self, begin=self.begin - begin)
 
-    def _trend(self, time: Array) -> Array:
-        return np.array(self.levels) + self._risen(time, self.slopes)
-
-    def _risen(self, time: Array, slopes: Numbers) -> Array:
-        """Return the rise of straight lines since `begin`, `(time, channels)`."""
+    def _lines(self, time: Array, levels: Numbers, slopes: Numbers) -> Array:
+        """Return straight lines through `levels` at `begin`, `(time, channels)`."""
         if not any(slopes):
-            return np.zeros((1, len(slopes)))
-        return (time - self.begin)[:, None] * np.array(slopes)
+            return np.array([levels])
+        return np.array(levels) + (time - self.begin)[:, None] * np.array(slopes)
 
 
 @final
@@ -176,7 +172,7 @@ class Resampled(Preparation):
         """Return the resampled record."""
         k = self.factor
         if len(record) < 2 * k:
-            raise ValueError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
+            raise InputError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
         first = len(record) % k
         measured = None if record.measured is None else record.measured[first:]
         if measured is not None:

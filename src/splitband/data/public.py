@@ -9,7 +9,7 @@ from pathlib import Path
 
 from splitband.data.reading import read
 from splitband.data.record import Record
-from splitband.data.signals import one_line
+from splitband.runtime.errors import InputError, one_line
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class PublicFile:
     sampling_time: float = 0.01
 
 
+_VARIABLE = "SPLITBAND_DATA_DIR"
 _SOURCE = (
     "https://raw.githubusercontent.com/boschresearch/hybrid-observer/"
     "b1d56108588de19694341727eb86ee6e2f402cbf/hybrid_observer/data"
@@ -94,18 +95,18 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
     download fails.
     """
     if name not in PUBLIC:
-        raise ValueError(f"public record {name!r} is unknown: there are {', '.join(PUBLIC)}")
+        raise InputError(f"public record {name!r} is unknown: there are {', '.join(PUBLIC)}")
     record = PUBLIC[name]
-    variable = os.environ.get("SPLITBAND_DATA_DIR")
+    variable = os.environ.get(_VARIABLE)
     if data_dir is None and not variable:
         return _download(record)
-    origin = f"data_dir is {data_dir}" if data_dir is not None else f"SPLITBAND_DATA_DIR={variable}"
+    origin = f"data_dir is {data_dir}" if data_dir is not None else f"{_VARIABLE}={variable}"
     path = Path(data_dir if data_dir is not None else str(variable)) / record.path
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist: {origin}")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if digest != record.sha256:
-        raise ValueError(
+        raise InputError(
             f"{path} is not the published {name}: its sha256 must be {record.sha256}, "
             f"it is {digest}"
         )
@@ -114,42 +115,33 @@ def fetch(name: str, data_dir: str | os.PathLike[str] | None = None) -> Path:
 
 def data_folder() -> Path:
     """Return the default folder of `fetch`: SPLITBAND_DATA_DIR, or the user's cache."""
-    variable = os.environ.get("SPLITBAND_DATA_DIR")
-    if variable:
-        return Path(variable)
     import pooch  # noqa: PLC0415 - slow to import, and seldom needed
 
-    return Path(pooch.os_cache("splitband"))
+    return Path(os.environ.get(_VARIABLE) or pooch.os_cache("splitband"))
 
 
 def _download(record: PublicFile) -> Path:
     import pooch  # noqa: PLC0415 - slow to import, and seldom needed
 
-    folder, _, filename = record.path.rpartition("/")
-    url = f"{_SOURCE}/{record.path}"
+    url, path = f"{_SOURCE}/{record.path}", data_folder() / record.path
+    instead = f"set {_VARIABLE} to a folder that holds {record.path}"
     logger = pooch.get_logger()
     level = logger.level
     logger.setLevel("CRITICAL")
     try:
-        path = pooch.retrieve(
-            url,
-            known_hash=f"sha256:{record.sha256}",
-            fname=filename,
-            path=data_folder() / folder,
-        )
+        return Path(pooch.retrieve(url, f"sha256:{record.sha256}", path.name, path.parent))
     except OSError as error:  # includes the errors of requests and urllib
         raise OSError(
             f"{record.name} could not be downloaded ({type(error).__name__} at {url}): check the "
-            f"connection, or set SPLITBAND_DATA_DIR to a folder that holds {record.path}"
+            f"connection, or {instead}"
         ) from error
     except ValueError as error:
-        raise ValueError(
-            f"{record.name} as downloaded from {url} is not the published file: set "
-            f"SPLITBAND_DATA_DIR to a folder that holds {record.path} ({one_line(error)})"
+        raise InputError(
+            f"{record.name} as downloaded from {url} is not the published file: {instead} "
+            f"({one_line(error)})"
         ) from error
     finally:
         logger.setLevel(level)
-    return Path(path)
 
 
 def double_torsion(samples: int = 2000) -> Record:
@@ -163,7 +155,7 @@ def double_torsion(samples: int = 2000) -> Record:
     record = PUBLIC["double_torsion_phi2"]
     whole = read(fetch(record.name), sampling_time=record.sampling_time).y
     if not 2 <= samples <= len(whole):
-        raise ValueError(f"samples must be from 2 to {len(whole)}: got {samples}")
+        raise InputError(f"samples must be from 2 to {len(whole)}: got {samples}")
     y = whole[:samples]
     y = (y - y.mean()) / y.std()
     return Record(y, record.sampling_time, name="double-torsion", columns=("phi2",))
@@ -182,11 +174,5 @@ def drill_string() -> Record:
         read(fetch(name), sampling_time=step).y[2000:6001]
         for name in ("drill_string_data", "drill_string_sim")
     )
-    mean, std = y.mean(), y.std()
-    return Record(
-        (y - mean) / std,
-        step,
-        y_sim=(y_sim - mean) / std,
-        name="drill-string",
-        columns=("torque",),
-    )
+    y, y_sim = ((signal - y.mean()) / y.std() for signal in (y, y_sim))
+    return Record(y, step, y_sim=y_sim, name="drill-string", columns=("torque",))

@@ -6,22 +6,26 @@ import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
-from splitband.data.columns import Column, has_number, is_text, numbers
-from splitband.data.gaps import Gaps, ReadingWarning
-from splitband.data.layout import Layout
-from splitband.data.names import unit_of
 from splitband.data.record import Record
-from splitband.data.signals import require_finite
-from splitband.data.spacing import Spacing, spacing
+from splitband.data.signals import (
+    Column,
+    Gaps,
+    ReadingWarning,
+    has_number,
+    is_text,
+    numbers,
+    require_finite,
+    unit_of,
+)
 from splitband.data.stamps import (
     TIME_NAMES,
     also_time,
@@ -33,8 +37,10 @@ from splitband.data.stamps import (
     time_name,
 )  # fmt: skip
 from splitband.data.tables import Table, check_size, known, load, of_frame
-from splitband.data.timing import same_sampling
+from splitband.data.text import Layout
+from splitband.data.timing import Spacing, same_sampling, spacing
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 _NAMELESS = "y"
 """Name of the channel of a file with a single column and no header."""
@@ -50,25 +56,19 @@ _ROW_NUMBERS = (
 _Names: TypeAlias = str | int | Sequence[str | int]
 
 
-class ColumnError(ValueError):
+class ColumnError(InputError):
     """Report that a requested column is missing, or that no column is left to model."""
 
 
-@dataclass(frozen=True)
-class _Picked:
-    """Hold the names of the columns of a record.
-
-    Attributes
-    ----------
-    stamps : The column of time stamps, if there is one; or a date and a time of the day.
-    known, measured : The inputs and the channels.
-    left_out : Other columns with content, each with the reason for leaving it out.
-    """
+class _Picked(NamedTuple):
+    """Hold the names of the columns of a record."""
 
     stamps: list[str]
+    """The column of time stamps, if there is one; or a date and a time of the day."""
     known: list[str]
     measured: list[str]
     left_out: list[str]
+    """Other columns with content, each with the reason for leaving it out."""
 
 
 def read(
@@ -153,15 +153,17 @@ def read(
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
         if spaced.newest_first:
             table = {name: column.iloc[::-1] for name, column in table.items()}
-        record = _assemble(table, picked, spaced, gaps, name=path.stem if frame is None else "")
-    except ColumnError as error:
-        raise ColumnError(f"{path}: {error}") from error
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    notes = [spaced.note] if spaced.note else []
-    if picked.left_out:
-        notes.append(f"left out: {_listed(picked.left_out)}")
-    for note in notes:
+        y = _matrix(table, picked.measured, gaps, spaced.places)
+        u = _matrix(table, picked.known, gaps, spaced.places) if picked.known else None
+        record = Record.with_gaps(
+            y, spaced.step, u=u, name=path.stem if frame is None else "", start=spaced.start,
+            columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
+            inputs=tuple(picked.known),
+        )  # fmt: skip
+    except InputError as error:
+        raise type(error)(f"{path}: {error}") from error
+    left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
+    for note in filter(None, (spaced.note, left_out)):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
     return record
 
@@ -203,7 +205,7 @@ def _stamps(table: Table, asked: _Names | None) -> list[str]:
         asked = asked.split(",")
     found = _find(table, asked)
     if len(found) > 2:
-        raise ValueError(f"time_column must be one column, or a date and a time: got {len(found)}")
+        raise InputError(f"time_column must be one column, or a date and a time: got {len(found)}")
     return found
 
 
@@ -211,7 +213,7 @@ def _dated(table: Table, timed: Sequence[str]) -> list[str]:
     """Return the first of the time columns, after one with the dates of its times of the day."""
     days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
     if days and is_clock_number(timed[0], table[timed[0]]):
-        raise ValueError(
+        raise InputError(
             f"{timed[0]!r} beside {days[0]!r} can be read as seconds or as times of the day (930 "
             f"as 09:30): time_column={timed[0]!r} (--time-column) takes seconds; write times of "
             "the day as 09:30"
@@ -225,7 +227,7 @@ def _check_alike(table: Table, timed: Sequence[str]) -> None:
     """Raise ValueError for structures with time stamps of their own: they are several records."""
     for other in timed[1:]:
         if "." in timed[0] + other and not table[other].equals(table[timed[0]]):
-            raise ValueError(
+            raise InputError(
                 f"{timed[0]!r} and {other!r} are different time stamps: time_column "
                 "(--time-column) and columns (--columns) choose one record"
             )
@@ -269,36 +271,23 @@ def _check_orientation(names: Sequence[str], rows: int) -> None:
     """Raise ValueError for more unnamed columns than rows: the table may be transposed."""
     numbered = [name for name in names if re.fullmatch(r"\d+|.*\[\d+\]", name)]
     if len(numbered) > rows:
-        raise ValueError(
+        raise InputError(
             f"it must have more samples than channels: it has {rows} rows of {len(numbered)} "
             "columns without names; transpose it"
         )
 
 
-def _assemble(table: Table, picked: _Picked, spaced: Spacing, gaps: Gaps, *, name: str) -> Record:
-    """Check every cell of the columns, and return the record."""
-    known, measured = picked.known, picked.measured
-    y = _matrix(table, measured, gaps, spaced.places)
-    u = _matrix(table, known, gaps, spaced.places) if known else None
-    labels = (_NAMELESS,) if list(table) == ["0"] else tuple(measured)
-    make = Record if gaps == "refuse" else Record.with_gaps
-    return make(
-        y, spaced.step, u=u, name=name, columns=labels, inputs=tuple(known), start=spaced.start
-    )
-
-
 def _matrix(
     table: Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
 ) -> Array:
-    """Return the columns as a matrix, with NaN in missing rows."""
+    """Check every cell of some columns, and return them as a matrix, with NaN in missing rows."""
     matrix = np.column_stack([_values(name, table[name]) for name in names])
-    if gaps == "refuse":
+    for name, values in zip(names if gaps == "refuse" else (), matrix.T, strict=False):
         try:
-            for name, values in zip(names, matrix.T, strict=True):
-                require_finite(f"column {name!r}", values[:, None])
-        except ValueError as error:
+            require_finite(f"column {name!r}", values[:, None])
+        except InputError as error:
             hint = "; gaps='mask' (--gaps mask) goes around them"
-            raise ValueError(f"{error}{'' if np.isfinite(matrix).all() else hint}") from None
+            raise InputError(f"{error}{'' if np.isfinite(matrix).all() else hint}") from None
     if places is None:
         return matrix
     rows = int(places[-1]) + 1
@@ -311,24 +300,24 @@ def _matrix(
 def _values(name: str, column: Column) -> Array:
     try:
         return numbers(f"column {name!r}", column)
-    except ValueError as error:
+    except InputError as error:
         words = "; missing (--missing) names words for missing values" if is_text(column) else ""
-        raise ValueError(f"{error}{words}") from None
+        raise InputError(f"{error}{words}") from None
 
 
 def _common_length(table: Table, picked: Sequence[str]) -> int:
     """Return the number of rows of the picked columns, by default of the longest column."""
     if twice := [column for column in picked if picked.count(column) > 1]:
-        raise ValueError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
+        raise InputError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
     lengths = {column: len(table[column]) for column in picked or table}
     rows = lengths[picked[0]] if picked else max(lengths.values(), default=0)
     if other := [column for column in picked if lengths[column] != rows]:
-        raise ValueError(
+        raise InputError(
             f"columns must have the same length: {picked[0]!r} has {rows} rows, "
             f"{other[0]!r} has {lengths[other[0]]}"
         )
     if rows < 2:
-        raise ValueError(f"a record must have at least 2 rows: it has {rows}; {_available(table)}")
+        raise InputError(f"a record must have at least 2 rows: it has {rows}; {_available(table)}")
     return rows
 
 
@@ -372,7 +361,7 @@ def _spacing(
             return spaced
         rows = len(column) if spaced.places is None else int(spaced.places[-1]) + 1
         if not (given > 0 and same_sampling(given, spaced.step, rows)):
-            raise ValueError(
+            raise InputError(
                 f"sampling_time (--sampling-time) is {given} s, but {what} steps by "
                 f"{spaced.step} s; time_column='' (--time-column '') ignores the stamps"
             )
@@ -382,7 +371,7 @@ def _spacing(
             given = float(numbers(f"variable {name!r}", table[name])[0])
     given = fallback if given is None else given
     if given is None:
-        raise ValueError(
+        raise InputError(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "
             f"or time_column (--time-column); {_available(table)}"
         )

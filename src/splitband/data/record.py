@@ -9,10 +9,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband.data.gaps import ReadingWarning, filled, places
-from splitband.data.names import check_names, described, numbered, same_names, unit_of
 from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
-from splitband.data.signals import positive_seconds, require_finite, signal_of
+from splitband.data.signals import (
+    ReadingWarning,
+    channel_names,
+    described,
+    filled,
+    numbered,
+    places,
+    positive_seconds,
+    require_finite,
+    same_names,
+    signal_of,
+    unit_of,
+)
 from splitband.data.timing import (
     Grid,
     Stamp,
@@ -23,6 +33,7 @@ from splitband.data.timing import (
     stamps_at,
 )
 from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 
@@ -88,48 +99,44 @@ class Record:
 
     def __post_init__(self) -> None:
         y = signal_of("y", self.y)
-        length, ny = y.shape
-        if length < 2:
-            raise ValueError(f"y must have at least 2 samples: it has {length}")
-        columns = tuple(self.columns) or numbered("y", ny)
-        check_names("columns", columns, f"each of the {ny} channels of y", ny)
+        if len(y) < 2:
+            raise InputError(f"y must have at least 2 samples: it has {len(y)}")
+        columns = channel_names("columns", self.columns, "y", y.shape[1])
         require_finite("y", y, columns)
-        vars(self).update(y=y, columns=columns)
-        for field in ("u", "y_true", "y_sim"):
-            if (value := getattr(self, field)) is None:
-                continue
-            signal = signal_of(field, value)
-            if len(signal) != length or (field != "u" and signal.shape[1] != ny):
-                rule = "have as many samples as y" if field == "u" else "have the shape of y"
-                raise ValueError(f"{field} must {rule}, {y.shape}: its shape is {signal.shape}")
-            names = numbered("u", signal.shape[1]) if field == "u" else columns
-            require_finite(field, signal, names)
-            vars(self)[field] = signal
-        inputs = tuple(self.inputs) or (numbered("u", self.nu) if self.nu else ())
-        check_names("inputs", inputs, f"each of the {self.nu} columns of u", self.nu)
-        for field, before, names in (("beyond", "y_sim", columns), ("u_beyond", "u", inputs)):
-            if (value := getattr(self, field)) is None:
-                continue
-            signal, earlier = signal_of(field, value), getattr(self, before)
-            if earlier is None or signal.shape[1] != earlier.shape[1]:
-                raise ValueError(
-                    f"{field} must go on from {before}, (any time, {len(names)}): its shape is "
-                    f"{signal.shape}"
-                )
-            require_finite(field, signal, names)
-            vars(self)[field] = signal
+        vars(self)["y"] = y
+        self._keep("u", len(y))
+        inputs = channel_names("inputs", self.inputs, "u", self.nu)
+        self._keep("y_true", len(y), columns)
+        self._keep("y_sim", len(y), columns)
+        self._keep("beyond", None, columns, after="y_sim")
+        self._keep("u_beyond", None, inputs, after="u")
         start = None if self.start is None else as_stamp(self.start)
         step = positive_seconds(self.sampling_time)
-        vars(self).update(inputs=inputs, sampling_time=step, start=start)
+        vars(self).update(columns=columns, inputs=inputs, sampling_time=step, start=start)
         if self.measured is not None:
             measured = np.array(self.measured, dtype=np.bool_)
             measured = measured[:, None] if measured.ndim == 1 else measured
             if measured.shape != y.shape:
-                raise ValueError(
+                raise InputError(
                     f"measured must have the shape of y, {y.shape}: it is {measured.shape}"
                 )
             measured.setflags(write=False)
             vars(self)["measured"] = None if measured.all() else measured
+
+    def _keep(
+        self, field: str, samples: int | None, names: tuple[str, ...] = (), after: str = ""
+    ) -> None:
+        """Check a signal, and keep it as an array."""
+        if (value := getattr(self, field)) is None:
+            return
+        if after and getattr(self, after) is None:
+            raise InputError(f"{field} must go on from {after}, which is not given")
+        signal = signal_of(field, value)
+        if samples not in (None, len(signal)) or len(names) not in (0, signal.shape[1]):
+            shape = f"({samples or 'any time'}, {len(names) or 'any number'})"
+            raise InputError(f"{field} must have the shape {shape}: its shape is {signal.shape}")
+        require_finite(field, signal, names or numbered("u", signal.shape[1]))
+        vars(self)[field] = signal
 
     @classmethod
     def with_gaps(cls, y: Any, sampling_time: float, u: Any = None, **others: Any) -> Record:
@@ -170,7 +177,7 @@ class Record:
         if not isinstance(key, slice):
             raise TypeError(f"a Record takes slices only, as in traj[a:b]: got {key!r}")
         if key.step not in (None, 1):
-            raise ValueError(f"a Record takes slices of step 1 only: got step {key.step}")
+            raise InputError(f"a Record takes slices of step 1 only: got step {key.step}")
         u, y_true, y_sim = (
             None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
         )
@@ -208,9 +215,9 @@ class Record:
         order : 0 for means, 1 for straight lines, which needs time stamps.
         """
         if order not in (0, 1):
-            raise ValueError(f"order must be 0 (means) or 1 (straight lines), got {order}")
+            raise InputError(f"order must be 0 (means) or 1 (straight lines), got {order}")
         if order and self.start is None:
-            raise ValueError(
+            raise InputError(
                 "order must be 0 for a record without time stamps, where nothing tells how far "
                 f"along a line a part of it lies, got {order}"
             )
@@ -223,7 +230,7 @@ class Record:
         model of the record applies the same limits to a history, but not to predictions.
         """
         if not deviations > 0:
-            raise ValueError(f"deviations must be above 0, got {deviations}")
+            raise InputError(f"deviations must be above 0, got {deviations}")
         return self._with(Clipped.of(self, deviations))
 
     def resample(self, sampling_time: float) -> Record:
@@ -234,7 +241,7 @@ class Record:
         """
         factor = round(positive_seconds(sampling_time) / self.sampling_time)
         if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):
-            raise ValueError(
+            raise InputError(
                 f"sampling_time must be a whole multiple of {self.sampling_time:g} s, "
                 f"got {sampling_time:g}"
             )
@@ -248,7 +255,7 @@ class Record:
         if self.prepared == other.prepared:
             return self
         if self.prepared:
-            raise ValueError(
+            raise InputError(
                 f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
                 "or not at all (detrend, clip_outliers, resample)"
             )
@@ -352,7 +359,7 @@ def check_alike(other: Record, record: Record, name: str) -> None:
     preparation, or the sampling time by more than 1 %. Default names match any others.
     """
     if (other.ny, other.nu) != (record.ny, record.nu):
-        raise ValueError(
+        raise InputError(
             f"{name} must have the training record's {record.ny} channel(s) and {record.nu} "
             f"input(s), got {other.ny} and {other.nu}"
         )
@@ -360,17 +367,17 @@ def check_alike(other: Record, record: Record, name: str) -> None:
         names, known = getattr(other, what), getattr(record, what)
         if not same_names(names, known):
             order = "in the order" if sorted(names) == sorted(known) else "those"
-            raise ValueError(
+            raise InputError(
                 f"{what} of {name} must be {order} of the training record, "
                 f"{', '.join(known)}, got {', '.join(names)}"
             )
     if other.prepared != record.prepared:
-        raise ValueError(
+        raise InputError(
             f"{name} must be prepared like the training record: use prepared_as (detrend, "
             "clip_outliers, resample)"
         )
     if not near_sampling(other.sampling_time, record.sampling_time):
-        raise ValueError(
+        raise InputError(
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
             f"got every {other.sampling_time:g} s"
         )

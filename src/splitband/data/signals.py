@@ -1,17 +1,38 @@
-"""Check signals: shapes, finite values, and a range in which their squares can be summed."""
+"""Check signals and their names, turn columns into numbers, find and fill gaps."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pandas.api.types import (
+    is_complex_dtype,
+    is_numeric_dtype,
+    is_object_dtype,
+    is_string_dtype,
+)
 
-from splitband.data.gaps import places
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.errors import InputError, one_line
 
 LARGEST, SMALLEST = 1e120, 1e-120
 """Largest value and smallest range of a channel: sums of squares must not over- or underflow."""
+Gaps = Literal["refuse", "mask"]
+Column: TypeAlias = "pd.Series[Any]"
+_NUMBERED = re.compile(r"[yu]\d*|\d+")
+"""Default names such as "y", "u1" or "2", see `same_names`."""
+_UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
+
+
+class ReadingWarning(UserWarning):
+    """Warn that a column is left out, that its meaning was inferred, or that gaps were filled."""
+
+
+# ---------------------------------------------------------------- values
 
 
 def positive_seconds(value: Any) -> float:
@@ -21,7 +42,7 @@ def positive_seconds(value: Any) -> float:
     except (TypeError, ValueError):
         seconds = np.nan
     if not (np.isfinite(seconds) and seconds > 0):
-        raise ValueError(f"sampling_time must be a positive number of seconds: got {value!r}")
+        raise InputError(f"sampling_time must be a positive number of seconds: got {value!r}")
     return seconds
 
 
@@ -31,12 +52,12 @@ def signal_of(what: str, value: Any) -> Array:
         is_complex = np.iscomplexobj(value)
         array = np.array(value if not is_complex else [], dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{what} must be an array of numbers: {one_line(error)}") from error
+        raise InputError(f"{what} must be an array of numbers: {one_line(error)}") from error
     if is_complex:
-        raise ValueError(f"{what} must be real: it holds complex values")
+        raise InputError(f"{what} must be real: it holds complex values")
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or array.shape[1] == 0:
-        raise ValueError(f"{what} must be (time,) or (time, channels): its shape is {array.shape}")
+        raise InputError(f"{what} must be (time,) or (time, channels): its shape is {array.shape}")
     array.setflags(write=False)
     return array
 
@@ -46,14 +67,12 @@ def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> Non
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         column = f", column {columns[bad[0, 1]]!r}" if columns else ""
-        raise ValueError(
+        raise InputError(
             f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
             f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
             + (f"; {places(np.asarray(~np.isfinite(values).all(axis=1)))}" if len(bad) > 1 else "")
         )
-
-    low, high = values.min(axis=0, initial=0.0), values.max(axis=0, initial=0.0)
-    largest = np.maximum(-low, high)
+    largest = np.abs(values).max(axis=0, initial=0.0)
     with np.errstate(over="ignore"):
         span = np.ptp(values, axis=0) if len(values) else largest
     for extent, rule, off in (
@@ -62,11 +81,136 @@ def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> Non
     ):
         if off.any():
             column = f" in column {columns[int(off.argmax())]!r}" if columns else ""
-            raise ValueError(
+            raise InputError(
                 f"{what} must be {rule}, in another unit if need be: got {extent[off][0]:g}{column}"
             )
 
 
-def one_line(error: BaseException) -> str:
-    """Return the message of another library's error on one line."""
-    return " ".join(str(error).split())[:300] or type(error).__name__
+def is_text(column: Column) -> bool:
+    """Return whether a column may hold words."""
+    return is_object_dtype(column) or is_string_dtype(column)
+
+
+def has_number(column: Column) -> bool:
+    """Return whether at least one cell of a column holds a number."""
+    if is_text(column):
+        column = pd.to_numeric(column, errors="coerce")
+    return is_numeric_dtype(column) and bool(column.notna().any())
+
+
+def numbers(what: str, column: Column) -> Array:
+    """Return a column as float64 numbers, (time,)."""
+    if not is_numeric_dtype(column):
+        cells = column.astype(object)
+        column = pd.to_numeric(cells, errors="coerce")
+        if (bad := np.flatnonzero(column.isna() & cells.notna())).size:
+            cell = str(cells.iloc[bad[0]])[:40]
+            raise InputError(
+                f"{what} must be numeric: row {bad[0]} holds {cell!r}{in_file(cells, bad[0])}"
+            )
+    if is_complex_dtype(column):
+        raise InputError(f"{what} must be real: it holds complex values")
+    return column.to_numpy(dtype=np.float64, na_value=np.nan)
+
+
+def in_file(column: Column, row: int) -> str:
+    """Return where a row stands in its text file, as " (line 5)"; empty for other files."""
+    return f" (line {column.index[row]})" if column.index.name == "line" else ""
+
+
+# ---------------------------------------------------------------- gaps
+
+
+def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
+    """Fill values that are not finite; return the result and a mask of finite values.
+
+    Both have the shape of `values`, `(time, n)`. A gap is a straight line, or the value before it
+    with `hold`; before the first and after the last finite value of a channel that value is held.
+
+    Raises ValueError for a channel without finite values.
+    """
+    known = np.isfinite(values)
+    index = np.arange(len(values))
+    whole = np.array(values)
+    for channel, seen in enumerate(known.T):
+        if not seen.any():
+            raise InputError(f"{what} must have a finite value in channel {channel}: it has none")
+        held = np.maximum.accumulate(np.where(seen, index, seen.argmax()))
+        at = held if hold else index
+        whole[~seen, channel] = np.interp(at[~seen], index[seen], values[seen, channel])
+    return whole, known
+
+
+def stretches(rows: Flags) -> list[tuple[int, int]]:
+    """Return the first and last index of each stretch of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))
+    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
+
+
+def places(rows: Flags, most: int = 6) -> str:
+    """Describe the stretches of true values for a message: "rows 3, 7 to 9"."""
+    gaps = stretches(rows)
+    named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in gaps[:most])
+    more = f" and {len(gaps) - most} more stretches" if len(gaps) > most else ""
+    return f"row{'s' if len(gaps) > 1 or gaps[0][0] != gaps[0][1] else ''} {named}{more}"
+
+
+def last_before(complete: Flags, length: int, at: int) -> int | None:
+    """Return the last index up to `at` directly after `length` complete samples, or None."""
+    ends = _ends(complete[:at], length)
+    return int(ends[-1]) if len(ends) else None
+
+
+def first_after(complete: Flags, length: int) -> int | None:
+    """Return the first index directly after `length` complete samples, or None."""
+    ends = _ends(complete, length)
+    return int(ends[0]) if len(ends) else None
+
+
+def _ends(complete: Flags, length: int) -> NDArray[Any]:
+    count = np.concatenate([[0], np.cumsum(complete)])
+    return np.flatnonzero(count[length:] - count[:-length] == length) + length
+
+
+# ---------------------------------------------------------------- names
+
+
+def numbered(letter: str, count: int) -> tuple[str, ...]:
+    """Return default names of signals: the letter, with a number if there are several."""
+    return (letter,) if count == 1 else tuple(f"{letter}{i}" for i in range(count))
+
+
+def channel_names(field: str, names: Sequence[str], letter: str, count: int) -> tuple[str, ...]:
+    """Return the names of signals, by default numbered; raises ValueError unless they differ."""
+    names = tuple(names) or (numbered(letter, count) if count else ())
+    if len(names) != count:
+        raise InputError(f"{field} must name each of the {count} channels of {letter}: got {names}")
+    if len(set(names)) < count:
+        raise InputError(f"{field} must differ: got {names}")
+    return names
+
+
+def unit_of(name: str) -> str:
+    """Return the unit in brackets at the end of a name, "m" of "x (m)" or "x [m]", or ""."""
+    found = _UNIT.search(name)
+    return found[1] if found else ""
+
+
+def bare_name(name: str) -> str:
+    """Return a name without the unit in brackets at its end."""
+    return _UNIT.sub("", name)
+
+
+def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
+    """Return whether two lists can name the same signals; numbered names match any others.
+
+    Numbered names are the defaults of `Record`, and column positions in a file.
+    """
+    if sorted(names) == sorted(others) or len(names) != len(others):
+        return tuple(names) == tuple(others)
+    return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))
+
+
+def described(columns: Sequence[str], inputs: Sequence[str]) -> str:
+    """Return the names of a record's inputs and outputs for a message."""
+    return f"inputs: {', '.join(inputs) or 'none'}; outputs: {', '.join(columns)}"

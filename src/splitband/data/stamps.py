@@ -12,9 +12,16 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype, is_timedelta64_dtype
 
-from splitband.data.columns import Column, has_number, in_file, is_text, numbers
-from splitband.data.signals import require_finite
+from splitband.data.signals import (
+    Column,
+    has_number,
+    in_file,
+    is_text,
+    numbers,
+    require_finite,
+)
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 TIME_NAMES = ("time", "timestamp", "datetime", "t", "date")
 _CLOCK_STEPS = (
@@ -36,7 +43,6 @@ _UNITS = {
 _UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
 _AROUND = re.compile(r"^(?:[\w\[\]]+\.)+(?=\w+$)|^[%#_\s]+|[\s,(\[]+(?:utc|gmt)[\d:+-]*[)\]]?$")
 """What a name has around the word for time: fields of structures, marks, a time zone."""
-_CLOCK = re.compile(r"\s*(?:(\d+) days?,? )?(\d+):(\d\d)(?::(\d\d))?(?:[.,](\d+)|:(\d{3}))?\s*")
 _TIME_OF_DAY = re.compile(
     r"\s*\d{1,2}:\d\d(?::\d\d)?(?:[.,]\d+)?"
     r"(?:\s*[AaPp]\.?[Mm]\.?)?(?:\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d))?\s*"
@@ -152,7 +158,7 @@ def readings(what: str, name: str, column: Column) -> list[Reading]:
         return _of_numbers(what, name, values, 2 * float(np.spacing(kind(np.abs(values).max()))))
     if time_name(name)[0] not in ("date", "datetime") and (dotted := _of_dotted(what, column)):
         return dotted
-    return _of_clock(column) or _with_unit(column) or [_of_dates(what, column)]
+    return _of_clock(column) or [_of_dates(what, column)]
 
 
 def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Reading]:
@@ -163,14 +169,14 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
     if certain := [each for each in others if each.certain]:
         return certain[:1]
     if unit is None and (found := _BRACKETS.search(_AROUND.sub("", name.strip().lower()))):
-        raise ValueError(
+        raise InputError(
             f"{what} has a unit that is not known, {found[1]!r}, other than 't [ms]': "
             "time_column='' (--time-column '') with sampling_time (--sampling-time) ignores it"
         )
     if abs(values[0]) * scale > 1e11:
-        raise ValueError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
+        raise InputError(f"{what} must be in seconds, or name its unit as in 't [ms]'")
     if dated and unit is None and not others and not (values > 1e8).all():
-        raise ValueError(
+        raise InputError(
             f"{what} must hold dates, Excel's serial days or seconds since 1970, or name its unit "
             f"as in 'date [s]': row 0 holds {values[0]:.10g}"
         )
@@ -249,27 +255,31 @@ def _steps_in_days(stamps: Array) -> bool:
 
 
 def _of_clock(column: Column) -> list[Reading]:
-    """Return the readings of times without a date, such as 23:59:59.5 or 59:59.5; [] for others.
+    """Return the readings of times without a date, 23:59:59.5, 59:59.5 or 0.5 sec; [] for others.
 
     A clock that begins again at 0 has passed midnight, or the hour where it shows no hours.
     """
-    if not _CLOCK.fullmatch(str(column.iloc[0])):
+    if len(column) > 1 and not _of_clock(column.iloc[:1]):
         return []
-    parts = column.astype(str).str.extract(rf"^{_CLOCK.pattern}$")
-    if parts[1].isna().any():
+    text = column.astype(str).str.strip().str.replace(_DECIMAL, ".", regex=True)
+    short = text.str.fullmatch(r"\d+:\d\d(?:\.\d+)?")
+    long = _seconds(text.where(~short, "00:" + text))  # 59:59, 1:00:00
+    if np.isnan(long).any():
         return []
-    days, a, b, c = (parts[i].astype(np.float64) for i in range(4))
-    fraction = ("0." + parts[4].fillna(parts[5])).astype(np.float64).fillna(0.0)
-    short = c.isna()
-    seconds = days.fillna(0.0) * _DAY + 3600 * a + 60 * b + c.fillna(0.0) + fraction
-    exact = np.asarray(seconds.mask(short, 60 * a + b + fraction), np.float64)  # 59:59, 1:00:00
     if not short.all():
-        return [Reading("times of the day", _unwrapped(exact, _DAY))]
-    minutes = Reading("minutes and seconds", _unwrapped(exact, 3600.0))
-    if parts[[4, 5]].notna().any(axis=None):
+        return [Reading("times of the day", _unwrapped(long, _DAY))]
+    minutes = Reading("minutes and seconds", _unwrapped(long, 3600.0))
+    if np.isnan(hours := _seconds(text + ":00")).any():  # a fraction
         return [minutes]
-    hours = Reading("hours and minutes", _unwrapped(np.asarray(seconds, np.float64), _DAY))
-    return [hours, minutes]
+    return [Reading("hours and minutes", _unwrapped(hours, _DAY)), minutes]
+
+
+def _seconds(text: Column) -> Array:
+    """Return durations that pandas knows in seconds, NaN for others."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = pd.to_timedelta(text, errors="coerce")
+    return np.asarray(found.dt.total_seconds(), dtype=np.float64)
 
 
 def _of_dotted(what: str, column: Column) -> list[Reading]:
@@ -279,15 +289,6 @@ def _of_dotted(what: str, column: Column) -> list[Reading]:
         return []
     clock = _of_clock(texts.str.replace(_DOTTED_TIME, r"\1:\2:\3", regex=True))
     return clock + ([] if _dates(texts)[0].isna().any() else [_of_dates(what, texts)])
-
-
-def _with_unit(column: Column) -> list[Reading]:
-    """Return the reading of cells such as "0.5 sec", as MATLAB writes durations; [] for others."""
-    parts = column.astype(str).str.extract(rf"^\s*([\d.eE+-]+)\s*({'|'.join(_UNITS)})\s*$")
-    if parts.isna().any(axis=None):
-        return []
-    values, units = pd.to_numeric(parts[0], errors="coerce"), parts[1].map(_UNITS)
-    return [Reading("seconds", np.asarray(values * units, np.float64))]
 
 
 def _unwrapped(seconds: Array, period: float) -> Array:
@@ -304,7 +305,7 @@ def _of_dates(what: str, column: Column) -> Reading:
     dates = dates.where(dates.dt.year.between(1700, 2200))  # what nanoseconds can hold
     if (bad := np.flatnonzero(dates.isna())).size:
         cell = str(column.iloc[bad[0]])[:40]
-        raise ValueError(
+        raise InputError(
             f"{what} must hold numbers or dates: row {bad[0]} holds {cell!r}"
             f"{in_file(column, bad[0])}"
         )
@@ -328,21 +329,23 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
     dotted = _DOTTED.match(first) is not None
     orders: list[dict[str, Any]] = [{"dayfirst": dotted}, {"dayfirst": not dotted}]
     orders += [{"yearfirst": True}] if _SHORT_YEAR.match(first) else []
+
+    def parsed(**order: Any) -> pd.Series:
+        return pd.to_datetime(column, utc=True, errors="coerce", **order)
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        iso = pd.to_datetime(column, format="ISO8601", utc=True, errors="coerce")
+        iso = parsed(format="ISO8601")
         if iso.notna().all():
             return iso, ""
-        tries = [iso] + [
-            pd.to_datetime(column, **order, utc=True, errors="coerce") for order in orders
-        ]
+        tries = [iso, *(parsed(**order) for order in orders)]
 
-    def doubt(parsed: pd.Series) -> tuple[int, float]:
+    def doubt(dates: pd.Series) -> tuple[int, float]:
         """Return the number of missing dates, and the unevenness of the steps (relative)."""
-        steps = parsed.dropna().diff().dropna().dt.total_seconds()
+        steps = dates.dropna().diff().dropna().dt.total_seconds()
         usual = abs(steps.median()) or 1.0
         uneven = round(float((steps - usual).abs().max() / usual), 2) if len(steps) else 0.0
-        return int(parsed.isna().sum()), uneven
+        return int(dates.isna().sum()), uneven
 
     best = min(tries, key=doubt)
     others = {e.iloc[0] for e in tries[1:] if doubt(e) == doubt(best)} - {best.iloc[0]}
@@ -360,7 +363,7 @@ def _check_zones(what: str, column: Column) -> None:
     zoned = texts.str.contains(_ZONE)
     if zoned.any() and not zoned.all():
         row, other = int(zoned.argmax()), int(zoned.argmin())
-        raise ValueError(
+        raise InputError(
             f"{what} must have a time zone in all rows or in none: row {row} holds "
             f"{texts.iloc[row]!r}, row {other} {texts.iloc[other]!r}"
         )

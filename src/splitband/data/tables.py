@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from io import BufferedReader
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,75 +15,72 @@ import pyarrow.parquet  # type: ignore[import-untyped]
 import scipy
 from numpy.typing import NDArray
 
-from splitband.data.columns import Column, without
-from splitband.data.layout import Layout
-from splitband.data.signals import one_line
-from splitband.data.text import check_different, read_table
+from splitband.data.signals import Column, is_text
+from splitband.data.text import Layout, check_different, read_table
+from splitband.runtime.errors import InputError, one_line
 
 MOST_BYTES = 2**31
 """Limit of the size of a file's numbers in memory, in bytes. By eye."""
-
 _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip
-
 _MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
 _IN_MATLAB = (
     ", which only MATLAB can read: save a timetable T as text, writetimetable(T, 'T.csv'), of a "
     "timeseries the vectors Time and Data"
 )
-
 _AnyArray: TypeAlias = NDArray[Any]
 Table: TypeAlias = dict[str, Column]
 """Columns by name; in NPZ and MAT files they may differ in length."""
 
 
 def load(path: Path, layout: Layout) -> Table:
-    """Read every column of a file; an error of any reader is raised as a ValueError."""
+    """Read every column of a file; an error of any reader is raised as an `InputError`."""
     kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
     if reader is not None:
         layout.check_no_lines(kind)
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not file.peek(1):
-            raise ValueError("the file is empty")
+            raise InputError("the file is empty")
+        if reader is None:  # in one pass, as the file may be a pipe
+            check_size(4 * path.stat().st_size)
+            # Memory holds it as bytes, as lines and as numbers.
+            raw = file.read(MOST_BYTES // 4 + 1)
+            check_size(max(4 * len(raw), 100 * raw.count(b"\n")))
+            return known(_columns(read_table(raw, path.suffix.lower(), layout)), layout)
         try:
-            table = _read_text(path, file, layout) if reader is None else reader(path)
-        except Exception as error:  # zip, pickle, Arrow, pandas and SciPy each raise their own
-            raise ValueError(f"cannot be read as {kind}: {one_line(error)}") from error
+            table = reader(path)
+        except InputError:
+            raise
+        except Exception as error:  # zip, pickle, Arrow and SciPy each raise their own
+            raise InputError(f"cannot be read as {kind}: {one_line(error)}") from error
     return known(table, layout)
 
 
 def known(table: Table, layout: Layout) -> Table:
     """Return a table without the cells that stand for missing values."""
-    if not layout.missing:
-        return table
-    return {name: without(column, layout.missing) for name, column in table.items()}
+    return {name: _without(column, layout.missing) for name, column in table.items()}
 
 
-def _read_text(path: Path, file: BufferedReader, layout: Layout) -> Table:
-    """Read separated numbers, with or without a header, in one pass: `file` may be a pipe."""
-    most = MOST_BYTES // 4  # memory holds it as bytes, as lines and as numbers
-    check_size(4 * path.stat().st_size)
-    raw = file.read(most + 1)
-    check_size(4 * len(raw))
-    check_size(100 * raw.count(b"\n"))
-    return _columns(read_table(raw, path.suffix.lower(), layout))
+def _without(column: Column, words: Sequence[str]) -> Column:
+    """Return a column without the cells that hold one of the words, or its number."""
+    if not words:
+        return column
+    values = pd.to_numeric(column, errors="coerce") if is_text(column) else column
+    plain = pd.to_numeric(pd.Series(words).str.replace(",", "."), errors="coerce")
+    missing = values.isin(plain[np.isfinite(plain)])
+    if is_text(column):
+        missing |= column.astype(str).str.strip().isin(words)
+    column = column.mask(missing) if missing.any() else column
+    values = pd.to_numeric(column, errors="coerce") if is_text(column) else column
+    return column if (values.isna() & column.notna()).any() else values
 
 
 def check_size(size: int) -> None:
     """Raise ValueError for a file whose numbers, in bytes, exceed `MOST_BYTES`."""
     if size > MOST_BYTES:
-        raise ValueError(f"it would take {size / 2**30:.1f} GiB, at most {MOST_BYTES / 2**30:g} do")
-
-
-def _read_parquet(path: Path) -> Table:
-    metadata = pyarrow.parquet.read_metadata(path)
-    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
-    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
-    check_size(8 * sum(column.num_values for column in columns))
-    check_size(sum(column.total_uncompressed_size for column in columns))
-    return of_frame(pd.read_parquet(path))
+        raise InputError(f"it would take {size / 2**30:.1f} GiB, at most {MOST_BYTES / 2**30:g} do")
 
 
 def of_frame(frame: pd.DataFrame) -> Table:
@@ -95,32 +91,26 @@ def of_frame(frame: pd.DataFrame) -> Table:
     return _columns(frame)
 
 
+def _read_parquet(path: Path) -> Table:
+    metadata = pyarrow.parquet.read_metadata(path)
+    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
+    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    check_size(sum(max(8 * c.num_values, c.total_uncompressed_size) for c in columns))
+    return of_frame(pd.read_parquet(path))
+
+
 def _read_numpy(path: Path) -> Table:
-    with path.open("rb") as file:  # np.load(path) would leave a damaged file open
-        zipped = zipfile.is_zipfile(file)
-        file.seek(0)
-        if zipped:
-            with zipfile.ZipFile(file) as archive:
-                check_size(sum(_bytes_of(archive, member) for member in archive.infolist()))
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                return _variables(dict(archive))
-    array = np.lib.format.open_memmap(path, mode="r")  # raises for a file that is cut short
-    check_size(8 * array.size)
-    return _columns(pd.DataFrame(_native(array)))
-
-
-def _bytes_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """Return the size in bytes of an archive's array as float64, from its header."""
-    with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
-        shape, _, _ = read_header(file)
-    return max(8 * math.prod(shape), member.file_size)
+    if not zipfile.is_zipfile(path):
+        array = np.lib.format.open_memmap(path, mode="r")  # raises for a file that is cut short
+        check_size(8 * array.size)
+        return _columns(pd.DataFrame(_native(array)))
+    with zipfile.ZipFile(path) as archive:
+        check_size(sum(member.file_size for member in archive.infolist()))
+    # np.load(path) would leave a damaged file open.
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        variables = dict(arrays)
+    check_size(8 * sum(array.size for array in variables.values()))
+    return _variables(variables)
 
 
 def _read_mat(path: Path) -> Table:
@@ -130,15 +120,18 @@ def _read_mat(path: Path) -> Table:
         names = [name for name, _, kind in found if kind in _MAT_READ]
         table = _variables(scipy.io.loadmat(path, variable_names=names, simplify_cells=True))
     except NotImplementedError:
-        raise ValueError("it is a v7.3 (HDF5) file; save it with the option -v7") from None
-    others = {name: kind for name, _, kind in found if kind not in _MAT_READ}
+        raise InputError(
+            "cannot be read as MAT: it is a v7.3 (HDF5) file; save it with the option -v7"
+        ) from None
+    others = {
+        name: "sparse" if kind == "sparse" else f"{kind}{_IN_MATLAB}"
+        for name, _, kind in found
+        if kind not in _MAT_READ
+    }
     if not table:
         kinds = ", ".join(f"{name!r} ({kind})" for name, _, kind in found) or "nothing"
-        raise ValueError(f"it holds no numbers, but {kinds}{_IN_MATLAB if others else ''}")
-    return table | {
-        name: _unread("sparse" if kind == "sparse" else f"{kind}{_IN_MATLAB}")
-        for name, kind in others.items()
-    }
+        raise InputError(f"it holds no numbers, but {kinds}{_IN_MATLAB if others else ''}")
+    return table | {name: _unread(why) for name, why in others.items()}
 
 
 def _unread(why: str) -> Column:
@@ -179,9 +172,8 @@ def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
     match value:
         case Mapping():
             for key, field in value.items():
-                if key.startswith("__"):  # the header of a MAT file
-                    continue
-                yield from _arrays(field, f"{name}.{key.strip()}" if name else key.strip())
+                if not key.startswith("__"):  # the header of a MAT file
+                    yield from _arrays(field, f"{name}.{key.strip()}".lstrip("."))
         case list() | np.ndarray(dtype=np.dtypes.ObjectDType()) if {*map(type, value)} == {str}:
             yield name, np.asarray(value)  # a cell of dates
         case list() | np.ndarray(dtype=np.dtypes.ObjectDType()):
@@ -195,7 +187,7 @@ def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
             yield name, _native(np.asarray(value))
 
 
-_READERS: dict[str, tuple[str, Callable[[Path], Table]]] = {
+_READERS = {
     ".parquet": ("Parquet", _read_parquet),
     ".pq": ("Parquet", _read_parquet),
     ".npz": ("NPZ", _read_numpy),

@@ -57,7 +57,6 @@ class Comparison:
     attempts : All trainings of the search, round by round.
     clock : Time that was used, and what the deadline has changed.
     refit : The recommended method refitted to the whole record, if `Plan.refit`.
-    interrupted : Whether Ctrl-C ended the comparison early.
     """
 
     plan: Plan
@@ -66,7 +65,11 @@ class Comparison:
     attempts: tuple[Attempt, ...] = ()
     clock: Clock = field(default_factory=Clock)
     refit: Forecaster | None = None
-    interrupted: bool = False
+
+    @property
+    def interrupted(self) -> bool:
+        """Return whether Ctrl-C ended the comparison early."""
+        return self.clock.interrupted
 
     @property
     def record(self) -> Record:
@@ -240,7 +243,7 @@ class Comparison:
         return rollouts(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write all files of `splitband compare`: results, predictions, pictures, the page."""
+        """Write all files of `splitband compare`: results, predictions, the page, the model."""
         from splitband.report.results import save  # noqa: PLC0415  of a higher layer
 
         save(self, Path(folder))

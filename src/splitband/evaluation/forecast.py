@@ -15,7 +15,7 @@ from splitband.evaluation.comparison import median_fit
 from splitband.evaluation.jobs import Runner
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged
-from splitband.evaluation.run import Watch, carried_out
+from splitband.evaluation.run import Watch, finished
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction
@@ -133,9 +133,9 @@ def run_forecast(
 ) -> Forecast:
     """Forecast beyond the record of a plan that trains on all of it; see `run`."""
     with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
-        course = carried_out(plan, runner, watch, clock)
-    plan, fits = course.plan, course.fits()  # with a network on the best baseline
-    trial = judged(plan.training, course.held, fits, course.failed)
+        done = finished(plan, runner, watch, clock)
+    plan, fits = done.plan, done.fits()  # with a network on the best baseline
+    trial = judged(plan.training, done.trials, fits, done.failed)
     best = trial.recommended
     ranges = [(fit.fitted.require_fitted().y_range, fit.ahead) for fit in fits[best]]
     left = [leaves_range(y_range, y) for y_range, y in ranges]
@@ -150,5 +150,5 @@ def run_forecast(
         fits[best][0].description,
         min((samples for samples in left if samples is not None), default=None),
         model.require_fitted().inputs_beyond(None if u is None else u[: plan.horizon]),
-        course.clock,
+        done.clock,
     )

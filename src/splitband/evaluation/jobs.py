@@ -23,12 +23,15 @@ from splitband.forecasters.backtest import Fit, Origin, Question, as_it_is, back
 from splitband.forecasters.base import Forecaster, cells_of
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import simulations, with_simulators_of
+from splitband.networks.cell import label_of
 from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 
 LATE = "left out, as the time was over"
+BATCH = 8
+"""Rows of the batch with which kernels of trainings are compiled; any number of several will do."""
 PATIENCE = 2.0
 """Seconds after its deadline in which a job computes its forecasts, before it is ended; what the
 forecasts of a job have taken, if that is more."""
@@ -113,13 +116,13 @@ def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
         return job.run()
 
 
-def _compile(cell: Any) -> None:
-    """Run a cell forward and back, which compiles its kernels."""
+def _compile(rows: int, cell: Any) -> None:
+    """Run a cell forward and back on a batch of so many rows, which compiles its kernels."""
     import torch  # noqa: PLC0415  in a worker
 
     from splitband.networks import rollout  # noqa: PLC0415
 
-    y, u = torch.zeros(2, 4, 1), torch.zeros(2, 12, 2)
+    y, u = torch.zeros(rows, 4, 1), torch.zeros(rows, 12, 2)
     rollout(cell.sized(1, 2, 4), y, 8, u).sum().backward()
 
 
@@ -150,17 +153,21 @@ class Runner:
         if self._own is not None:
             self._own.shutdown()
 
-    def compile(self, forecasters: Sequence[Forecaster], until: Deadline) -> None:
-        """Let the workers compile, side by side, the kernels that the networks need.
+    def start(self, forecasters: Sequence[Forecaster]) -> None:
+        """Start the workers, which load what the networks need; do not wait for them.
 
-        Compiled once after installation, they are on the disk. What is not done by the deadline is
-        compiled in a training.
+        They compile, side by side, kernels that are not on the disk yet.
         """
+        if self.executor is None:
+            return
         cells = [cell for each in forecasters for cell in cells_of(each).values()]
-        kinds = [*{type(cell): cell for cell in cells}.values()]
-        kinds = kinds if self.executor else []
-        for _, future in run_jobs(_compile, kinds, self.executor, until):
-            future.exception()  # a user's cell may fail here; its training says why
+        for cell in {label_of(cell): cell for cell in cells}.values():
+            for rows in (
+                BATCH,
+                1,
+            ):  # trainings, and forecasts, some of which have kernels of their own
+                # A user's cell may fail here; its training says why.
+                self.executor.submit(_compile, rows, cell)
 
     def run(
         self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0

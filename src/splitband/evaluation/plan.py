@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from splitband.data import Record, check_alike, require_records
-from splitband.data.gaps import first_after
+from splitband.data.signals import first_after
 from splitband.forecasters.backtest import (
     Origin,
     Question,

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,48 +32,7 @@ if TYPE_CHECKING:
     from splitband.training import Progress
 
 
-@dataclass(frozen=True, eq=False)
-class Standing:
-    """Tell where a comparison stands.
-
-    Attributes
-    ----------
-    plan, clock : Of the comparison.
-    doing : What is computed now, in words.
-    held : Fits to three quarters of the training part so far, by method.
-    failed : Why methods have no fit so far.
-    whole : Whether a round has just ended, so that there is a new table.
-    final : Fits to the whole training part so far, by method: of quick methods.
-    """
-
-    plan: Plan
-    clock: Clock
-    doing: str
-    held: Mapping[str, Sequence[Fit]]
-    failed: Mapping[str, str]
-    whole: bool = False
-    final: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
-
-    def comparison(self) -> Comparison:
-        """Return the comparison of what is final."""
-        trial = judged(self.plan.training, self.held, self.final, self.failed)
-        found = Comparison(self.plan, self.final, trial, clock=self.clock)
-        return replace(found, trial=replace(trial, left_out=frozenset(found.left_out)))
-
-    @cached_property
-    def trial(self) -> Trial:
-        """Return the results so far."""
-        return judged(self.plan.training, self.held, {}, self.failed)
-
-    @property
-    def model(self) -> Forecaster:
-        """Return the best model so far; a network was trained on three quarters of the samples."""
-        best = self.trial.recommended
-        fits = self.final.get(best) or self.held[best]
-        return fitted_ensemble([fit.fitted for fit in fits], self.trial.held_out[best])
-
-
-Watch = Callable[[Standing], None]
+Watch = Callable[["Run"], None]
 
 
 def compare(
@@ -152,49 +110,78 @@ def run(
             "splitband.forecast predicts beyond a record"
         )
     with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
-        return carried_out(plan, runner, watch, clock).result()
+        return finished(plan, runner, watch, clock).result()
 
 
-def carried_out(
+def finished(
     plan: Plan, runner: Runner, watch: Watch | None = None, clock: Clock | None = None
-) -> Course:
+) -> Run:
     """Run a plan to its end, or until Ctrl-C, and return all fits."""
-    course = Course(plan, runner, clock or Clock(plan.budget), watch)
+    found = Run(plan, runner, clock or Clock(plan.budget), watch)
     try:
-        course.run_quick()
-        course.run_rounds()
-        if not course.interrupted:
-            course.run_finals()
+        found.run_quick()
+        found.run_rounds()
+        if not found.clock.interrupted:
+            found.run_finals()
     except KeyboardInterrupt:
-        if not course.held:
+        if not found.trials:
             raise
-        course.interrupted = True
-    course.complete()
-    course.clock.interrupted = course.interrupted
-    return course
+        found.clock.interrupted = True
+    found.complete()
+    return found
 
 
-class Course:
-    """Run the parts of a comparison one after the other, and hold their fits.
+class Run:
+    """Run the parts of a comparison one after the other, and hold all fits so far.
 
     Attributes
     ----------
-    held : Fits to three quarters of the training part, by method.
-    final : Fits to all of it.
+    plan, clock : Of the comparison.
+    doing : What is computed now, in words.
+    new_table : Whether a round, or the quick methods, have just ended.
+    trials : Fits to three quarters of the training part, by method.
+    finals : Fits to all of it.
     failed : Why methods have no fit.
-    interrupted : Whether Ctrl-C ended it early.
     """
 
     def __init__(self, plan: Plan, runner: Runner, clock: Clock, watch: Watch | None) -> None:
         self.plan, self.clock, self._runner, self._watch = plan, clock, runner, watch
         clock.cores = runner.cores
-        self.held: dict[str, Sequence[Fit]] = {}
-        self.final: dict[str, list[Fit]] = {}
+        self.doing, self.new_table = "", False
+        self.trials: dict[str, Sequence[Fit]] = {}
+        self.finals: dict[str, list[Fit]] = {}
         self.failed: dict[str, str] = {}
-        self.interrupted = False
-        self._finals: dict[str, list[Job]] = {}
+        self._final_jobs: dict[str, list[Job]] = {}
         self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
         self._search: Search | None = None
+
+    @property
+    def trial(self) -> Trial:
+        """Return the results on held-out samples so far."""
+        return judged(self.plan.training, self.trials, {}, self.failed)
+
+    @property
+    def model(self) -> Forecaster:
+        """Return the best model so far; a network was trained on three quarters of the samples."""
+        best = self.trial.recommended
+        fits = self.finals.get(best) or self.trials[best]
+        return fitted_ensemble([fit.fitted for fit in fits], self.trial.held_out[best])
+
+    def comparison(self) -> Comparison:
+        """Return the comparison of the final fits so far."""
+        attempts = () if self._search is None else tuple(self._search.attempts)
+        found = Comparison(self.plan, self.fits(), None, attempts, self.clock)
+        trial = judged(
+            self.plan.training, self.trials, found.fits, self.failed, frozenset(found.left_out)
+        )
+        return replace(found, trial=trial)
+
+    def result(self) -> Comparison:
+        """Return the comparison at the end, with the refit if one is asked for."""
+        found = self.comparison()
+        if not self.plan.refit or self.clock.interrupted:
+            return found
+        return replace(found, refit=self._refitted(found.recommended, found.require_trial()))
 
     def run_quick(self) -> None:
         """Fit the methods without networks: first those that fit no simulator, either."""
@@ -206,8 +193,10 @@ class Course:
             self._try(forecaster)
         for forecaster in at_once:
             self._keep_final(Job(forecaster, self.plan.question(forecaster)))
+        # Workers load torch while the first table is shown and written.
+        self._runner.start([f for f in self._ready if f.random])
         if slow:
-            self._report("baselines", whole=True)
+            self._report("baselines", new_table=True)
         until = self._half()
         prepared = [f for f in self._ready if f not in at_once]
         for forecaster in prepared:
@@ -218,8 +207,8 @@ class Course:
         for forecaster in slow:
             self._try(forecaster)
             self._keep_final(Job(forecaster, self.plan.question(forecaster)))
-        if self.final and len(quick) < len(self._ready):
-            self._report("baselines", whole=True)
+        if self.finals and len(quick) < len(self._ready):
+            self._report("baselines", new_table=True)
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
@@ -232,7 +221,6 @@ class Course:
         clock, most = self.clock, self.plan.rounds
         # Counted rounds are the same on any number of cores.
         search = self._search = Search(ready, self._runner.cores if most is None else 1)
-        self._runner.compile([f for f in self._ready if f.random], self._half())
         while most is None or search.round < most:
             reserve = self._reserve(search)
             if search.round and clock.left <= reserve:
@@ -240,16 +228,16 @@ class Course:
             jobs = search.ask(clock.left - reserve)
             if not jobs:
                 break
-            if not self.held and search.round == 1:
+            if not self.trials and search.round == 1:
                 jobs[0] = replace(jobs[0], needed=True)
-            until = Deadline.after((clock.left - reserve) / search.growth)
+            until = Deadline.after((clock.left - reserve) / search.seconds_with_finals)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
-            self.held |= {name: search.held_out(name) for name in search.methods}
+            self.trials |= search.trials
             if search.round == 1 and self.plan.extended and (most is None or most > 1):
                 self._extend(search)
-            if not self.interrupted:
-                self._report(f"round {search.round}", whole=True)
-            if until.over or self.interrupted:
+            if not clock.interrupted:
+                self._report(f"round {search.round}", new_table=True)
+            if until.over or clock.interrupted:
                 break
         self.failed |= search.failed
         if search.settled:
@@ -259,11 +247,8 @@ class Course:
 
     def _extend(self, search: Search) -> None:
         """Add a network on the best method, if that is a baseline which can have one on top."""
-        trial, several = (
-            judged(self.plan.training, self.held, {}, {}),
-            self.plan.tests or self.plan.others,
-        )
-        best = min(trial.scores, key=lambda name: trial.scores[name])
+        several, scores = self.plan.tests or self.plan.others, self.trial.scores
+        best = min(scores, key=lambda name: scores[name])
         method = next(f for f in self._ready if f.name == best)
         # What depends on the time since its training record began is for that record alone.
         if best in BASES and not (several and method.anchored):
@@ -284,32 +269,35 @@ class Course:
         fits = self._trained(jobs, until, "final trainings")
         for job, fit in zip(jobs, fits, strict=True):
             if fit.model is not None:
-                self._finals.setdefault(job.method, []).append(job)
-                self.final.setdefault(job.method, []).append(fit)
+                self._final_jobs.setdefault(job.method, []).append(job)
+                self.finals.setdefault(job.method, []).append(fit)
         for job, fit in zip(jobs, fits, strict=True):
-            if fit.model is None and job.method in self.final:
-                first, *others = self.final[job.method]
+            if fit.model is None and job.method in self.finals:
+                first, *others = self.finals[job.method]
                 said = f"seed {job.seed} {fit.failure if fit.cut else f'failed: {fit.failure}'}"
-                self.final[job.method] = [replace(first, notes=(*first.notes, said)), *others]
+                self.finals[job.method] = [replace(first, notes=(*first.notes, said)), *others]
             elif fit.model is None:
                 self.failed[job.method] = fit.failure
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
-        for name, held in self.held.items():
+        for name, held in self.trials.items():
             method = next(f for f in self._ready if f.name == name)
-            if name in self.final:
+            if name in self.finals:
                 continue
             if not method.random:
                 self._keep_final(Job(method, self.plan.question(method)))
                 continue
             question = self.plan.question(held[0].fitted)
-            best = self._search is not None and name == self._search.methods[0]
+            best = self._search is not None and name == next(iter(self._search.trials))
             models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
             jobs = [Job(method, question, i, each, trains=False) for i, each in enumerate(models)]
-            fits = [job.run() for job in jobs]
+            if self.clock.interrupted:  # which has ended the workers
+                fits = [job.run() for job in jobs]
+            else:
+                fits = self._trained(jobs, self.clock.deadline, "forecasts")
             if good := [fit for fit in fits if fit.model is not None]:
-                self.final[name] = good
+                self.finals[name] = good
                 why = self.failed.pop(name, LATE)
                 said = "in the time" if why == LATE else f"({why})"
                 self.clock.notes.append(
@@ -317,13 +305,13 @@ class Course:
                     "results are those of three quarters of it"
                 )
         for name in [*self.failed]:
-            if name in self.final:
+            if name in self.finals:
                 del self.failed[name]
-        if not self.final:
+        if not self.finals:
             reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
             raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
         methods = {method.name: method for method in self.plan.methods}
-        for name, fits in self.final.items():
+        for name, fits in self.finals.items():
             for fit in fits:
                 with_simulators_of(fit.fitted, methods[name])
                 if (network := fit.fitted._network) is not None:
@@ -334,25 +322,12 @@ class Course:
         """Return the final fits, without failed trainings where their number was left open."""
         plan = self.plan
         return {
-            f.name: without_failed(plan.training, self.final[f.name])
+            f.name: without_failed(plan.training, self.finals[f.name])
             if f.name in plan.searched or plan.seeds is None
-            else self.final[f.name]
+            else self.finals[f.name]
             for f in plan.methods
-            if f.name in self.final
+            if f.name in self.finals
         }
-
-    def result(self) -> Comparison:
-        """Return the comparison."""
-        training, fits = self.plan.training, self.fits()
-        attempts = () if self._search is None else tuple(self._search.attempts)
-        found = Comparison(
-            self.plan, fits, None, attempts, self.clock, interrupted=self.interrupted
-        )
-        trial = judged(training, self.held, fits, self.failed, frozenset(found.left_out))
-        found = replace(found, trial=trial)
-        if not self.plan.refit or self.interrupted:
-            return found
-        return replace(found, refit=self._refitted(found.recommended, trial))
 
     def _refitted(self, name: str, trial: Trial) -> Forecaster | None:
         """Return a method fitted to the whole record, with the settings of its final trainings.
@@ -366,7 +341,7 @@ class Course:
         kept = {id(fit.model) for fit in self.fits()[name]}
         jobs = [
             Job(job.forecaster, question, job.seed, None if job.start is None else fit.model)
-            for job, fit in zip(self._finals.get(name, []), self.final[name], strict=False)
+            for job, fit in zip(self._final_jobs.get(name, []), self.finals[name], strict=False)
             if id(fit.model) in kept
         ]
         ready = next(f for f in self._ready if f.name == name)
@@ -407,16 +382,16 @@ class Course:
         shorter = for_trial(forecaster, self.plan.train)
         fit = self._at_once(Job(shorter, self.plan.held_out_question(shorter)))
         if fit.model is not None:
-            self.held[forecaster.name] = [fit]
+            self.trials[forecaster.name] = [fit]
         else:
             self.failed[forecaster.name] = fit.failure
 
     def _keep_final(self, job: Job) -> None:
         """Fit a quick method to the whole training part, in this process."""
-        if job.method in self.held:
+        if job.method in self.trials:
             fit = self._at_once(job)
             if fit.model is not None:
-                self.final[job.method] = [fit]
+                self.finals[job.method] = [fit]
             else:
                 self.failed[job.method] = fit.failure
 
@@ -436,15 +411,15 @@ class Course:
                 self.clock.trained += fit.seconds
                 self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
         except KeyboardInterrupt:
-            if not self.held and not any(fit.model is not None for fit in fits.values()):
+            if not self.trials and not any(fit.model is not None for fit in fits.values()):
                 raise
-            self.interrupted = True
+            self.clock.interrupted = True
         return [fits.get(job) or job.late() for job in jobs]
 
-    def _report(self, doing: str, whole: bool = False) -> None:
-        if self._watch is not None and (self.held or not whole):
-            said = self.plan, self.clock, doing, {**self.held}, {**self.failed}, whole
-            self._watch(Standing(*said, {**self.final}))
+    def _report(self, doing: str, new_table: bool = False) -> None:
+        self.doing, self.new_table = doing, new_table and bool(self.trials)
+        if self._watch is not None and (self.trials or not new_table):
+            self._watch(self)
 
     def _half(self) -> Deadline:
         """Return the deadline of what comes before the networks: simulators' fits may be slow."""
@@ -467,7 +442,7 @@ class Course:
         plan = self.plan
         took = [
             fit.seconds - fit.report.seconds
-            for fits in self.held.values()
+            for fits in self.trials.values()
             for fit in fits
             if fit.fitted.random
         ]
@@ -505,11 +480,11 @@ def fit(
     kept = None if folder is None else Path(folder)
     if plan.searched:
         with Runner(cores, executor, kept) as runner:
-            course = carried_out(replace(plan, seeds=1), runner, watch, clock)
-        if course.interrupted:
+            done = finished(replace(plan, seeds=1), runner, watch, clock)
+        if done.clock.interrupted:
             raise KeyboardInterrupt  # what is finished is in the folder
-        model = course.final[forecaster.name][0].fitted
-        trial = judged(plan.training, course.held, course.final, {})
+        model = done.finals[forecaster.name][0].fitted
+        trial = judged(plan.training, done.trials, done.finals, {})
         model.held_out = trial.held_out.get(forecaster.name)
         return model
     checkpoint = None

@@ -71,7 +71,8 @@ class Search:
     round : Number of the last round that was asked for.
     attempts : All candidates after each of their rounds, in order.
     tried : Candidates that were trained at least once.
-    given : Fits of the networks whose settings are given, by method.
+    members : Candidates of each method whose median is handed out, the best one first.
+    trials : Fits to three quarters of the training part by method, the best method first.
     failed : Why methods have no fit so far.
     settled : Whether further rounds would change nothing.
     cut : Whether a deadline has ended a training early.
@@ -94,7 +95,8 @@ class Search:
         self.round = 0
         self.attempts: list[Attempt] = []
         self.tried: list[Candidate] = []
-        self.given: dict[str, list[Fit]] = {}
+        self.members: dict[str, list[Candidate]] = {}
+        self.trials: dict[str, list[Fit]] = {}
         self.failed: dict[str, str] = {}
         self.settled = False
 
@@ -136,51 +138,42 @@ class Search:
         """Take the fits of the jobs of the last round, in their order."""
         of_candidates, given = fits[: len(self._asked)], fits[len(self._asked) :]
         for candidate, fit in zip(self._asked, of_candidates, strict=True):
-            failed = fit.model is None
-            self.cut = self.cut or fit.cut
-            if failed and fit.cut:
-                continue  # there was no time to begin with it
-            error = math.inf if failed else held_out_score(self._record, [fit])
-            candidate.fits.append(fit)
-            candidate.errors.append(error if math.isfinite(error) else math.inf)
-            training = candidate.network._training_in_words() if failed else ""
-            training = training or fit.fitted._training_in_words()
-            score = None if failed else error
-            self.attempts.append(
-                Attempt(self.round, candidate.method, training, candidate.seed, score)
-            )
-            if len(candidate.fits) == 1:
-                self.tried.append(candidate)
+            self._take(candidate, fit)
+        trials = {**self.trials}
         for fit in given:
             if fit.model is not None:
-                self.given.setdefault(fit.method, []).append(fit)
-        for fit in fits:
-            if fit.failure:
-                self.failed.setdefault(fit.method, fit.failure)
-        for name in [*self.failed]:
-            if self.members(name) or name in self.given:
-                del self.failed[name]
+                trials.setdefault(fit.method, []).append(fit)
+        self.members = {c.method: self._members(c.method) for c in self.tried}
+        trials |= {name: [c.fits[c.best] for c in some] for name, some in self.members.items()}
+        scores = {name: held_out_score(self._record, fits) for name, fits in trials.items() if fits}
+        self.trials = {name: trials[name] for name in sorted(scores, key=lambda name: scores[name])}
+        reasons = {fit.method: fit.failure for fit in reversed(fits) if fit.failure} | self.failed
+        self.failed = {name: why for name, why in reasons.items() if name not in self.trials}
+
+    def _take(self, candidate: Candidate, fit: Fit) -> None:
+        """Take the fit of a candidate's round."""
+        self.cut = self.cut or fit.cut
+        if fit.model is None and fit.cut:
+            return  # there was no time to begin with it
+        error = math.inf if fit.model is None else held_out_score(self._record, [fit])
+        candidate.fits.append(fit)
+        candidate.errors.append(error if math.isfinite(error) else math.inf)
+        trained = candidate.network if fit.model is None else fit.fitted
+        said = candidate.method, trained._training_in_words(), candidate.seed
+        self.attempts.append(Attempt(self.round, *said, None if fit.model is None else error))
+        if len(candidate.fits) == 1:
+            self.tried.append(candidate)
 
     @property
-    def methods(self) -> list[str]:
-        """Return the methods that have a fit, the best one first."""
-        names = {c.method for c in self.tried if math.isfinite(c.error)} | self.given.keys()
-        return sorted(names, key=lambda name: held_out_score(self._record, self.held_out(name)))
-
-    @property
-    def growth(self) -> float:
+    def seconds_with_finals(self) -> float:
         """Return the seconds by which a second of a round delays the end of the comparison.
 
         The final trainings take a share of what a round adds to the best candidates.
         """
-        members = len(self.members(self.methods[0])) if self.methods else 1
+        members = len(next(iter(self.trials.values()), [None]))
         return 1 + max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
 
-    def held_out(self, method: str) -> list[Fit]:
-        """Return the fits of a method whose median has the lowest held-out error."""
-        return self.given.get(method) or [c.fits[c.best] for c in self.members(method)]
-
-    def members(self, method: str) -> list[Candidate]:
+    def _members(self, method: str) -> list[Candidate]:
         """Return the candidates of a method whose median is handed out, the best one first.
 
         They are the n best ones, whatever their settings, where n gives the median with the lowest
@@ -206,14 +199,14 @@ class Search:
         training goes on from its weights on all samples; one as given begins again.
         """
         found: list[tuple[Job, float]] = []
-        for place, name in enumerate(self.methods):
-            if name in self.given:
-                method = next(f for f in self._given if f.name == name)
-                took = self.given[name][0].seconds / (1 - HELD_OUT_SHARE)
+        given = {method.name: method for method in self._given}
+        for place, (name, fits) in enumerate(self.trials.items()):
+            if name in given:
+                method, took = given[name], fits[0].seconds / (1 - HELD_OUT_SHARE)
                 jobs = [Job(method, self._plan.question(method), seed) for seed in self._seeds()]
                 found += [(job, took) for job in jobs]
                 continue
-            for number, candidate in enumerate(self.members(name)[: None if place == 0 else 1]):
+            for number, candidate in enumerate(self.members[name][: None if place == 0 else 1]):
                 network, last = candidate.final(), candidate.fits[candidate.best]
                 question = self._plan.question(network)
                 seed = self._plan.seed * MOST_MEMBERS + number

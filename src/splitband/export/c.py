@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from splitband.export.c_statements import Precision, Renderer
+from splitband.export.graph import Symbol
 from splitband.export.program import Program
-from splitband.runtime.graph import Symbol
 
 _BEGINS = {
     False: "Go on from the end of the training record.",

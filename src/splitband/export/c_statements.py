@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from splitband.export.graph import Block, Node, Symbol
 from splitband.export.program import size, used_by
-from splitband.runtime.graph import Block, Node, Symbol
 
 Precision = Literal["double", "float"]
 Index = Sequence[str | int]

@@ -19,7 +19,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 
 from splitband import __version__
-from splitband.data.names import unit_of
+from splitband.data.signals import unit_of
 from splitband.export.c import render
 from splitband.export.program import Program
 from splitband.simulators.fmu_variables import OPTIONAL

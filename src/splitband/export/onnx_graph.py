@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.export.c_statements import Precision
+from splitband.export.graph import Block, Node, Symbol
 from splitband.export.program import Program, size
-from splitband.runtime.graph import Block, Node, Symbol
 
 try:
     import onnx

@@ -11,12 +11,11 @@ import numpy as np
 
 from splitband.data import Record
 from splitband.data.preparation import seconds
+from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.stepping import program_of
 from splitband.runtime.arrays import Array
-from splitband.runtime.graph import Block, Node, Symbol
-from splitband.runtime.tracing import trace
-from splitband.runtime.trees import named_leaves
+from splitband.runtime.tracing import named_leaves
 
 
 @dataclass(frozen=True, eq=False)

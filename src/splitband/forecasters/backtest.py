@@ -15,7 +15,7 @@ import numpy as np
 
 from splitband.baselines.origins import origins
 from splitband.data import Record
-from splitband.data.gaps import first_after
+from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
@@ -130,7 +130,7 @@ class Fit:
 
     @property
     def from_start(self) -> Prediction:
-        """Return the forecast of the first origin, in a comparison that from the start."""
+        """Return the forecast of the first origin: in a comparison, from the start."""
         return next(iter(self.forecasts.values()))
 
     @property

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from splitband.baselines.delays import check_delays
 from splitband.data import Record, check_alike, require_records
-from splitband.data.gaps import last_before
+from splitband.data.signals import last_before
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut

@@ -23,7 +23,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.data import Record, require_records
-from splitband.data.gaps import first_after
+from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from splitband import networks
@@ -60,7 +61,7 @@ class Unbuilt:
     Attributes
     ----------
     label, words : Those of the cell.
-    build : Returns it.
+    build : Returns it; a function that can be sent to another process.
     """
 
     label: str
@@ -72,23 +73,34 @@ class Unbuilt:
         return self.build().sized(ny, nu, warmup)
 
 
-def _gru(hidden: int) -> Unbuilt:
-    return Unbuilt("gru", "GRU", lambda: networks.GRU(hidden))
+def _gru(hidden: int) -> Template:
+    return networks.GRU(hidden)
+
+
+def _euler_mlp(state_size: int, step_size: float) -> Template:
+    return networks.EulerMLP(1, state_size=state_size, step_size=step_size)
+
+
+def _state_space() -> Template:
+    return networks.StateSpace(4, 10)
 
 
 def _kinds(sizes: Sizes) -> list[Forecaster]:
     """Return one forecaster of each kind, the simple ones last."""
-    state, step = sizes.state_size, sizes.step_size
-    cells = (
-        _gru(sizes.hidden_high + sizes.hidden_low),
-        Unbuilt("rnn", "EulerMLP", lambda: networks.EulerMLP(1, state_size=state, step_size=step)),
-        Unbuilt("state-space", "state-space", lambda: networks.StateSpace(4, 10)),
+    low, high = sizes.hidden_low, sizes.hidden_high
+    alone, of_low, of_high = (
+        Unbuilt("gru", "GRU", partial(_gru, hidden)) for hidden in (high + low, low, high)
     )
-    bands = _gru(sizes.hidden_low), _gru(sizes.hidden_high)
+    step = partial(_euler_mlp, sizes.state_size, sizes.step_size)
+    cells = (
+        alone,
+        Unbuilt("rnn", "EulerMLP", step),
+        Unbuilt("state-space", "state-space", _state_space),
+    )
     return [
         *(Single(cell) for cell in cells),
-        Split(*bands),
-        Split(*bands, filter_output=True),
+        Split(of_low, of_high),
+        Split(of_low, of_high, filter_output=True),
         *(kind(None, cell) for kind in (Filtered, Residual) for cell in cells),
         Simulation(),
         Calibrated(terms=AFFINE),

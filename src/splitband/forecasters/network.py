@@ -19,7 +19,7 @@ from splitband import models, training
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
 from splitband.data import Record
-from splitband.data.gaps import first_after, last_before
+from splitband.data.signals import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training, cells_of
 from splitband.forecasters.fitted import FitReport

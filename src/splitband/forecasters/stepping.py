@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, require_records
-from splitband.data.gaps import last_before
 from splitband.data.preparation import Preparation, seconds
+from splitband.data.signals import last_before
 from splitband.forecasters.prediction import Known, known_at_origin, known_of, median, predicted
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array

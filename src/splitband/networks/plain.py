@@ -15,7 +15,6 @@ from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
 from splitband.runtime.arrays import Array
-from splitband.runtime.graph import Symbol
 from splitband.runtime.tracing import scan
 
 Dense = tuple[tuple[Array, Array], ...]
@@ -124,12 +123,14 @@ class TorchCell:
             return self.cell.observe(h)[0].double().cpu().numpy()
 
     def _tensor(self, x: Array) -> Tensor:
-        if isinstance(x, Symbol):
+        try:
+            values = np.array(x)
+        except TypeError:  # a symbol, as an export is made
             raise ValueError(
                 f"the cell {type(self.cell).__name__} cannot be exported, as it is Python code of "
                 "your own; GRU, EulerMLP and StateSpace can"
-            )
-        return torch.from_numpy(np.array(x)).to(self.like)[None]
+            ) from None
+        return torch.from_numpy(values).to(self.like)[None]
 
     def _inputs(self, u: Array) -> Tensor | None:
         return self._tensor(u) if self.cell.nu else None

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
+FARTHEST = -999.0
+"""Percent: a worse fit is shown as less than this."""
 _SMALLEST, _LARGEST = 1e-3, 1e5
 """Range of the numbers that are written without an exponent."""
 
@@ -25,6 +27,11 @@ def percent(share: float) -> str:
     """Return a share as a percentage."""
     digits = f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
     return f"{digits}\N{NO-BREAK SPACE}%"
+
+
+def tenths(value: float) -> str:
+    """Return a number with one decimal place; a fit in percent far below 0 as less than that."""
+    return f"{round(value, 1) + 0.0:.1f}" if value >= FARTHEST else f"< {FARTHEST:.0f}"
 
 
 def decimals(values: Sequence[float]) -> int:

@@ -1,10 +1,7 @@
-"""Draw pictures of comparisons and spectra; nothing else imports matplotlib."""
+"""Draw pictures of comparisons and predictions; nothing else imports matplotlib."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,17 +14,17 @@ from matplotlib.figure import Figure
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.filters.cutoff import LEAST_PASSED, Choice
-from splitband.filters.spectrum import Spectrum, coherence, periodogram
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import fit_percent, rmse
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import number, squared
-from splitband.report.table import FARTHEST, ordered
-from splitband.runtime.arrays import Array
+from splitband.report.numbers import number, tenths
+from splitband.report.predicted import Predicted, predicted
+from splitband.report.table import ordered
 from splitband.runtime.files import replacing
 
 MEASURED = "black"
+SMALL_ACROSS = 4
+"""Small panels in a row. By eye."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -36,102 +33,69 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", dpi=110)
 
 
-@dataclass(frozen=True, eq=False)
-class _Side:
-    """Hold what one panel shows.
-
-    Attributes
-    ----------
-    record : The measured record.
-    start : Index of the first predicted sample; 0 where no method predicts any.
-    what : The kind of prediction, in words.
-    predicted : Predictions up to the record's end, by method; some methods may have none.
-    """
-
-    record: Record
-    start: int
-    what: str
-    predicted: Mapping[str, Prediction]
-
-    @property
-    def first(self) -> int:
-        """Return the index of the first sample that is drawn: shortly before the prediction."""
-        return max(self.start - (len(self.record) - self.start) // 8, 0)
-
-
 def rollouts(comparison: Comparison) -> Figure:
     """Draw the recommended method's predictions large, and those of the others small below.
 
     Panels show the forecast, with its interval, and each test record; without both, a simulation.
     """
-    sides, names = _sides(comparison), ordered(comparison.trial, comparison.fits)
+    record = comparison.record
+    every = [each for each in predicted(comparison) if each.predictions]
+    shown = [each for each in every if each.protocol != "start"] or every
+    shown.sort(key=lambda each: each.protocol)  # the forecast first
+    names = ordered(comparison.trial, comparison.fits)
     best, *others = names
-    ny, across = comparison.record.ny, max(SMALL_ACROSS // comparison.record.ny, 1)
+    across = max(SMALL_ACROSS // record.ny, 1)
     below = -(-len(others) // across)
     across = -(-len(others) // below) if below else 0  # rows of the same length
-    large, small = 2.6 * ny * len(sides), 1.5 * below
+    large, small = 2.6 * record.ny * len(shown), 1.5 * below
     figure = Figure(figsize=(12, large + small + 1.2), layout="constrained")
-    parts = figure.subfigures(2 if below else 1, 1, squeeze=False,
+    parts = figure.subfigures(1 + bool(below), 1, squeeze=False,
                               height_ratios=[large, small][: 1 + bool(below)])[:, 0]  # fmt: skip
-    grid = parts[0].subplots(ny * len(sides), 1, squeeze=False)[:, 0]
-    for ax, (side, channel) in zip(grid, product(sides, range(ny)), strict=True):
-        _draw_large(ax, side, channel, best)
+    grid = parts[0].subplots(record.ny * len(shown), 1, squeeze=False)[:, 0]
+    for ax, (each, channel) in zip(grid, product(shown, range(record.ny)), strict=True):
+        _draw(ax, each, channel, best, PALETTE[0])
     if below:
-        grid = parts[1].subplots(below, across * ny, squeeze=False, sharex=True, sharey=ny == 1)
-        panels = [*product(others, range(ny))]
+        grid = parts[1].subplots(below, across * record.ny, squeeze=False, sharex=True)
+        panels = [*product(others, range(record.ny))]
         for ax, (name, channel) in zip(grid.flat, panels, strict=False):
-            color = PALETTE[names.index(name) % len(PALETTE)]
-            _draw_small(ax, sides[0], channel, name, color)
+            _draw(ax, shown[0], channel, name, PALETTE[names.index(name) % len(PALETTE)], True)
         for i, ax in enumerate(grid.flat[len(panels) :], start=len(panels)):
             ax.set_axis_off()
-            grid.flat[i - across * ny].tick_params(labelbottom=True)
-        parts[1].supxlabel(time_label(comparison.record), fontsize=7)
-        if ny == 1:
-            parts[1].supylabel(literal(comparison.record.columns[0]), fontsize=7)
-        parts[1].suptitle(f"Other methods, {sides[0].what}", fontsize=9)
+            grid.flat[i - across * record.ny].tick_params(labelbottom=True)
+        parts[1].suptitle(f"Other methods, {literal(shown[0].says)}", fontsize=9)
     said = "" if comparison.trial is None else "recommended: "
-    figure.suptitle(f"{literal(comparison.record.name)}; {said}{best}", fontsize=11)
+    figure.suptitle(f"{literal(record.name)}; {said}{best}", fontsize=11)
     return figure
 
 
-SMALL_ACROSS = 4
-"""Small panels in a row. By eye."""
-
-
-def _sides(comparison: Comparison) -> list[_Side]:
-    """Return the panels of the forecast and the test records, or else one of the simulation."""
-    record, medians, train = comparison.record, comparison.medians, comparison.plan.train
-    sides = []
-    if comparison.predictions:
-        sides.append(_Side(record, train, "forecast", comparison.predictions))
-    for i, test in enumerate(comparison.tests):
-        tested = {name: run.tests[i] for name, run in medians.items() if run.tests}
-        start = len(test) - max(map(len, tested.values()), default=len(test))
-        sides.append(_Side(test, start, f"test record {literal(test.name)}", tested))
-    simulated = {name: run.from_start for name, run in medians.items()}
-    start = len(record) - max(map(len, simulated.values()))
-    return sides or [_Side(record, start, "simulation", simulated)]
-
-
-def _draw_large(ax: Axes, side: _Side, channel: int, name: str) -> None:
-    record, times = side.record, times_of(side.record)
-    predicted = side.predicted.get(name)
-    title = f"{side.what}: not tested"
-    if predicted is not None:
-        y, at = predicted.y[:, channel], times[len(times) - len(predicted) :]
-        _draw_interval(ax, at, predicted, channel)
-        ax.plot(at, y, color=PALETTE[0], lw=3, label="predicted")  # wide, to show behind it
-        truth = record.truth[len(times) - len(y) :, channel]
-        fit, error = fit_percent(truth, y), rmse(truth, y)
-        unit = f" {record.units[channel]}".rstrip()
-        title = f"{side.what}: fit {fit:.1f} %, RMSE {number(error)}{unit}"
-    seen = record.seen[side.first :, channel]
-    ax.plot(times[side.first :], seen, color=MEASURED, lw=0.9, label="measured")
-    ax.axvline(times[side.start], color="0.4", ls=":", lw=1)
-    ax.set_ylim(*_limits(seen))
-    ax.margins(x=0.005)
-    ax.set_title(title, fontsize=10, loc="left")
-    ax.set_ylabel(literal(record.columns[channel]))
+def _draw(
+    ax: Axes, shown: Predicted, channel: int, name: str, color: str, small: bool = False
+) -> None:
+    """Draw what was measured of one channel, and what one method predicts."""
+    record, times = shown.record, times_of(shown.record)
+    unit, title = f" {record.units[channel]}".rstrip(), "not tested"
+    found = shown.predictions.get(name)
+    if found is not None:
+        y, truth = found.y[:, channel], shown.truth(found)[:, channel]
+        at = times[len(times) - len(y) :]
+        if not small:
+            _draw_interval(ax, at, found, channel)
+        ax.plot(at, y, color=color, lw=2 if small else 3, label="predicted")  # shows behind
+        title = f"fit {tenths(fit_percent(truth, y))} %"
+        title += "" if small else f", RMSE {number(rmse(truth, y))}{unit}"
+    seen = record.seen[shown.first :, channel]
+    ax.plot(times[shown.first :], seen, color=MEASURED, lw=0.6 if small else 0.9, label="measured")
+    low, high = float(np.nanmin(seen)), float(np.nanmax(seen))
+    margin = 0.25 * (high - low or 1.0)
+    ax.set_ylim(low - margin, high + margin)
+    ax.margins(x=0.01)
+    ax.set_ylabel(literal(record.columns[channel]), fontsize=6 if small else None)
+    if small:
+        ax.set_title(f"{name}\n{title}", fontsize=7, loc="left", pad=2)
+        ax.tick_params(labelsize=6)
+        return
+    ax.axvline(times[shown.begin], color="0.4", ls=":", lw=1)
+    ax.set_title(f"{literal(shown.says)}: {title}", fontsize=10, loc="left")
     ax.set_xlabel(time_label(record))
     ax.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
 
@@ -143,122 +107,21 @@ def _draw_interval(ax: Axes, at: npt.NDArray[Any], predicted: Prediction, channe
         ax.fill_between(at, *edges, color=PALETTE[0], alpha=0.18, lw=0, label=label)
 
 
-def _draw_small(ax: Axes, side: _Side, channel: int, name: str, color: str) -> None:
-    record, times, predicted = side.record, times_of(side.record), side.predicted.get(name)
-    seen, said = record.seen[side.first :, channel], "not tested"
-    if predicted is not None:
-        y = predicted.y[:, channel]
-        ax.plot(times[len(times) - len(y) :], y, color=color, lw=2)
-        fit = fit_percent(record.truth[len(times) - len(y) :, channel], y)
-        said = f"fit {round(fit) + 0} %" if fit > FARTHEST else f"fit < {FARTHEST:.0f} %"
-    ax.plot(times[side.first :], seen, color=MEASURED, lw=0.6)
-    ax.set_ylim(*_limits(seen))
-    ax.margins(x=0.01)
-    ax.set_title(f"{name}\n{said}", fontsize=7, loc="left", pad=2)
-    ax.tick_params(labelsize=6)
-    if record.ny > 1:
-        ax.set_ylabel(literal(record.columns[channel]), fontsize=6)
-
-
-def prediction(
-    predicted: Prediction, record: Record | None = None, method: str = "prediction"
-) -> Figure:
-    """Draw a prediction with its interval, after the end of a record if one is given."""
+def prediction(predicted: Prediction) -> Figure:
+    """Draw a prediction with its interval."""
     figure = Figure(figsize=(11, 0.8 + 2.2 * len(predicted.columns)), layout="constrained")
     grid = figure.subplots(len(predicted.columns), 1, sharex=True, squeeze=False)[:, 0]
-    ahead = _drawn(pd.Index(predicted.time))
-    title = f"{len(predicted)} samples ahead"
-    if record is not None:
-        time = times_of(record)
-        ahead = time[-1] + ahead if record.start is None else ahead
-        shown = max(len(record) - len(predicted), 0)
-        title = f"{literal(record.name)}: {title}"
+    time = _drawn(pd.Index(predicted.time))
     for i, (ax, column) in enumerate(zip(grid, predicted.columns, strict=True)):
-        if record is not None:
-            ax.plot(time[shown:], record.seen[shown:, i], color=MEASURED, lw=0.9, label="measured")
-        ax.plot(ahead, predicted.y[:, i], color=PALETTE[0], lw=1.2, label=literal(method))
-        _draw_interval(ax, ahead, predicted, i)
+        ax.plot(time, predicted.y[:, i], color=PALETTE[0], lw=1.2, label="prediction")
+        _draw_interval(ax, time, predicted, i)
         ax.set_ylabel(literal(column))
         ax.margins(x=0.01)
     grid[0].legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    grid[0].set_title(title, fontsize=10, loc="left")
+    grid[0].set_title(f"{len(predicted)} samples ahead", fontsize=10, loc="left")
     dates = isinstance(predicted.time, pd.DatetimeIndex)
     grid[-1].set_xlabel("time" if dates else "time (s)")
     return figure
-
-
-def spectrum(
-    record: Record,
-    measured_spectrum: Spectrum,
-    cutoff: float | None,
-    choice: Choice | None = None,
-) -> Figure:
-    """Draw the power spectral density of every channel with the cut-off marked.
-
-    With a simulator, also draw its spectrum and its coherence with the record; with a `choice`,
-    the loss at each candidate cut-off.
-    """
-    heights = [2.2, *[1] * (record.y_sim is not None), *[1] * (choice is not None)]
-    figure = Figure(figsize=(8, 2 + 2 * len(heights)), layout="constrained")
-    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    _draw_spectrum(axes[0], record, measured_spectrum)
-    if record.y_sim is not None:
-        simulated = periodogram(record.y_sim, record.sampling_rate)
-        frequencies, agreement = coherence(record.y, record.y_sim, record.sampling_rate)
-        for i, name in enumerate(record.columns):
-            label = f"simulator's {literal(name)}"
-            style = {"color": PALETTE[(2 + i) % len(PALETTE)], "lw": 1.2}
-            axes[0].loglog(
-                simulated.frequencies[1:], simulated.density[1:, i], "--", label=label, **style
-            )
-            axes[1].semilogx(frequencies[1:], agreement[1:, i], **style)
-        axes[1].set_ylim(0, 1.02)
-        axes[1].set_ylabel("coherence")
-        axes[1].grid(True, which="both", color="0.93", lw=0.6)
-    if cutoff is not None:
-        said = f"cut-off {cutoff:.4g} Hz"
-        for ax in axes:
-            first = ax is axes[0]
-            ax.axvline(cutoff, color="#D55E00", ls="--", lw=1.2, label=said if first else None)
-    if choice is not None:
-        _draw_choice(axes[-1], choice)
-    figure.suptitle(f"{literal(record.name)}: spectrum", fontsize=10)
-    axes[0].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False)
-    axes[-1].set_xlabel("frequency (Hz)")
-    axes[-1].xaxis.set_major_formatter("{x:g}")
-    return figure
-
-
-def _draw_choice(ax: Axes, choice: Choice) -> None:
-    """Draw the loss of each candidate cut-off, and mark those whose low band holds too little."""
-    for order in sorted({c.order for c in choice.candidates}):
-        of_order = [c for c in choice.candidates if c.order == order]
-        enough = [c.passed >= LEAST_PASSED or choice.simulator_helps is True for c in of_order]
-        color = PALETTE[order % len(PALETTE)]
-        x, loss = [c.cutoff for c in of_order], [c.loss for c in of_order]
-        ax.semilogx(x, loss, "o-", ms=3, lw=0.8, color=color, label=f"order {order}")
-        few = [(c.cutoff, c.loss) for c, ok in zip(of_order, enough, strict=True) if not ok]
-        if few:
-            label = "little in the low band" if order == choice.order else None
-            ax.semilogx(*zip(*few, strict=True), "x", color="0.4", ms=5, label=label)
-    best = next(c for c in choice.candidates if not c.rejected)
-    ax.semilogx([best.cutoff], [best.loss], "D", color="#D55E00", ms=6, label="chosen")
-    ax.set_ylim(bottom=0)
-    ax.set_ylabel(textwrap.fill(choice.loss, 24), fontsize=8)
-    ax.grid(True, which="both", color="0.93", lw=0.6)
-    ax.legend(fontsize=8, loc="best")
-
-
-def _draw_spectrum(ax: Axes, record: Record, spectrum: Spectrum) -> None:
-    for name, density in zip(record.columns, spectrum.density.T, strict=True):
-        ax.loglog(
-            spectrum.frequencies[1:], np.maximum(density[1:], 1e-300), lw=1, label=literal(name)
-        )
-    top = spectrum.density[1:].max()
-    if top > 0:
-        ax.set_ylim(max(spectrum.density[1:].min(), top * 1e-9), top * 3)
-    ax.set_ylabel(f"power spectral density ({squared(record)}/Hz)")
-    ax.grid(True, which="both", color="0.93", lw=0.6)
 
 
 def literal(name: str) -> str:
@@ -281,9 +144,3 @@ def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
 def time_label(record: Record) -> str:
     """Return the label of the time axis."""
     return "time" if isinstance(record.start, pd.Timestamp) else "time (s)"
-
-
-def _limits(y: Array) -> tuple[float, float]:
-    low, high = float(np.nanmin(y)), float(np.nanmax(y))
-    margin = 0.25 * (high - low or 1.0)
-    return low - margin, high + margin

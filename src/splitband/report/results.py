@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,16 +17,17 @@ from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.run import Standing
+from splitband.evaluation.run import Run
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.prediction import time_header
 from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.table import columns, tried
-from splitband.runtime.arrays import Array
+from splitband.report.predicted import Predicted, predicted
+from splitband.report.table import Table, columns, tried
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
 from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
@@ -49,12 +49,11 @@ def save(
     """
     with staged(folder) as new:
         began = now()
-        tables = {"predictions.csv": predictions(comparison)}
-        for i in range(len(comparison.tests)):
-            tables[TEST_PREDICTIONS.format(i + 1)] = predictions_of_test(comparison, i)
-        for name, table in tables.items():
+        every, tests = predicted(comparison), len(comparison.tests)
+        tables = {TEST_PREDICTIONS.format(i + 1): [every[i]] for i in range(tests)}
+        for name, shown in {**tables, "predictions.csv": every[tests:]}.items():
             with replacing(new / name) as temporary:
-                table.to_csv(temporary, index=False)
+                samples(shown, comparison.recommended).to_csv(temporary, index=False)
         page = _page()
         page.of_comparison(comparison, new / PAGE, usage)
         comparison.model.save(new / MODEL_FOLDER)
@@ -65,25 +64,27 @@ def save(
 
 def _page() -> ModuleType:
     """Import the module that makes pages, only here: its libraries load slowly."""
-    return import_module("splitband.report.page.document")
+    from splitband.report.page import document  # noqa: PLC0415
+
+    return document
 
 
-def save_standing(standing: Standing, folder: Path, facts: dict[str, Any]) -> None:
+def save_unfinished(state: Run, folder: Path, facts: dict[str, Any]) -> None:
     """Write the best model so far in place of an earlier result; on an error nothing.
 
     results.json says that the comparison is `unfinished`, and the held-out errors so far.
     """
-    trial, record = standing.trial, standing.plan.record
+    trial, record = state.trial, state.plan.record
     with staged(folder) as new:
         part = "the training part"
-        part = part if trial.recommended in standing.final else f"three quarters of {part}"
-        marked = {"unfinished": standing.doing, "trained_on": part}
-        saving.save(standing.model, new / MODEL_FOLDER, marked)
+        part = part if trial.recommended in state.finals else f"three quarters of {part}"
+        marked = {"unfinished": state.doing, "trained_on": part}
+        saving.save(state.model, new / MODEL_FOLDER, marked)
         said = {
-            "unfinished": standing.doing,
+            "unfinished": state.doing,
             "recommended": trial.recommended,
             "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
-            "time": standing.clock.as_json(),
+            "time": state.clock.as_json(),
             "environment": environment(),
         }
         write_facts(new, facts | said)
@@ -123,7 +124,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
                 "score": trial.worth(name),
                 "held_out_rmse": math.hypot(*trial.errors[name]),
                 "interval": _interval(comparison, name),
-                "median_of_seeds": _median(comparison, name),
+                "median_of_seeds": _errors(comparison, comparison.medians[name]),
             }
             for name in comparison.fits
         }
@@ -132,41 +133,26 @@ def results(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def predictions(comparison: Comparison) -> pd.DataFrame:
-    """Return the record and the predictions, a row for each sample.
+def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
+    """Return a record and the predictions of its last samples, a row for each sample.
 
     There is a column for each channel, and one for each channel, method and protocol: the median
     over seeds, empty before the prediction begins. The interval of the recommended method's
     forecast has columns, too.
     """
-    sides: dict[str, Array] = {}
-    for name, run in comparison.medians.items():
-        sides[f"{name}, from start"] = run.from_start.y
-        forecast = comparison.predictions.get(name)
-        sides |= {} if forecast is None else {f"{name}, forecast": forecast.y}
-        if name == comparison.recommended and forecast is not None:
-            assert forecast.lower is not None
-            assert forecast.upper is not None
-            sides |= {f"{name}, lower": forecast.lower, f"{name}, upper": forecast.upper}
-    return _beside(comparison.record, sides)
-
-
-def predictions_of_test(comparison: Comparison, number: int) -> pd.DataFrame:
-    """Return a test record and its simulations, as `predictions` does."""
-    medians = {name: run for name, run in comparison.medians.items() if run.tests}
-    sides = {f"{name}, from start": run.tests[number].y for name, run in medians.items()}
-    return _beside(comparison.tests[number], sides)
-
-
-def _beside(record: Record, predicted: Mapping[str, Array]) -> pd.DataFrame:
-    """Return a table of a record and of predictions of its last samples, by name."""
+    record = every[0].record
     table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
         table[column] = record.seen[:, i]
-        for name, y in predicted.items():
-            values = np.full(len(record), np.nan)
-            values[len(record) - len(y) :] = y[:, i]
-            table[f"{column}, {name}"] = values
+        for each in every:
+            what = "forecast" if each.protocol == "forecast" else "from start"
+            for name, p in each.predictions.items():
+                edges = {"lower": p.lower, "upper": p.upper} if name == recommended else {}
+                for said, y in ({what: p.y} | edges).items():
+                    if y is not None:
+                        values = np.full(len(record), np.nan)
+                        values[len(record) - len(y) :] = y[:, i]
+                        table[f"{column}, {name}, {said}"] = values
     return pd.DataFrame(table)
 
 
@@ -185,8 +171,19 @@ def save_check(
             for column, row in zip(responses.columns, responses.y[-1], strict=True)
         }
     with staged(folder) as new:
-        page.of_check(check, new / PAGE, kind, responses, usage)
+        page.write(page.pages.of_check(check, kind, responses, usage), new / PAGE)
         write_facts(new, facts | {"environment": environment()})
+
+
+def save_spectrum(
+    record: Record, bands: Bands, tables: Sequence[Table], facts: dict[str, Any], folder: Path,
+    usage: Usage,
+) -> None:  # fmt: skip
+    """Write results.json, of these facts, and the page of a spectrum in place of earlier ones."""
+    page = _page()
+    with staged(folder) as new:
+        page.write(page.pages.of_spectrum(record, bands, tables, facts, usage), new / PAGE)
+        write_facts(new, facts)
 
 
 def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) -> None:
@@ -250,9 +247,8 @@ def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     }
 
 
-def _median(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Return the errors of the median over seeds, which is the method's prediction."""
-    fit = comparison.medians[name]
+def _errors(comparison: Comparison, fit: Fit) -> dict[str, Any]:
+    """Return the errors of a fit over all channels, by protocol."""
     errors = comparison.errors(fit)
     facts: dict[str, Any] = {"total_rmse": errors.total}
     facts |= {} if fit.forecast is None else {"forecast_rmse": errors.forecast}
@@ -261,12 +257,10 @@ def _median(comparison: Comparison, name: str) -> dict[str, Any]:
 
 def _method(comparison: Comparison, name: str) -> dict[str, Any]:
     fits: Sequence[Fit] = comparison.fits[name]
-    first, errors = fits[0], [comparison.errors(fit) for fit in fits]
+    first, errors = fits[0], [_errors(comparison, fit) for fit in fits]
     facts: dict[str, Any] = {
         "seeds": [fit.seed for fit in fits],
-        "total_rmse": [each.total for each in errors],
-        **({} if first.forecast is None else {"forecast_rmse": [e.forecast for e in errors]}),
-        **({"test_rmse": [[*each.tests] for each in errors]} if first.tests else {}),
+        **{key: [each[key] for each in errors] for key in errors[0]},
         "seconds": [fit.report.seconds for fit in fits],
     }
     for error in ("total_rmse", "forecast_rmse"):

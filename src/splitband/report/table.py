@@ -1,33 +1,42 @@
-"""Make the table of a comparison: one list of columns that every renderer shows.
+"""Make tables: one list of columns, whatever shows it.
 
-The command line, the page, results.json and `Comparison.table` all read it, so that they agree.
+rich draws a table in terminals and as text, a template draws it in pages and notebooks; JSON and
+data frames hold its numbers.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
+from io import StringIO
 from typing import Any, Literal
 
 import pandas as pd
+import rich.table
+from rich.box import HEAVY_HEAD, Box
+from rich.console import Console
+from rich.measure import Measurement
+from rich.text import Text
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.recommendation import LEVEL, WORTH_TRAINING, Trial
-from splitband.forecasters.backtest import Fit
-from splitband.forecasters.prediction import Prediction
+from splitband.evaluation.search import Attempt
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
-from splitband.report.numbers import aligned, decimals, number, percent
+from splitband.report.numbers import aligned, decimals, number, percent, tenths
+from splitband.report.predicted import Predicted, predicted
 from splitband.runtime.arrays import Array
 
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
-FARTHEST = -999.0
-"""Percent: a worse fit is shown as less than this."""
-
+OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
+"""Units of numbers that are over all outputs of a comparison."""
 NOTES = {
     "test fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the simulation of this test "
     "record: 100 is perfect, 0 is as good as the mean of the record",
@@ -50,18 +59,26 @@ NOTES = {
 terminal leaves out the last ones."""
 
 
+_HEADINGS = {
+    "test": ("test fit %", "test RMSE"),
+    "forecast": ("forecast fit %", "forecast RMSE"),
+    "start": ("fit % from the start", "RMSE from the start"),
+}
+"""Headings of fit and RMSE, by protocol."""
+
+
 @dataclass(frozen=True)
 class Column:
-    """Hold a column: a number for each method, of one channel or of all.
+    """Hold a column: a number for each row, of one channel or of all.
 
     Attributes
     ----------
     heading : What it is called.
     unit : Unit of its numbers.
-    values : Numbers by method; a method that has none is missing.
+    values : Numbers by row, such as methods; a row that has none is missing.
     channel : The channel; empty if the number is over all channels, or the record has only one.
     record : Name of the test record; empty for the record of the comparison.
-    spreads : Standard deviation over the seeds, by method, if there are several.
+    spreads : Standard deviation over the seeds, by row, if there are several.
     ranked : Whether the lowest number (of percents, the highest) is the best one.
     measure : The unit of the output, as given in its name, such as "m".
     """
@@ -83,8 +100,8 @@ class Column:
 
     @property
     def note(self) -> str:
-        """Return the explanation of the heading."""
-        return NOTES[self.heading]
+        """Return the explanation of the heading; empty if it needs none."""
+        return NOTES.get(self.heading, "")
 
     @property
     def label(self) -> str:
@@ -94,25 +111,23 @@ class Column:
 
     @property
     def best(self) -> str:
-        """Return the best method; empty if the column is not ranked."""
+        """Return the best row; empty if the column is not ranked."""
         known = {name: value for name, value in self.values.items() if value == value}  # noqa: PLR0124
         if not (known and self.ranked):
             return ""
         return (max if self.unit == "percent" else min)(known, key=lambda name: known[name])
 
-    def entry(self, method: str) -> str:
-        """Return the text of a method's cell, with the spread of its seeds."""
-        value = self.values.get(method)
+    def entry(self, row: str) -> str:
+        """Return the text of a cell, with the spread of its seeds."""
+        value = self.values.get(row)
         if value is None or value != value:  # noqa: PLR0124  NaN
             return number(None)
         if self.unit == "share":
             return percent(value)
-        if self.unit == "percent" and value < FARTHEST:
-            return f"< {FARTHEST:.0f}"
         if self.unit in ("percent", "seconds"):
-            return f"{round(value, 1) + 0.0:.1f}"
+            return tenths(value)
         text = aligned(value, self._decimals)
-        spread = self.spreads.get(method)
+        spread = self.spreads.get(row)
         return text if spread is None else f"{text} ± {aligned(spread, self._decimals)}"
 
     @property
@@ -133,26 +148,175 @@ class Column:
         }
 
 
+@dataclass(frozen=True)
+class Table:
+    """Hold a table: columns, and the rows in order.
+
+    Attributes
+    ----------
+    title : What it shows.
+    columns : The most important first; a narrow terminal leaves out the last ones.
+    rows : Remarks on each row, by its name; they may be empty.
+    head : What the rows are.
+    recommended : The row that stands out.
+    minor : Rows that a page folds away at first.
+    """
+
+    title: str
+    columns: Sequence[Column]
+    rows: Mapping[str, str]
+    head: str = "method"
+    recommended: str = ""
+    minor: frozenset[str] = frozenset()
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """Return what each heading means."""
+        return {column.heading: column.note for column in self.columns if column.note}
+
+    def fitting(
+        self, width: int, box: Box | None = HEAVY_HEAD
+    ) -> tuple[rich.table.Table, list[str]]:
+        """Return the table for a terminal, and the headings of columns that were left out.
+
+        The best number of each column is bold. With several outputs, a row has a line for each.
+        """
+        of_heading: dict[tuple[str, str], dict[str, Column]] = {}
+        for column in self.columns:
+            of_heading.setdefault((column.heading, column.record), {})[column.channel] = column
+        shown, left_out = [*of_heading.values()], list[str]()
+        wide = _console(10_000)
+        drawn = self._drawn(shown, box)
+        while len(shown) > 1 and Measurement.get(wide, wide.options, drawn).maximum > width:
+            left_out += dict.fromkeys(column.heading for column in shown.pop().values())
+            drawn = self._drawn(shown, box)
+        return drawn, [*dict.fromkeys(left_out[::-1])]
+
+    def _drawn(self, shown: Sequence[Mapping[str, Column]], box: Box | None) -> rich.table.Table:
+        """Return the table of the columns of some headings, by channel."""
+        several = any(column.channel for column in self.columns)
+        table = rich.table.Table(
+            title=self.title or None, title_justify="left", title_style="bold", box=box,
+            padding=(0, 1 if box else 2, 0, 1 if box else 0),
+        )  # fmt: skip
+        table.add_column(self.head, no_wrap=True)
+        if several:
+            table.add_column("output", no_wrap=True)
+        for of_channel in shown:
+            first, *_ = of_channel.values()
+            heading = f"{first.heading} {first.record}".strip() if several else first.label
+            entries = [c.entry(name) for c in of_channel.values() for name in self.rows]
+            # A number in two lines would be taken for two outputs.
+            header = textwrap.fill(heading, max(9, *map(len, entries)), break_long_words=False)
+            table.add_column(header, justify="right", no_wrap=True)
+        for name in self.rows:
+            channels, best = self._channels(name), name == self.recommended
+            mark = ("* " if best else "  ") if self.recommended else ""
+            for i, channel in enumerate(channels):
+                head = Text("" if i else f"{mark}{name}", "bold" if best else "")
+                cells = [Text(channel)] if several else []
+                cells += [_cell(of_channel, name, channel, i == 0) for of_channel in shown]
+                table.add_row(head, *cells, end_section=several and channel == channels[-1])
+        return table
+
+    def _channels(self, name: str) -> list[str]:
+        """Return the channels that a row has numbers of; a single one has no name."""
+        found = dict.fromkeys(c.channel for c in self.columns if c.channel and name in c.values)
+        return [*found] or [""]
+
+    def as_text(self, width: int = 100) -> str:
+        """Return the table as text, with as many columns as fit into `width` characters.
+
+        It has no lines, which not every encoding of a file can hold.
+        """
+        console = _console(width)
+        with console.capture() as captured:
+            console.print(self.fitting(width, None)[0])
+        lines = [line.rstrip() for line in captured.get().splitlines()]
+        return "\n".join(lines + [f"{name}: {words}" for name, words in self.rows.items() if words])
+
+
+def _console(width: int) -> Console:
+    """Return a console that writes plain text; brackets in names are text."""
+    return Console(file=StringIO(), width=width, color_system=None, markup=False, emoji=False)
+
+
+def _cell(of_channel: Mapping[str, Column], name: str, channel: str, first: bool) -> Text:
+    """Return the number of a row's channel; one over all channels stands in the first line."""
+    column = of_channel.get(channel) or (of_channel.get("") if first else None)
+    if column is None:
+        return Text(number(None) if channel == "" else "")
+    return Text(column.entry(name), "bold" if column.best == name else "")
+
+
+def of_comparison(comparison: Comparison) -> Table:
+    """Return the table of a comparison: a row for each method, the recommended one first."""
+    record, train, trial = comparison.record, comparison.plan.train, comparison.trial
+    truth = "the noise-free signal" if record.y_true is not None else "what was measured"
+    title = (
+        f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to train "
+        f"on, {len(record) - train:,} after them; the best of each column is bold"
+    )
+    said = {
+        name: "; ".join(filter(None, [in_words(name, comparison.methods), note]))
+        for name, note in remarks(comparison).items()
+    }
+    return _ranked(Table(title, columns(comparison), said), trial)
+
+
+def of_trial(trial: Trial, record: Record, title: str = "") -> Table:
+    """Return the table of a trial: a row for each method, the recommended one first."""
+    said = {name: in_words(name) for name in ordered(trial, trial.errors)} | trial.without_result
+    title = title or f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
+    return _ranked(Table(title, tried(trial, record, [*trial.errors]), said), trial)
+
+
+def _ranked(table: Table, trial: Trial | None) -> Table:
+    """Return the table with the recommended method marked, and simple ones folded away.
+
+    Of the baselines, a recommended one and the best of the others stay: these are the reference.
+    """
+    if trial is None:
+        return table
+    best = trial.recommended
+    others = trial.trained | trial.failed.keys() | {best}
+    simple = [name for name in table.rows if name not in others]
+    return replace(table, recommended=best, minor=frozenset(simple[1:]))
+
+
+def of_attempts(attempts: Sequence[Attempt]) -> Table:
+    """Return the table of the search for how to train networks."""
+    names = [f"{i}. {each.method}, seed {each.seed}" for i, each in enumerate(attempts, 1)]
+    of = dict(zip(names, attempts, strict=True))
+    scores = {name: each.score for name, each in of.items() if each.score is not None}
+    listed = [
+        Column("round", "count", {n: float(each.round) for n, each in of.items()}, ranked=False),
+        Column("held-out score", "deviation", scores),
+    ]
+    title = (
+        "What was tried, in that order; the score is the RMSE on held-out samples, in standard "
+        "deviations of each output"
+    )
+    said = {name: each.training for name, each in of.items()}
+    return Table(title, listed, said, "training", listed[1].best)
+
+
 def columns(comparison: Comparison) -> list[Column]:
     """Return the columns of a comparison: fit and error first, then supporting numbers.
 
     Errors are of the median of the seeds' predictions, which is the method's prediction, for each
     output separately. Their spread is the standard deviation of the single seeds' errors.
     """
-    runs, record, ahead = comparison.fits, comparison.record, bool(comparison.predictions)
+    runs, record, trial = comparison.fits, comparison.record, comparison.trial
     found: list[Column] = []
-    for i, test in enumerate(comparison.tests):
-        tested = _errors(comparison, ("test fit %", "test RMSE"), test, of_test(i))
-        found += [replace(column, record=test.name or str(i + 1)) for column in tested]
-    if ahead:
-        headings = "forecast fit %", "forecast RMSE"
-        found += _errors(comparison, headings, record, lambda run: run.forecast)
-    found += [] if comparison.trial is None else tried(comparison.trial, record, [*runs])
-    headings = "fit % from the start", "RMSE from the start"
-    found += _errors(comparison, headings, record, lambda run: run.from_start)
-    if ahead and comparison.trial is not None:
-        held = {name: comparison.coverages(name) for name in runs}
-        found += _by_channel("in interval", held, record, "share")
+    for i, shown in enumerate(predicted(comparison)):
+        tested = (shown.record.name or str(i + 1)) if shown.protocol == "test" else ""
+        found += [replace(column, record=tested) for column in _errors(shown)]
+    if trial is not None:
+        found += tried(trial, record, [*runs])
+        if comparison.predictions:
+            held = {name: comparison.coverages(name) for name in runs}
+            found += _by_channel("in interval", held, record, "share")
     if any(len(of_method) > 1 for of_method in runs.values()):
         counts = {name: float(len(of_method)) for name, of_method in runs.items()}
         found.append(Column("trainings", "count", counts, ranked=False))
@@ -195,6 +359,12 @@ def leaving_range(comparison: Comparison, name: str) -> str:
     return "" if left is None else leaving(left)
 
 
+def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
+    """Return the description of a method; empty for a method of the user that has none."""
+    method = methods.get(name, NAMES.get(name))
+    return "" if method is None else method.in_words()
+
+
 def frame(result: Comparison) -> pd.DataFrame:
     """Return a row for each method, see `Comparison.table`."""
     notes = remarks(result)
@@ -209,67 +379,36 @@ def frame(result: Comparison) -> pd.DataFrame:
     return pd.DataFrame(table, index=[*notes]).rename_axis("method")
 
 
-def as_text(comparison: Comparison, width: int = 100) -> str:
-    """Return the table with as many columns as fit into `width` characters, fit % first."""
-    listed, rows = columns(comparison), remarks(comparison)
-    best = "" if comparison.trial is None else comparison.recommended
-    names = [f"{'*' if name == best else ' '} {name}" for name in rows]
-    table = pd.DataFrame(
-        {column.label: [column.entry(name) for name in rows] for column in listed},
-        index=pd.Index(names, name="  method"),
-    ).reset_index()
-    text = table.to_string(index=False)
-    while len(text.partition("\n")[0]) > width and len(table.columns) > 2:
-        table = table.iloc[:, :-1]
-        text = table.to_string(index=False)
+def as_text(comparison: Comparison) -> str:
+    """Return the table with as many columns as fit into 100 characters, fit % first."""
+    table = replace(of_comparison(comparison), title="")
     missing = {} if comparison.trial is None else comparison.trial.without_result
-    said = [f"\n{name}: {why}" for name, why in missing.items()]
-    return f"{comparison!r}\n\n{text}{''.join(said)}"
+    short = replace(table, rows={name: missing.get(name, "") for name in table.rows})
+    return f"{comparison!r}\n\n{short.as_text()}"
 
 
 def as_html(comparison: Comparison) -> str:
     """Return the table as HTML without style, the recommended method first, for notebooks."""
-    listed, rows = columns(comparison), remarks(comparison)
-    heads = "".join(f"<th>{escape(column.label)}</th>" for column in listed)
-    body = []
-    for name in rows:
-        cells = "".join(
-            f"<td>{'<b>' * best}{escape(column.entry(name))}{'</b>' * best}</td>"
-            for column in listed
-            for best in [column.best == name]
-        )
-        body.append(f"<tr><th>{escape(name)}</th>{cells}</tr>")
-    table = f"<table><thead><tr><th>method</th>{heads}</tr></thead><tbody>{''.join(body)}</tbody>"
-    return f"<p>{escape(repr(comparison))}</p>{table}</table>"
+    from splitband.report.page.rendering import macros  # noqa: PLC0415  Jinja, where it is shown
+
+    said = f"<p>{escape(repr(comparison))}</p>"
+    return said + str(macros().table(replace(of_comparison(comparison), title=""), "comparison"))
 
 
-def _errors(
-    comparison: Comparison,
-    headings: tuple[str, str],
-    record: Record,
-    predicted: Callable[[Fit], Prediction | None],
-) -> list[Column]:
-    """Return the columns of fit and RMSE on a record, of each method's median over seeds."""
+def _errors(shown: Predicted) -> list[Column]:
+    """Return the columns of fit and RMSE, of each method's median over seeds."""
     fits, errors, spreads = {}, {}, {}
-    for name, runs in comparison.fits.items():
-        median = predicted(comparison.medians[name])
-        if median is None:
-            continue
-        truth = record.truth[len(record) - len(median) :]
+    for name, median in shown.predictions.items():
+        truth = shown.truth(median)
         fits[name], errors[name] = fit_percent(truth, median.y), channel_rmse(truth, median.y)
-        each = [channel_rmse(truth, p.y) for run in runs if (p := predicted(run)) is not None]
+        each = [channel_rmse(truth, one.y) for one in shown.trainings[name]]
         if len(each) > 1:
             spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]
-    fit, error = headings
+    fit, error = _HEADINGS[shown.protocol]
     return [
-        *_by_channel(fit, fits, record, "percent"),
-        *_by_channel(error, errors, record, "record", spreads),
+        *_by_channel(fit, fits, shown.record, "percent"),
+        *_by_channel(error, errors, shown.record, "record", spreads),
     ]
-
-
-def of_test(i: int) -> Callable[[Fit], Prediction | None]:
-    """Return a function that gives a run's prediction of the i-th test record, or None."""
-    return lambda run: run.tests[i] if run.tests else None
 
 
 def _by_channel(

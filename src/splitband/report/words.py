@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
+from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import NAMES
-from splitband.metrics import Extrapolation
+from splitband.forecasters.bands import Bands
+from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
-from splitband.report.table import Column, columns, leaving_range
+from splitband.report.table import columns, leaving_range
 
 POOR = 0.15
 """Largest shortfall of an interval's coverage that causes no warning. By eye."""
 FEW = 20
 """Least number of held-out samples that causes no warning. By eye."""
-
-
-def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
-    """Return the description of a method; empty for a method of the user that has none."""
-    method = methods.get(name, NAMES.get(name))
-    return "" if method is None else method.in_words()
 
 
 def named(name: str, kind: str) -> str:
@@ -43,16 +38,11 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
 
 
-def achieved(comparison: Comparison) -> list[str]:
-    """Return the fit and the error of the recommended method, a line for each output and record.
-
-    That is on the test records, or else on the samples after the training part.
-    """
-    return [f"{name}: {', '.join(said)}" for name, said in headline(comparison)]
-
-
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return the same as pairs: the predicted output and record, and the numbers."""
+    """Return each predicted output and record, with fit and error of the recommended method.
+
+    These are the test records, or else the samples after the training part.
+    """
     best = comparison.recommended
     listed = [column for column in columns(comparison) if best in column.values]
     side = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
@@ -117,23 +107,6 @@ def afterwards(comparison: Comparison) -> list[str]:
     return [f"In hindsight, a better fit: {said}."]
 
 
-def _listed(found: Sequence[Column], method: str) -> str:
-    """Return a method's entries, each with its channel."""
-    return " and ".join(
-        column.entry(method) + (f" ({column.channel})" if column.channel else "")
-        for column in found
-    )
-
-
-def doubts(comparison: Comparison) -> list[str]:
-    """Return the methods' own warnings about their forecasts, each once."""
-    said: dict[str, list[str]] = {}
-    for name, run in comparison.medians.items():
-        for doubt in () if run.forecast is None else run.forecast.doubts:
-            said.setdefault(doubt, []).append(name)
-    return [f"{', '.join(names)}: {doubt}" for doubt, names in said.items()]
-
-
 def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers."""
     best, record = comparison.recommended, comparison.record
@@ -145,13 +118,22 @@ def warnings(comparison: Comparison) -> list[str]:
             f"The method was chosen by {held_out} held-out samples, which are too few to tell "
             "methods apart: a longer record may lead to another choice."
         )
-    said += [*of_inputs(comparison.inputs_beyond_training, record), *doubts(comparison)]
+    said += of_inputs(comparison.inputs_beyond_training, record)
+    doubts: dict[str, list[str]] = {}
+    for name, p in comparison.predictions.items():
+        for doubt in p.doubts:
+            doubts.setdefault(doubt, []).append(name)
+    said += [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()]
     share = comparison.require_trial().intervals[best].share
     held = [c for c in columns(comparison) if c.heading == "in interval"]
-    missed = [c for c in held if c.values[best] < share - POOR]
+    missed = [
+        c.entry(best) + (f" ({c.channel})" if c.channel else "")
+        for c in held
+        if c.values[best] < share - POOR
+    ]
     if missed:
         said.append(
-            f"The {percent(share)} interval of {best} held only {_listed(missed, best)} of the "
+            f"The {percent(share)} interval of {best} held only {' and '.join(missed)} of the "
             "samples after the training part. Either the system has changed, or the training part "
             "does not show how errors grow."
         )
@@ -168,6 +150,27 @@ def warnings(comparison: Comparison) -> list[str]:
             "or need a simulator of the test record (--test-simulator)."
         )
     return said
+
+
+def of_forecast(result: Forecast) -> list[str]:
+    """Return what readers should know before they rely on a forecast."""
+    said = [f"{result.method}: {leaving(result.leaves)}"] if result.leaves is not None else []
+    said += of_inputs(result.inputs_beyond_training, result.record)
+    return [*said, *result.prediction.warnings]
+
+
+def of_bands(bands: Bands, training: Record) -> str:
+    """Return how models of two bands split a signal, and why; empty where none was asked for."""
+    if bands.cutoff is None:
+        return ""
+    below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
+    choice = bands.choice
+    reason = choice.reason if choice else f"{percent(below)} of the power lies below that"
+    return (
+        f"Models of two bands split the signal at {number(bands.cutoff)} Hz, with filters of "
+        f"order {bands.order}; the low band keeps one of {bands.downsampling} samples. "
+        f"{sentence(reason)}"
+    )
 
 
 def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:

@@ -7,19 +7,15 @@ import json
 import os
 import re
 import shutil
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from splitband.runtime.files import output_folder, write_json
+from filelock import BaseFileLock, FileLock, Timeout
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
+from splitband.runtime.files import output_folder, write_json
 
 FACTS = "results.json"
 """File that describes a result and lists its files; it is written last, so all of them exist."""
@@ -114,71 +110,51 @@ def _replace(folder: Path, new: Path) -> None:
 def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
     """Create a folder and lock it for this command; remove a new folder that stays empty.
 
-    The operating system releases the lock however the process ends. Systems without file locks
-    (Windows, some network file systems) have no protection.
+    The operating system releases the lock however the process ends. Where a file system has no
+    locks, there is no protection.
 
     Raises ValueError, naming `argument`, if the folder cannot be written or is in use.
     """
     folder = Path(folder)
     # Unlike pathlib's, this call raises no errors, not even for names that are too long.
     created = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
-    handle = None
+    lock = FileLock(folder / LOCK)
     try:
         output_folder(folder, argument)
-        handle = _locked_file(folder, argument)
+        _lock(lock, folder, argument)
         yield
     finally:
-        if handle is not None:
+        if lock.is_locked:
+            lock.release()
             (folder / LOCK).unlink(missing_ok=True)
-            os.close(handle)
         with contextlib.suppress(OSError):  # it holds results
             for path in created:
                 path.rmdir()
 
 
-def _locked_file(folder: Path, argument: str) -> int | None:
-    """Return the descriptor of the locked file; None if the system cannot lock it.
+def _lock(lock: BaseFileLock, folder: Path, argument: str) -> None:
+    """Lock a folder, and write into the lock who has it.
 
-    Only a file that this call has made is written to: what lies there under its name may be a link.
+    Only a file that this call has made is written to: what lies there may be another one's.
     """
-    path = folder / LOCK
-    while fcntl is not None:
-        handle, created = _opened(path, argument)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            owner = os.read(handle, 200).decode(errors="replace")
-            os.close(handle)
+    path, new = folder / LOCK, not os.path.lexists(folder / LOCK)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        owner = ""
+        with contextlib.suppress(OSError):
+            owner = path.read_text(encoding="utf-8", errors="replace")[:200]
+        raise ValueError(
+            f"{argument}: {folder} is in use by another splitband command"
+            f"{f' ({owner})' if owner else ''}; wait for it or choose another folder"
+        ) from None
+    except (OSError, NotImplementedError):  # there are no locks here
+        if path.is_symlink() or path.is_dir():
             raise ValueError(
-                f"{argument}: {folder} is in use by another splitband command"
-                f"{f' ({owner})' if owner else ''}; wait for it or choose another folder"
+                f"{argument} must not hold a link or a folder named {path.name}, got {path}; "
+                "remove it"
             ) from None
-        except OSError:
-            os.close(handle)
-            return None
-        # Another command may have removed the file between the two calls.
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(handle), path.stat()):
-                if created:
-                    started = f"{datetime.now():%Y-%m-%d %H:%M}"
-                    with contextlib.suppress(OSError):  # on a full disk it names no owner
-                        os.write(handle, f"process {os.getpid()}, started {started}".encode())
-                    return handle
-                path.unlink()  # of a command that was killed
-        os.close(handle)
-    return None
-
-
-def _opened(path: Path, argument: str) -> tuple[int, bool]:
-    """Return the descriptor of a new file, or of the one that is there, and whether it is new."""
-    while True:
-        try:
-            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
-        except FileExistsError:
-            with contextlib.suppress(FileNotFoundError):
-                if not stat.S_ISREG(path.lstat().st_mode):
-                    raise ValueError(
-                        f"{argument} must not hold a link or a folder named {path.name}, "
-                        f"got {path}; remove it"
-                    ) from None
-                return os.open(path, os.O_RDONLY), False
+    if new and lock.is_locked:
+        said = f"process {os.getpid()}, started {datetime.now():%Y-%m-%d %H:%M}"
+        with contextlib.suppress(OSError):  # on a full disk it names no owner
+            path.write_text(said, encoding="utf-8")

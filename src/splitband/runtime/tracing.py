@@ -1,8 +1,7 @@
-"""Trace NumPy code: record what a function computes as a graph, from which code is generated.
+"""Loops and branches of NumPy code that may be traced, and the trees of arrays that they carry.
 
-A function of arrays of fixed shapes is called once with symbols in place of the arrays, which
-record the operations on them (`runtime.graph`). Loops and branches that depend on values are
-written with `scan` and `cond`, which simply run if the arrays are real.
+Where a value is a symbol of a tracer (`export.graph`), the symbol records the loop or the branch;
+where it is an array, they simply run.
 """
 
 from __future__ import annotations
@@ -12,19 +11,50 @@ from typing import Any
 
 import numpy as np
 
-from splitband.runtime.graph import Block, Symbol, Trace
-from splitband.runtime.trees import Tree, leaves, rebuilt
+Tree = Any
+"""Nested dicts, tuples and lists of arrays."""
+
+
+def leaves(tree: Tree) -> list[Any]:
+    """Return the arrays of a tree in their order."""
+    return [leaf for _, leaf in named_leaves(tree)]
+
+
+def named_leaves(tree: Tree, path: str = "") -> list[tuple[str, Any]]:
+    """Return the arrays of a tree with their paths, such as `base_level` or `members_0_h`."""
+    if tree is None:
+        return []
+    if isinstance(tree, dict):
+        items = list(tree.items())
+    elif isinstance(tree, tuple | list):
+        items = [(str(i), branch) for i, branch in enumerate(tree)]
+    else:
+        return [(path, tree)]
+    joined = f"{path}_" if path else ""
+    return [leaf for name, branch in items for leaf in named_leaves(branch, f"{joined}{name}")]
+
+
+def rebuilt(tree: Tree, new: Sequence[Any]) -> Tree:
+    """Return a tree of the same structure with other leaves."""
+    given = iter(new)
+
+    def of(branch: Tree) -> Tree:
+        if branch is None:
+            return None
+        if isinstance(branch, dict):
+            return {name: of(inner) for name, inner in branch.items()}
+        if isinstance(branch, tuple | list):
+            return [of(inner) for inner in branch]
+        return next(given)
+
+    return of(tree)
 
 
 def cond(flag: Any, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
     """Return `yes()` if the flag is true, else `no()`; both need the same shapes."""
-    if not isinstance(flag, Symbol):
-        return yes() if flag else no()
-    (one, tree), (other, _) = map(flag.trace.inner, (yes, no))
-    like = [(s.shape, s.flag) for s in one.outputs]
-    if like != [(s.shape, s.flag) for s in other.outputs]:
-        raise TypeError("both branches must have the same shapes")
-    return rebuilt(tree, flag.trace.control("cond", [flag], (one, other), like))
+    if hasattr(flag, "branch"):
+        return flag.branch(yes, no)
+    return yes() if flag else no()
 
 
 def scan(
@@ -34,10 +64,10 @@ def scan(
 
     Returns the last carry, and the outputs stacked; `out` may be None.
     """
-    trace = next((leaf.trace for leaf in leaves((carry, list(xs))) if isinstance(leaf, Symbol)),
-                 None)  # fmt: skip
-    if trace is not None:
-        return _traced_scan(trace, body, carry, list(xs))
+    traced = next((leaf for leaf in leaves((carry, list(xs))) if hasattr(leaf, "loop")), None)
+    if traced is not None:
+        found: tuple[Tree, Tree] = traced.loop(body, carry, list(xs))
+        return found
     outs = []
     for rows in zip(*xs, strict=True):
         carry, out = body(carry, rows)
@@ -47,37 +77,3 @@ def scan(
     return carry, rebuilt(
         outs[0], [np.stack(rows) for rows in zip(*map(leaves, outs), strict=True)]
     )
-
-
-def _traced_scan(
-    trace: Trace, body: Callable[[Tree, Tree], tuple[Tree, Tree]], carry: Tree, xs: list[Any]
-) -> tuple[Tree, Tree]:
-    starts = [trace.symbol(leaf) for leaf in leaves(carry)]
-    rows = [trace.symbol(x) for x in xs]
-
-    def inner() -> Tree:
-        begun = rebuilt(carry, [trace.input(s) for s in starts])
-        return body(begun, [trace.input(Symbol(trace, x.shape[1:])) for x in rows])
-
-    block, (after, outs) = trace.inner(inner)
-    length = len(rows[0])
-    like = [(s.shape, s.flag) for s in block.outputs[: len(starts)]]
-    if [shape for shape, _ in like] != [s.shape for s in starts]:
-        raise TypeError("a loop must keep the shapes of what it carries")
-    like += [((length, *s.shape), s.flag) for s in block.outputs[len(starts) :]]
-    options = {"length": length, "carried": len(starts)}
-    found = trace.control("scan", [*starts, *rows], (block,), like, **options)
-    return rebuilt(after, found[: len(starts)]), rebuilt(outs, found[len(starts) :])
-
-
-def trace(function: Callable[..., Tree], *examples: Tree) -> tuple[Block, Tree]:
-    """Record what a function computes; return the block and the tree of its outputs.
-
-    `examples` are arguments of the right structure and shapes; the block's inputs are their leaves.
-    """
-    new = Trace()
-    arguments = [rebuilt(tree, [new.input(leaf) for leaf in leaves(tree)]) for tree in examples]
-    result = function(*arguments)
-    block = new.blocks[0]
-    block.outputs = [new.symbol(leaf) for leaf in leaves(result)]
-    return block, result

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from splitband.data.names import bare_name
+from splitband.data.signals import bare_name
 
 WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",\
     "UInt64"  # fmt: skip

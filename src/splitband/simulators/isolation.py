@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data.signals import one_line
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import one_line
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
 from splitband.data import Stamp
-from splitband.data.names import bare_name
+from splitband.data.signals import bare_name
 from splitband.data.timing import in_words, seconds_of
 from splitband.simulators.sources import check_open, wanted_arguments
 

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from splitband.cli.options.groups import panel
-from splitband.data.gaps import Gaps
 from splitband.data.named import RECORDS
+from splitband.data.signals import Gaps
 from splitband.data.stamps import TIME_NAMES
 
 _record, _simulator = panel("Record"), panel("Simulator")

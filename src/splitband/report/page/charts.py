@@ -8,21 +8,18 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 from bokeh.models import (
-    BoxZoomTool,
     ColumnDataSource,
     DatetimeTickFormatter,
     FixedTicker,
     HoverTool,
     Line,
-    PanTool,
     PlainText,
     Range1d,
-    ResetTool,
-    SaveTool,
+    Segment,
     VArea,
-    WheelZoomTool,
 )
 from bokeh.models.annotations import Span
 from bokeh.models.renderers import GlyphRenderer
@@ -30,8 +27,8 @@ from bokeh.plotting import figure
 
 from splitband.data import Record
 from splitband.data.timing import stamps_at
-from splitband.report.page.parts import Method, Plot
-from splitband.report.page.thinning import bin_size, envelope, places, thinned
+from splitband.report.numbers import number
+from splitband.report.page.parts import Method
 from splitband.runtime.arrays import Array
 
 WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
@@ -45,12 +42,19 @@ MOST = 4_000
 FARTHEST = 1e3
 """How far beyond a plot a curve is drawn, in heights of the plot: a canvas takes no larger numbers.
 By eye."""
+MAX_ROUNDING = 1e-4
+"""Largest change of a curve by single precision, as a share of its range: less than a pixel of a
+plot. Otherwise the curve stays double."""
+TOLD = 8
+"""Curves of a chart, and points of a short curve, that are told in words, at most. By eye."""
 DATES: dict[str, Any] = {
     "milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S",
     "minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b",
     "months": "%b %Y", "years": "%Y",
 }  # fmt: skip
 _DASHES = "dashed", "dotted", "dashdot"
+
+Drawn = npt.NDArray[np.float32] | Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +66,14 @@ class Axis:
     values : Positions of the samples; dates are in milliseconds since 1970.
     label : Label with its unit.
     shown : The visible range.
-    size : Samples in a bin, of which two are drawn; 1: all are drawn.
+    bins : First samples of the bins of which two values are drawn; of a short axis, every sample.
     dates, log : Whether the values are dates, and whether the axis is logarithmic.
     """
 
     values: Array
     label: str
     shown: Range1d
-    size: int = 1
+    bins: npt.NDArray[np.int64]
     dates: bool = False
     log: bool = False
 
@@ -78,13 +82,19 @@ class Axis:
         """Return an axis of numbers; the buttons of the page move the one called "time"."""
         margin = 0.01 * (values[-1] - values[0] or 1.0)
         shown = _range(values[0] - margin, values[-1] + margin, name)
-        return cls(values, label, shown, bin_size(len(values), MOST), dates)
+        samples = len(values)
+        size = 1 if samples <= MOST else math.ceil(2 * samples / MOST)
+        return cls(values, label, shown, np.arange(0, samples, size), dates)
 
     @classmethod
     def over_frequency(cls, values: Array, unit: str) -> Axis:
-        """Return a logarithmic axis."""
+        """Return a logarithmic axis; its bins are equally wide on it."""
         shown = _range(values[0], max(values[-1], 2 * values[0]))  # a short record has only one
-        return cls(values, f"frequency ({unit})", shown, log=True)
+        bins = np.arange(len(values))
+        if len(values) > MOST:
+            edges = np.geomspace(1, len(values), MOST // 2, endpoint=False)
+            bins = np.unique(edges.astype(np.int64)) - 1
+        return cls(values, f"frequency ({unit})", shown, bins, log=True)
 
     @classmethod
     def over_time(cls, record: Record, ahead: int = 0, name: str = "") -> Axis:
@@ -98,6 +108,45 @@ class Axis:
             return cls.over(naive.astype(np.int64) / 1e3, "time", name, dates=True)
         since = "time since the first sample (s)" if record.start is None else "time (s)"
         return cls.over(np.asarray(stamps, float), since, name)
+
+    @property
+    def whole(self) -> bool:
+        """Return whether every sample is drawn."""
+        return len(self.bins) == len(self.values)
+
+    @property
+    def drawn(self) -> Array:
+        """Return the positions that are drawn: two in each bin, the same for all curves."""
+        if self.whole:
+            return self.values
+        sizes = np.diff(self.bins, append=len(self.values))
+        pairs = np.stack([self.bins + sizes // 4, self.bins + 3 * sizes // 4], axis=1)
+        return self.values[pairs.ravel()]
+
+    def thinned(self, y: Array) -> Drawn:
+        """Return the lowest and the highest value of each bin, ordered as the curve runs in it."""
+        if self.whole:
+            return compact(y)
+        low, high = np.fmin.reduceat(y, self.bins), np.fmax.reduceat(y, self.bins)
+        falls = y[self.bins] > y[np.append(self.bins[1:], len(y)) - 1]
+        pairs = np.where(falls[:, None], np.stack([high, low], 1), np.stack([low, high], 1))
+        return compact(pairs.ravel())
+
+    def edges(self, lower: Array, upper: Array) -> tuple[Drawn, Drawn]:
+        """Return the lowest lower and the highest upper edge of an interval in each bin, twice."""
+        if self.whole:
+            return compact(lower), compact(upper)
+        low, high = np.fmin.reduceat(lower, self.bins), np.fmax.reduceat(upper, self.bins)
+        return compact(np.repeat(low, 2)), compact(np.repeat(high, 2))
+
+
+def compact(y: Array) -> Drawn:
+    """Return a curve in single precision if the difference is invisible."""
+    seen = y[np.isfinite(y)]
+    if not len(seen) or abs(seen).max() > np.finfo(np.float32).max:
+        return y
+    worst = abs(seen.astype(np.float32).astype(np.float64) - seen).max()
+    return y.astype(np.float32) if worst <= MAX_ROUNDING * np.ptp(seen) else y
 
 
 def _range(low: float, high: float, name: str = "") -> Range1d:
@@ -117,34 +166,38 @@ class Chart:
     axis : The horizontal axis.
     label : Label of the vertical axis, with its unit.
     limits : Limits of the vertical axis.
+    caption : Text above it.
     height : Height in pixels; the width is that of its place on the page.
     log : Whether the vertical axis is logarithmic.
+    small : Whether several share a row.
+    methods : It is shown if one of these is switched on; if empty, always.
     """
 
     def __init__(
-        self, axis: Axis, label: str, limits: tuple[float, float], height: int = TALL,
-        log: bool = False,
+        self, axis: Axis, label: str, limits: tuple[float, float], caption: str,
+        height: int = TALL, log: bool = False, small: bool = False, methods: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self.axis, self.limits, self.log = axis, limits, log
-        x = axis.values[places(len(axis.values), axis.size)]
-        self.data = ColumnDataSource({X: x})
+        self.axis, self.label, self.limits, self.log = axis, label, limits, log
+        self.caption, self.small, self.methods = caption, small, methods
+        self.data = ColumnDataSource({X: axis.drawn})
+        self._curves: list[tuple[str, list[str], Array]] = []
+        box = "xbox_zoom" if log else "box_zoom"
         shown = self.figure = figure(
-            width=WIDTH, height=height, sizing_mode="stretch_width", tools="", toolbar_inner=True,
+            width=WIDTH, height=height, sizing_mode="stretch_width", toolbar_inner=True,
+            tools=f"xpan,xwheel_zoom,{box},reset,save", active_drag=box, active_scroll=None,
             min_border_left=LEFT, background_fill_color=None, border_fill_color=None,
             x_range=axis.shown,
             y_range=Range1d(start=limits[0], end=limits[1]),
             x_axis_type="datetime" if axis.dates else "log" if axis.log else "auto",
             y_axis_type="log" if log else "auto",
         )  # fmt: skip
-        box = BoxZoomTool(dimensions="width" if log else "both")
-        along = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
         tips = [("", "$name"), (axis.label, "$x{%F %T}" if axis.dates else "$x{0,0.[000]}")]
         hover = HoverTool(
             tooltips=[*tips, ("", "$y")], line_policy="nearest", visible=False,
             formatters={"$x": "datetime"} if axis.dates else {},
         )  # fmt: skip
-        shown.add_tools(*along, box, ResetTool(), SaveTool(), hover)
-        shown.toolbar.update(active_drag=box, logo=None, autohide=True)
+        shown.add_tools(hover)
+        shown.toolbar.update(logo=None, autohide=True)
         shown.lod_threshold = None
         shown.yaxis.axis_label = PlainText(text=label)
         shown.xaxis.axis_label = PlainText(text=axis.label)
@@ -153,32 +206,66 @@ class Chart:
         if axis.dates:
             shown.xaxis.formatter = DatetimeTickFormatter(**DATES)
 
-    def line(self, y: Array, role: str, name: str, **style: Any) -> None:
-        """Add a curve in the colour of a role: `measured`, `truth`, `c0`..."""
-        self.add(Line(x=X, y=self.column(y), **style), name, [role])
+    @property
+    def key(self) -> list[tuple[str, str]]:
+        """Return the legend, each a colour and a name; the methods have theirs above all plots."""
+        key = [(tags[0], name) for name, tags, _ in self._curves if "method" not in tags]
+        shown = [
+            tags[0] for _, tags, _ in self._curves if "method" in tags and "hidden" not in tags
+        ]
+        key += [(color, "predicted") for color in shown[:1] if key]
+        return key if len(key) > 1 else []
+
+    @property
+    def says(self) -> str:
+        """Describe the plot for readers who cannot see it: what is drawn, and its first and last.
+
+        Of a curve of few points, all are told.
+        """
+        said = []
+        for name, _, y in sorted(self._curves, key=lambda each: "hidden" in each[1])[:TOLD]:
+            rows = np.flatnonzero(np.isfinite(y))
+            ends = [float(y[row]) for row in rows[[0, -1][: len(rows)]]]
+            if 0 < len(rows) <= TOLD:
+                x = self.axis.values
+                said += [f"{name} " + ", ".join(f"{x[i]:g}: {number(float(y[i]))}" for i in rows)]
+            elif ends:
+                said += [f"{name} from {number(ends[0])} to {number(ends[-1])}"]
+        scale = ", with a logarithmic axis" if self.log else ""
+        what = f"Plot of {self.label} over {self.axis.label}{scale}"
+        return f"{self.caption}. {what}: {'; '.join(said)}."
+
+    def line(self, y: Array, name: str, tags: Sequence[str], **style: Any) -> None:
+        """Add a curve in the colour of its first tag: `measured`, `truth`, `c0`..."""
+        self._curves.append((name, [*tags], y))
+        column = self._kept(self.axis.thinned(self._within(y)))
+        self._add(Line(x=X, y=column, **style), name, tags)
 
     def method(self, y: Array, method: Method, **style: Any) -> None:
         """Add a method's curve, which its switch turns on and off."""
         usual = {"line_width": 1.4, "line_dash": "dashed" if method.dashed else "solid"}
-        self.add(Line(x=X, y=self.column(y), **{**usual, **style}), method.name, _tags(method))
+        self.line(y, method.name, method.tags, **{**usual, **style})
 
-    def band(self, lower: Array, upper: Array, method: Method) -> None:
-        """Add the shaded area around a method's curve."""
-        edges = envelope(self._within(lower), self._within(upper), self.axis.size)
+    def stems(self, y: Array, name: str, tags: Sequence[str]) -> None:
+        """Add a vertical line from 0 for each value."""
+        self._curves.append((name, [*tags], y))
+        ends = self._kept(np.zeros(len(self.axis.drawn))), self._kept(self.axis.thinned(y))
+        stems = Segment(x0=X, x1=X, y0=ends[0], y1=ends[1], line_width=2)
+        self._add(stems, name, tags)
+
+    def band(self, lower: Array, upper: Array, name: str, tags: Sequence[str]) -> None:
+        """Add a shaded area around a curve."""
+        edges = self.axis.edges(self._within(lower), self._within(upper))
         names = [self._kept(edge) for edge in edges]
-        self.add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.18), method.name, _tags(method))
+        self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.18), name, tags)
 
-    def column(self, y: Array) -> str:
-        """Add a curve, thinned out, to the source; return the name of its column."""
-        return self._kept(thinned(self._within(y), self.axis.size))
-
-    def add(self, glyph: Any, name: str, tags: list[str]) -> None:
+    def _add(self, glyph: Any, name: str, tags: Sequence[str]) -> None:
         """Add a glyph without the glyphs for selections, which Bokeh would add.
 
         These would take most of the time to make a page.
         """
         renderer = GlyphRenderer(
-            data_source=self.data, glyph=glyph, name=name, tags=tags,
+            data_source=self.data, glyph=glyph, name=name, tags=[*tags],
             visible="hidden" not in tags,
             selection_glyph=None, nonselection_glyph=None, muted_glyph=None,
         )  # fmt: skip
@@ -190,10 +277,6 @@ class Chart:
         """Add a dashed line across the chart."""
         style: dict[str, Any] = {"line_dash": "dashed", "line_width": 1.2, "tags": [role]}
         self.figure.add_layout(Span(location=at, dimension=dimension, **style))
-
-    def plot(self, caption: str, says: str, **options: Any) -> Plot:
-        """Return the chart as a plot of the page."""
-        return Plot(self.figure, caption, says, **options)
 
     def _within(self, y: Array) -> Array:
         """Clip a curve to what a canvas can draw."""
@@ -207,11 +290,6 @@ class Chart:
         name = f"y{len(self.data.data)}"
         self.data.data[name] = values
         return name
-
-
-def _tags(method: Method) -> list[str]:
-    """Return the tags by which the page's script colours a method's curve and switches it."""
-    return [f"c{method.color}", "method", *([] if method.recommended else ["hidden"])]
 
 
 def _decades(limits: tuple[float, float]) -> FixedTicker:
@@ -237,6 +315,13 @@ def limits(values: Sequence[Array], margin: float = 0.1) -> tuple[float, float]:
     low, high = float(seen.min()), float(seen.max())
     room = margin * (high - low or abs(high) or 1.0)
     return low - room, high + room
+
+
+def log_limits(values: Array) -> tuple[float, float]:
+    """Return limits of a logarithmic axis around the positive finite values."""
+    positive = values[np.isfinite(values) & (values > 0)]
+    low, high = (float(f(positive)) for f in (np.min, np.max)) if len(positive) else (1.0, 1.0)
+    return 0.7 * low, 1.5 * high
 
 
 def padded(y: Array, length: int, first: bool = False) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -11,35 +12,28 @@ from typing import Any
 import bokeh
 from bokeh.document import Document
 from bokeh.embed.util import standalone_docs_json_and_render_items
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.report.colors import DARK, PALETTE
-from splitband.report.page import check, comparison, forecast
-from splitband.report.page.parts import Page, Plot, Usage
+from splitband.report.page import pages
+from splitband.report.page.charts import Chart
+from splitband.report.page.parts import Page, Usage
+from splitband.report.page.rendering import template
 from splitband.runtime.files import replacing
 
 
 def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
     """Write the page of a comparison, whole or not at all; `usage` is shown on it."""
-    _write(comparison.page(result, usage or Usage()), path)
+    write(pages.of_comparison(result, usage or Usage()), path)
 
 
 def of_forecast(result: Forecast, path: str | Path, usage: Usage | None = None) -> None:
     """Write the page of a forecast, see `of_comparison`."""
-    _write(forecast.page(result, usage or Usage()), path)
+    write(pages.of_forecast(result, usage or Usage()), path)
 
 
-def of_check(
-    result: ModelCheck, path: Path, kind: str, responses: Responses | None, usage: Usage
-) -> None:
-    """Write the page of a check of a model; `kind` describes the model in words."""
-    _write(check.page(result, kind, responses, usage), path)
-
-
-def _write(page: Page, path: str | Path) -> None:
+def write(page: Page, path: str | Path) -> None:
     """Write a page, whole or not at all."""
     text = html(page)
     with replacing(path) as temporary:
@@ -49,7 +43,7 @@ def _write(page: Page, path: str | Path) -> None:
 def html(page: Page) -> str:
     """Return the page as HTML."""
     plots = page.plots
-    return _template().render(
+    return template("template.html").render(
         page=page,
         embedded=_embedded(plots) if plots else "",
         library=_library() if plots else "",
@@ -60,7 +54,7 @@ def html(page: Page) -> str:
     )
 
 
-def _embedded(plots: list[Plot]) -> str:
+def _embedded(plots: Sequence[Chart]) -> str:
     """Return the plots as JSON that is safe inside a script; one document, so they share ranges."""
     document = Document()
     with document.models.freeze():  # one update for all plots: faster
@@ -72,16 +66,6 @@ def _embedded(plots: list[Plot]) -> str:
     described["roots"] = {plot.figure.id: f"plot-{i}" for i, plot in enumerate(plots)}
     text = json.dumps({"documents": documents, "items": [described]}, separators=(",", ":"))
     return text.replace("<", "\\u003c")
-
-
-@cache
-def _template() -> Template:
-    loader = PackageLoader("splitband.report.page", "")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template("template.html")
 
 
 def _part(name: str) -> str:

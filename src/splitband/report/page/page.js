@@ -20,14 +20,19 @@
     const order = (a, b) => {
       const [x, y] = [value(a), value(b)];
       if (Number.isNaN(x) || Number.isNaN(y)) return Number.isNaN(x) - Number.isNaN(y);
-      const sign = typeof x === "number" ? x - y : x.localeCompare(y);
+      const sign = typeof x === "number" ? x - y : x.localeCompare(y, undefined, { numeric: true });
       return down ? -sign : sign;
     };
     table.tBodies[0].append(...[...table.tBodies[0].rows].sort(order));
     say(`Sorted by ${heading.textContent.trim()}, ${down ? "descending" : "ascending"}`);
   }
-  all("table.sortable thead th").forEach((heading) =>
-    heading.querySelector("button").addEventListener("click", () => sorted(heading)));
+  all("table.sortable thead th").forEach((heading) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(...heading.childNodes);
+    heading.append(button);
+    button.addEventListener("click", () => sorted(heading));
+  });
 
   // Rows that are seen only when asked for, where there is a script to ask.
   all(".more").forEach((more) => {

@@ -2,82 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from splitband.report.colors import PALETTE
+from splitband.report.table import Table
 
-
-@dataclass(frozen=True)
-class Cell:
-    """Hold a cell of a table: its text, and the number to sort by.
-
-    Attributes
-    ----------
-    text : Words or digits.
-    value : A number to sort by; None sorts by the text.
-    best : Whether it is the best one of its column.
-    link : Link to another page.
-    says : A second line, smaller.
-    """
-
-    text: str
-    value: float | None = None
-    best: bool = False
-    link: str = ""
-    says: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Hold a table that readers sort.
-
-    Attributes
-    ----------
-    caption : What it shows.
-    columns : The headings.
-    rows : The first cell of each names it.
-    marked : Rows that stand out.
-    minor : Rows that are folded away at first.
-    notes : What each heading means, in the order of the columns that need it.
-    """
-
-    caption: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    marked: frozenset[int] = frozenset()
-    minor: frozenset[int] = frozenset()
-    notes: Sequence[tuple[str, str]] = ()
-
-    @property
-    def numeric(self) -> list[bool]:
-        """Return which columns hold numbers; these are right-aligned."""
-        return [
-            any(row[i].value is not None for row in self.rows) for i in range(len(self.columns))
-        ]
-
-
-@dataclass(frozen=True, eq=False)
-class Plot:
-    """Hold a plot, and what it shows in words.
-
-    Attributes
-    ----------
-    figure : The Bokeh figure.
-    caption : Text above it.
-    says : Text for readers who cannot see it.
-    methods : It is shown if one of these is switched on; if empty, always.
-    key : Entries of the legend, each a colour and a name.
-    small : Whether several share a row.
-    """
-
-    figure: Any
-    caption: str
-    says: str
-    methods: Sequence[str] = ()
-    key: Sequence[tuple[str, str]] = ()
-    small: bool = False
+if TYPE_CHECKING:
+    from splitband.report.page.charts import Chart
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +34,7 @@ class Section:
     words: Sequence[str] = ()
     items: Sequence[str] = ()
     tables: Sequence[Table] = ()
-    plots: Sequence[Plot] = ()
+    plots: Sequence[Chart] = ()
     code: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     folded: bool = False
@@ -124,6 +57,11 @@ class Method:
     dashed: bool = False
     recommended: bool = True
 
+    @property
+    def tags(self) -> list[str]:
+        """Return the tags by which the page's script colours its curves and switches them."""
+        return [f"c{self.color}", "method", *([] if self.recommended else ["hidden"])]
+
 
 def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
     """Return how each method is drawn; if colours run out, they repeat, dashed."""
@@ -131,15 +69,6 @@ def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
         name: Method(name, i % len(PALETTE), i >= len(PALETTE), name == recommended)
         for i, name in enumerate(names)
     }
-
-
-@dataclass(frozen=True)
-class View:
-    """Describe a part of the time axis that a button shows."""
-
-    label: str
-    start: float
-    end: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,17 +80,17 @@ class Page:
     title, lead : The heading, and the line below it.
     sections : Sections in order; the switches of the methods are below the first one.
     methods : Methods that are drawn.
-    views : Ranges of the time axis with a button; the first one is the whole axis.
+    views : Ranges of the time axis that a button with this name shows.
     """
 
     title: str
     lead: str
     sections: Sequence[Section]
     methods: Sequence[Method] = ()
-    views: Sequence[View] = ()
+    views: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
-    def plots(self) -> list[Plot]:
+    def plots(self) -> list[Chart]:
         """Return all plots."""
         return [plot for section in self.sections for plot in section.plots]
 

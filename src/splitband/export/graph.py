@@ -1,6 +1,8 @@
-"""Record NumPy operations on symbols as a graph, from which code is generated.
+"""Record what a NumPy function computes as a graph, from which code is generated.
 
-A symbol stands for an array of fixed shape; NumPy operations on it are recorded.
+A function of arrays of fixed shapes is called once with symbols in place of the arrays, which
+record the operations on them. Loops and branches that depend on values are written with `scan` and
+`cond` (`runtime.tracing`).
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.runtime.trees import Tree, leaves
+from splitband.runtime.tracing import Tree, leaves, rebuilt
 
 Array = npt.NDArray[Any]
 ELEMENTWISE = {
@@ -219,6 +221,35 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         axes = tuple((0, 1, self.ndim - 1 - i) for i in range(self.ndim))
         return self.trace.add("view", [self], self.shape[::-1], self.flag, axes=axes)
 
+    def branch(self, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
+        """Record that `yes()` or `no()` is computed, as this flag says; see `cond`."""
+        (one, tree), (other, _) = map(self.trace.inner, (yes, no))
+        like = [(s.shape, s.flag) for s in one.outputs]
+        if like != [(s.shape, s.flag) for s in other.outputs]:
+            raise TypeError("both branches must have the same shapes")
+        return rebuilt(tree, self.trace.control("cond", [self], (one, other), like))
+
+    def loop(
+        self, body: Callable[[Tree, Tree], tuple[Tree, Tree]], carry: Tree, xs: Sequence[Any]
+    ) -> tuple[Tree, Tree]:
+        """Record a loop over the rows of arrays; see `scan`."""
+        trace = self.trace
+        starts = [trace.symbol(leaf) for leaf in leaves(carry)]
+        rows = [trace.symbol(x) for x in xs]
+
+        def inner() -> Tree:
+            begun = rebuilt(carry, [trace.input(s) for s in starts])
+            return body(begun, [trace.input(Symbol(trace, x.shape[1:])) for x in rows])
+
+        block, (after, outs) = trace.inner(inner)
+        length, like = len(rows[0]), [(s.shape, s.flag) for s in block.outputs]
+        if [shape for shape, _ in like[: len(starts)]] != [s.shape for s in starts]:
+            raise TypeError("a loop must keep the shapes of what it carries")
+        like[len(starts) :] = [((length, *shape), flag) for shape, flag in like[len(starts) :]]
+        options = {"length": length, "carried": len(starts)}
+        found = trace.control("scan", [*starts, *rows], (block,), like, **options)
+        return rebuilt(after, found[: len(starts)]), rebuilt(outs, found[len(starts) :])
+
 
 def _shape(x: Any) -> tuple[int, ...]:
     return x.shape if isinstance(x, Symbol) else np.shape(x)
@@ -285,3 +316,16 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., Symbol]] = {
     np.clip: lambda trace, x, low, high: np.minimum(np.maximum(x, low), high),
     np.any: lambda trace, x: trace.symbol(x).any(),
 }
+
+
+def trace(function: Callable[..., Tree], *examples: Tree) -> tuple[Block, Tree]:
+    """Record what a function computes; return the block and the tree of its outputs.
+
+    `examples` are arguments of the right structure and shapes; the block's inputs are their leaves.
+    """
+    new = Trace()
+    arguments = [rebuilt(tree, [new.input(leaf) for leaf in leaves(tree)]) for tree in examples]
+    result = function(*arguments)
+    block = new.blocks[0]
+    block.outputs = [new.symbol(leaf) for leaf in leaves(result)]
+    return block, result

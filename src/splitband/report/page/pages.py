@@ -1,0 +1,288 @@
+"""Lay out the pages of comparisons, forecasts, checks and spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from splitband.data import Record
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import parts_of
+from splitband.forecasters.checking import LEVEL, ModelCheck, ResidualTests, Responses
+from splitband.models.labels import SLOW
+from splitband.report import table, words
+from splitband.report.environment import environment
+from splitband.report.numbers import number, percent
+from splitband.report.page import plots
+from splitband.report.page.charts import Chart
+from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
+from splitband.report.predicted import Predicted, predicted
+from splitband.report.table import Table, in_words, ordered, tried
+from splitband.runtime.arrays import Array
+
+
+def of_comparison(result: Comparison, used: Usage) -> Page:
+    """Return the page of a comparison: the answer first, then the other methods, then details."""
+    record, trial, best = result.record, result.require_trial(), result.recommended
+    styles = method_styles(ordered(trial, result.fits), best)
+    every = [each for each in predicted(result) if each.predictions]
+    first = [each for each in every if each.protocol == every[0].protocol]
+    shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
+    kind = in_words(best, result.methods)
+    sections = [
+        Section(
+            "answer", f"Recommended: {words.named(best, kind)}", words.afterwards(result),
+            [words.sentence(w) for w in (*words.warnings(result), *words.of_gaps(record))],
+            facts=[(of, "\n".join(said)) for of, said in words.headline(result)],
+            plots=[plot for each in shown for plot in (*each.outputs(), *each.inputs())],
+        ),
+        *_next_steps(used),
+        Section("methods", "All methods", [" ".join(words.why(trial, result.plan.train))],
+                tables=[table.of_comparison(result)]),
+        _residuals(result.residual_tests(), "Residuals", [p for s in shown for p in s.residuals()]),
+        *_linear(result),
+        Section("errors", "Error over horizon", [_HORIZON],
+                plots=[p for s in shown for p in s.errors()], folded=True),
+        *_further([p for p in every if p not in first or p.protocol == "start"], styles),
+        _bands(result),
+        *_trained(result, styles),
+        _settings(_flat(_shared(result)), used),
+    ]  # fmt: skip
+    title, at, train = record.name or "a record", shown[0].axis.values, result.plan.train
+    views = {"Whole record": (at[0], at[-1])}
+    if first[0].protocol != "test" and train < len(at):
+        views |= {"Training part": (at[0], at[train - 1]), "After it": (at[train], at[-1])}
+    return Page(title, words.lead(record), sections, [*styles.values()], views)
+
+
+_HORIZON = (
+    "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the "
+    "median of a method's trainings, which is its prediction; shaded: the range of all of them."
+)
+
+
+def _shared(result: Comparison) -> dict[str, object]:
+    """Return the settings that all methods share, without those that a search found for each."""
+    plan = result.plan
+    facts = {**plan.as_json(), "choice": None}
+    if not plan.searched:
+        return facts
+    found = {"settings", *asdict(plan.sizes)}
+    kept = {name: value for name, value in facts.items() if name not in found}
+    return kept | {"warmup": plan.settings.warmup}
+
+
+def _residuals(tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]) -> Section:
+    """Return the section of the residual tests, with further plots."""
+    text = [
+        " ".join(test.verdict() for test in tests),
+        f"Shaded: the band that holds {100 * LEVEL:.0f} % of the values by chance. Residuals that "
+        "depend on an input show dynamics that the model misses; residuals that depend on their "
+        "own past show a disturbance, or such dynamics.",
+    ]
+    stems = [plots.correlation(t.output, each) for t in tests for each in (t.whiteness, *t.inputs)]
+    return Section(
+        "residuals", title, text if tests else (), plots=[*stems, *further], folded=bool(further)
+    )
+
+
+def _linear(result: Comparison) -> list[Section]:
+    """Return the section of the linear model, if it is one of the methods."""
+    sections = []
+    for fitted in (fit.fitted for fits in result.fits.values() for fit in fits):
+        if (model := fitted._linear_model()) is None:
+            continue
+        over_order = plots.orders(model)
+        gains = plots.gains(fitted.require_fitted().record, model)
+        text = [fitted.describe() + "."]
+        if over_order:
+            text.append(
+                "Singular values are the correlations of the past with the future of the outputs: "
+                "a state for each that stands out. The order is the smallest whose held-out "
+                "simulation error is at most one standard error above the least."
+            )
+        if gains:
+            text.append("Shaded: the 95 % interval of the gain, by its standard error.")
+        title = "Linear model: order and frequency response"
+        sections.append(Section("linear", title, text, plots=[*over_order, *gains], folded=True))
+    return sections
+
+
+def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[Section]:
+    """Return the sections of a forecast that is not shown first, of simulations, of components."""
+    sections = []
+    for each in every:
+        drawn = plots.OverTime(each, styles)
+        ahead = each.protocol == "forecast"
+        title = "Forecast" if ahead else "Simulation from the start of the record"
+        name = "forecast" if ahead else "runs"
+        sections.append(Section(name, title, plots=drawn.outputs(), folded=True))
+        if parts := [] if ahead else drawn.components():
+            names = ", ".join(name for name, y in each.predictions.items() if y.components)
+            text = (
+                "A model's output is the sum of these parts. All curves are without their means. "
+                f"Switch on a method to see its parts: {names}."
+            )
+            title = "Components of hybrid and split models"
+            sections.append(Section("components", title, [text], plots=parts, folded=True))
+    return sections
+
+
+def _bands(result: Comparison) -> Section:
+    """Return the section of the spectrum and the cut-off between the bands."""
+    bands, part = result.plan.bands, result.record[: result.plan.train]
+    text = [words.of_bands(bands, part)]
+    drawn = plots.spectrum(part, bands.cutoff, _bases(result))
+    drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
+    return Section("spectrum", "Spectrum and cut-off", text, plots=drawn, folded=True)
+
+
+def _bases(result: Comparison) -> dict[str, Array]:
+    """Return the training-part outputs of fitted models that replace a simulator in hybrids.
+
+    Their first samples, the warm-up, are the record's.
+    """
+    train, record = result.plan.train, result.record
+    found: dict[str, Array] = {}
+    for fits in result.fits.values():
+        run, method = fits[0], fits[0].fitted
+        parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
+        slow = [part._slow_label for part in parts_of(method)]
+        for label in [each for each in slow if each in parts and each != SLOW]:
+            whole = record.y.copy()
+            whole[len(whole) - len(parts[label]) :] = parts[label]
+            found.setdefault(label, whole[:train])
+    return found
+
+
+def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
+    """Return the sections of training curves and of the search."""
+    sections = []
+    if drawn := plots.losses(result.fits, styles):
+        text = (
+            "Loss over the epochs of each training, for the networks that are switched on. A line "
+            "that still falls at its end would gain from a longer training."
+        )
+        sections.append(Section("training", "Training", [text], plots=drawn, folded=True))
+    if result.attempts:
+        tables = [table.of_attempts(result.attempts)]
+        text = "How networks are trained was found on the last quarter of the training samples."
+        sections.append(Section("search", "What was tried", [text], tables=tables, folded=True))
+    return sections
+
+
+def of_forecast(result: Forecast, used: Usage) -> Page:
+    """Return the page of a forecast."""
+    record, trial, method, steps = (
+        result.record,
+        result.trial,
+        result.method,
+        len(result.prediction),
+    )
+    text = [words.sentence(result.description)] if result.description else []
+    items = [*words.of_forecast(result), *words.of_gaps(record)]
+    items += [f"{name}: {why}" for name, why in trial.without_result.items()]
+    half = trial.intervals[method].half_widths(steps).mean(axis=0)
+    level = percent(trial.intervals[method].share)
+    held_out = [c for c in tried(trial, record, [method]) if c.heading == "held-out RMSE"]
+    facts = [
+        (
+            name,
+            f"± {number(float(width))} {unit}".rstrip()
+            + f"\nmean {level} interval"
+            + f"\nheld-out RMSE {column.entry(method)} {unit}".rstrip(),
+        )
+        for name, width, unit, column in zip(
+            record.columns, half, record.units, held_out, strict=True
+        )
+    ]
+    shown = Predicted("forecast", "forecast", record, {method: result.prediction}, ahead=steps)
+    ahead = plots.OverTime(shown, {method: Method(method)})
+    sections = [
+        Section(
+            "answer", f"Forecast by {words.named(method, result.model.in_words())}", text, items,
+            plots=[*ahead.outputs(), *ahead.inputs()], facts=facts,
+        ),
+        *_next_steps(used),
+        Section("methods", "What was tried", [" ".join(words.why(trial, len(record)))],
+                tables=[table.of_trial(trial, record)]),
+        Section("spectrum", "Spectrum of the record", plots=plots.spectrum(record, None, {}),
+                folded=True),
+        _settings([("seeds", ", ".join(map(str, result.seeds)))], used),
+    ]  # fmt: skip
+    title = f"{record.name or 'a record'}: {steps:,} samples ahead"
+    return Page(title, words.lead(record), sections)
+
+
+def of_check(result: ModelCheck, kind: str, responses: Responses | None, used: Usage) -> Page:
+    """Return the page of a check of a model; `kind` describes the model in words."""
+    record, name = result.record, result.method
+    shown = Predicted("start", "simulation", record, {name: result.simulation})
+    drawn = plots.OverTime(shown, {name: Method(name)})
+    facts = [
+        (column, "\n".join(f"fit {of[i]:.1f} %, {horizon}" for horizon, of in result.fits.items()))
+        for i, column in enumerate(record.columns)
+    ]
+    title = f"{'Accepted' if result.accepted else 'Rejected'}: {kind or name}"
+    sections = [
+        Section("answer", title, result.in_words(), facts=facts,
+                plots=[*drawn.outputs(), *drawn.inputs()]),
+        _residuals(result.tests, "Is the model good? Residual tests", []),
+    ]  # fmt: skip
+    if responses is not None:
+        pairs = zip(responses.inputs, responses.at, strict=True)
+        held = ", ".join(f"{name} = {number(float(value))}" for name, value in pairs)
+        text = (
+            f"Small steps of one input at a time, from an operating point: {held}. Change of the "
+            "output for a step of 1, and its Fourier transform."
+        )
+        title = "What has it learned? Responses to its inputs"
+        sections.append(Section("responses", title, [text], plots=plots.responses(responses)))
+    sections.append(_settings([], used))
+    return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
+
+
+def of_spectrum(
+    record: Record, bands: Bands, tables: Sequence[Table], facts: Mapping[str, Any], used: Usage
+) -> Page:
+    """Return the page of a spectrum; `facts` are those of results.json."""
+    said = [words.sentence(each) for each in facts["in_words"]]
+    items = [words.sentence(each) for each in (*facts["warnings"], *words.of_gaps(record))]
+    drawn = plots.spectrum(record, bands.cutoff, {})
+    drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
+    title = f"Cut-off: {number(bands.cutoff)} Hz, order {bands.order}"
+    sections = [
+        Section("answer", title, said, items, tables, drawn),
+        _settings([], used),
+    ]
+    return Page(f"{record.name or 'a record'}: spectrum", words.lead(record), sections)
+
+
+def _next_steps(used: Usage) -> list[Section]:
+    """Return the section of the commands that use the model, if there are any."""
+    return [Section("next", "What to do next", code=used.commands)] if used.commands else []
+
+
+def _settings(facts: Sequence[tuple[str, str]], used: Usage) -> Section:
+    """Return the section of settings and versions."""
+    made = environment()
+    versions = ", ".join(f"{name} {v}" for name, v in made["versions"].items())
+    pairs = [("command", used.asked), *facts, ("versions", versions)]
+    pairs += [("machine", made["machine"]), ("commit", made["commit"])]
+    shown = [(name, value) for name, value in pairs if value]
+    return Section("settings", "Settings and versions", facts=shown, folded=True)
+
+
+def _flat(facts: Mapping[str, object], before: str = "") -> list[tuple[str, str]]:
+    """Return nested facts as pairs of a name and a text, without empty ones."""
+    pairs: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f"{before}{name} ")
+        elif value not in (None, "", (), [], {}):
+            text = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+            pairs.append((f"{before}{name}".replace("_", " "), text))
+    return pairs

@@ -1,0 +1,358 @@
+"""Plot records and predictions: over time, horizon, frequency, epochs and lags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from bokeh.models.annotations import BoxAnnotation
+
+from splitband.baselines.linear import LinearModel
+from splitband.data import Record
+from splitband.filters.cutoff import LEAST_PASSED, Choice
+from splitband.filters.spectrum import coherence, periodogram
+from splitband.forecasters.backtest import Fit
+from splitband.forecasters.checking import Correlation, Responses
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import cumulative_rmse
+from splitband.report.colors import PALETTE
+from splitband.report.numbers import number, percent, squared
+from splitband.report.page.charts import (
+    LOW,
+    SMALL,
+    TALL,
+    Axis,
+    Chart,
+    dash,
+    limits,
+    log_limits,
+    padded,
+)
+from splitband.report.page.parts import Method
+from splitband.report.predicted import Predicted
+from splitband.runtime.arrays import Array
+
+FEW = 2
+"""Largest number of outputs or inputs that have plots of full size. By eye."""
+TRANSIENT = 10
+"""First samples of a prediction, whose errors vary too much to set the scale. By eye."""
+NORMAL = 1.96
+"""Half width of a 95 % interval in standard errors, of a normal distribution."""
+
+
+class OverTime:
+    """Plot a record and predictions over the same time axis, of which the predicted part is seen.
+
+    Parameters
+    ----------
+    shown : The record and the predictions.
+    styles : How each method is drawn.
+    name : "time" for the plots that the page's buttons move.
+    """
+
+    def __init__(self, shown: Predicted, styles: Mapping[str, Method], name: str = "") -> None:
+        self.shown, self.record, self.styles = shown, shown.record, styles
+        self.axis = Axis.over_time(shown.record, shown.ahead, name)
+        self.axis.shown.update(start=self.axis.values[shown.first], end=self.axis.values[-1])
+        self._length = len(self.axis.values)
+
+    def outputs(self) -> list[Chart]:
+        """Return a plot for each output."""
+        return [self._output(i) for i in range(self.record.ny)]
+
+    def _output(self, i: int) -> Chart:
+        record, shown, column = self.record, self.shown, self.record.columns[i]
+        seen = padded(record.seen[:, i], self._length, first=True)
+        recommended = next(m for m in self.styles.values() if m.recommended)
+        best = shown.predictions.get(recommended.name)
+        scale = [seen[shown.first :], *([] if best is None else [best.y[:, i]])]
+        caption = f"{column}: {shown.says}"
+        if best is not None and best.level is not None:
+            caption += f"; shaded: {percent(best.level)} interval"
+        height = TALL if record.ny <= FEW else LOW
+        chart = Chart(self.axis, column, limits(scale, 0.2), caption, height)
+        if best is not None and best.lower is not None and best.upper is not None:
+            lower, upper = (padded(edge[:, i], self._length) for edge in (best.lower, best.upper))
+            chart.band(lower, upper, recommended.name, recommended.tags)
+        # The recommended one is wide, so that it shows behind curves that agree with it.
+        for name in sorted(shown.predictions, key=lambda n: self.styles[n].recommended):
+            style = {"line_width": 3.5} if self.styles[name].recommended else {}
+            y = padded(shown.predictions[name].y[:, i], self._length)
+            chart.method(y, self.styles[name], **style)
+        if record.y_true is not None:
+            chart.line(record.y_true[:, i], "noise-free", ["truth"], line_width=1.0)
+        chart.line(seen, "measured", ["measured"], line_width=1.2)
+        if 0 < shown.begin < self._length:
+            chart.mark(self.axis.values[shown.begin])
+        return chart
+
+    def inputs(self) -> list[Chart]:
+        """Return a plot for each input, which zooms together with the plots of the outputs."""
+        record, plots = self.record, []
+        u = np.zeros((len(record), 0)) if record.u is None else record.u
+        if record.u_beyond is not None:
+            u = np.concatenate([u, record.u_beyond])
+        for name, values in zip(record.inputs, u.T, strict=True):
+            whole = padded(values[: self._length], self._length, first=True)
+            scale, small = limits([whole[self.shown.first :]]), record.nu > FEW
+            chart = Chart(self.axis, name, scale, f"Input {name}", SMALL, small=small)
+            chart.line(whole, name, ["truth"], line_width=1.0)
+            plots.append(chart)
+        return plots
+
+    def residuals(self) -> list[Chart]:
+        """Return a plot for each output, with the residuals of each prediction."""
+        plots, shown = [], self.shown
+        for i, (column, unit) in enumerate(
+            zip(self.record.columns, self.record.units, strict=True)
+        ):
+            left = {n: (shown.truth(p) - p.y)[:, i] for n, p in shown.predictions.items()}
+            scale = limits(
+                [left[n] for n in left if self.styles[n].recommended] or [*left.values()]
+            )
+            caption = f"{column}: residuals, {shown.says}"
+            chart = Chart(self.axis, _with("residual", unit), scale, caption, LOW)
+            chart.mark(0.0, "zero", "width")
+            for name, y in left.items():
+                chart.method(padded(y, self._length), self.styles[name])
+            plots.append(chart)
+        return plots
+
+    def errors(self) -> list[Chart]:
+        """Return plots of each output's error over the horizon, the range of trainings shaded."""
+        counted, shown, plots = self.axis.label == "sample", self.shown, []
+        step = 1.0 if counted else self.record.sampling_time
+        horizon = step * np.arange(1.0, shown.steps + 1)
+        axis = Axis.over(horizon, f"horizon ({'samples' if counted else 's'})")
+        for i, (column, unit) in enumerate(
+            zip(self.record.columns, self.record.units, strict=True)
+        ):
+            means = {name: self._grown(p, i) for name, p in shown.predictions.items()}
+            late = [y[TRANSIENT:] for y in means.values() if len(y) > 2 * TRANSIENT]
+            low, high = log_limits(np.concatenate(late or [np.ones(1)]))
+            scale = low, min(high, 1e12 * low)
+            caption = f"{column}: error over horizon, {shown.says}"
+            chart = Chart(axis, _with("RMSE", unit), scale, caption, log=True)
+            for name, y in means.items():
+                each = [self._grown(p, i) for p in shown.trainings[name]]
+                if len(each) > 1:
+                    edges = np.min(each, axis=0), np.max(each, axis=0)
+                    chart.band(*edges, name, self.styles[name].tags)
+                chart.method(y, self.styles[name])
+            plots.append(chart)
+        return plots
+
+    def _grown(self, predicted: Prediction, i: int) -> Array:
+        """Return the RMSE up to each horizon, NaN beyond the end of the prediction."""
+        error = cumulative_rmse(self.shown.truth(predicted)[:, i], predicted.y[:, i])
+        return padded(error, self.shown.steps, first=True)
+
+    def components(self) -> list[Chart]:
+        """Return plots of the components of each split or hybrid model, without their means."""
+        return [
+            self._parts(name, predicted, i)
+            for name, predicted in self.shown.predictions.items()
+            if predicted.components
+            for i in range(self.record.ny)
+        ]
+
+    def _parts(self, name: str, predicted: Prediction, i: int) -> Chart:
+        column, parts = self.record.columns[i], predicted.components
+        curves = {p: padded(y[:, i] - y[:, i].mean(), self._length) for p, y in parts.items()}
+        seen = self.record.seen[:, i]
+        about = padded(seen - np.nanmean(seen), self._length, first=True)
+        scale, caption = limits([about, *curves.values()]), f"{name}, {column}: components"
+        chart = Chart(self.axis, f"{column}, less the mean", scale, caption, methods=[name])
+        chart.line(about, "measured", ["measured"], line_width=1.0)
+        for k, (part, y) in enumerate(curves.items()):
+            chart.line(y, part, [f"c{k}"], line_width=1.4)
+        return chart
+
+
+def _with(what: str, unit: str) -> str:
+    return f"{what} ({unit})" if unit else what
+
+
+def spectrum(record: Record, cutoff: float | None, bases: Mapping[str, Array]) -> list[Chart]:
+    """Return plots of the power of a record, and of its coherence with simulators and inputs.
+
+    `bases` `(time, ny)` are outputs of fitted models that replace a simulator in hybrids, by name.
+    """
+    beside = ({} if record.y_sim is None else {"simulator": record.y_sim}) | dict(bases)
+    others = {name: [*y.T] for name, y in beside.items()}
+    inputs = () if record.u is None else zip(record.inputs, record.u.T, strict=True)
+    others |= {name: [u] * record.ny for name, u in inputs}
+    small = len(others) > 1
+    return [
+        _power(record, cutoff, beside),
+        *(_coherence(record, name, y, cutoff, small) for name, y in others.items()),
+    ]
+
+
+def _power(record: Record, cutoff: float | None, beside: Mapping[str, Array]) -> Chart:
+    unit, curves = _unit(record), {}
+    for name, y in {"": record.y, **beside}.items():
+        found = periodogram(y, record.sampling_rate)
+        for column, density in zip(record.columns, found.density.T, strict=True):
+            several = name and record.ny > 1
+            curves[f"{name}, {column}" if several else name or column] = density[1:]
+    low, high = log_limits(np.concatenate([curves[c] for c in record.columns]))
+    said = "" if cutoff is None else f"; dashed: the cut-off at {number(cutoff)} {unit}"
+    chart = Chart(
+        Axis.over_frequency(found.frequencies[1:], unit),
+        f"power density ({squared(record)}/{unit})",
+        (max(low, 1e-9 * high), 2 * high),
+        f"Spectrum{said}",
+        log=True,
+    )
+    for i, (name, density) in enumerate(curves.items()):
+        style = {"line_width": 1.3, "line_dash": dash(i // len(PALETTE))}
+        chart.line(density, name, [f"c{i % len(PALETTE)}"], **style)
+    if cutoff is not None:
+        chart.mark(cutoff, "cutoff")
+    return chart
+
+
+def _coherence(
+    record: Record, name: str, others: Sequence[Array], cutoff: float | None, small: bool
+) -> Chart:
+    """Return a plot of the coherence of the record with a simulator, a fitted model or an input."""
+    found = [coherence(y, x, record.sampling_rate) for y, x in zip(record.y.T, others, strict=True)]
+    axis = Axis.over_frequency(found[0][0][1:], _unit(record))
+    chart = Chart(axis, "coherence", (0, 1.03), f"Coherence with {name}", SMALL, small=small)
+    for i, (column, (_, y)) in enumerate(zip(record.columns, found, strict=True)):
+        chart.line(y[1:], column, [f"c{i % len(PALETTE)}"], line_width=1.3)
+    if cutoff is not None:
+        chart.mark(cutoff, "cutoff")
+    return chart
+
+
+def cutoffs(choice: Choice) -> Chart:
+    """Return a plot of the loss at each cut-off that was considered, a curve for each order."""
+    every = np.array(sorted({each.cutoff for each in choice.candidates}))
+    curves: dict[tuple[int, bool], Array] = {}
+    for each in choice.candidates:
+        enough = each.passed >= LEAST_PASSED or choice.simulator_helps is True
+        y = curves.setdefault((each.order, enough), np.full(len(every), np.nan))
+        y[np.searchsorted(every, each.cutoff)] = each.loss
+    _, high = limits([*curves.values()])
+    caption = f"Loss: {choice.loss}; dashed: the cut-off chosen, {number(choice.cutoff)} Hz"
+    chart = Chart(Axis.over_frequency(every, "Hz"), "loss", (0.0, high), caption, SMALL)
+    for (order, enough), y in sorted(curves.items(), key=lambda each: each[0]):
+        name = f"order {order}" if enough else f"order {order}, little in the low band"
+        style = {"line_width": 1.3, "line_dash": dash(not enough)}
+        chart.line(y, name, [f"c{order - 1}"], **style)
+    chart.mark(choice.cutoff, "cutoff")
+    return chart
+
+
+def _unit(record: Record) -> str:
+    return "cycles per sample" if record.start is None and record.sampling_rate == 1 else "Hz"
+
+
+def losses(fits: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> list[Chart]:
+    """Return plots of the loss over the epochs of each training, one for each kind of network."""
+    tasks = dict.fromkeys(task for of in fits.values() for fit in of for task in fit.report.losses)
+    return [_losses(task, fits, styles) for task in tasks]
+
+
+def _losses(task: str, fits: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> Chart:
+    found = {name: [fit.report.losses.get(task, ()) for fit in of] for name, of in fits.items()}
+    curves = {
+        name: [np.asarray(y, float) for y in of if len(y)] for name, of in found.items() if any(of)
+    }
+    each = [y for of in curves.values() for y in of]
+    axis = Axis.over(np.arange(1.0, 1 + max(2, *map(len, each))), "epoch, then rounds of L-BFGS")
+    caption, scale = f"Training loss: {task}", log_limits(np.concatenate(each))
+    chart = Chart(axis, "training loss", scale, caption, log=True, methods=[*curves])
+    for name, of_method in curves.items():
+        for i, loss in enumerate(of_method):
+            long = padded(loss, len(axis.values), first=True)
+            chart.method(long, styles[name], line_dash=dash(i))
+    return chart
+
+
+def orders(model: LinearModel) -> list[Chart]:
+    """Return plots over the order; none of outputs with different delays, modelled one by one."""
+    most = min(max(model.orders, default=2 * model.order), len(model.values))
+    tried = np.array(model.orders, float)
+    curves = {
+        "Singular values": ("singular value", np.arange(1.0, most + 1), model.values[:most]),
+        "Held-out simulation error": ("RMSE (% of the deviation)", tried, 100 * model.held_out),
+    }
+    plots = []
+    for title, (label, x, y) in curves.items():
+        if len(x) > 1:
+            shown = np.maximum(y, 1e-9 * y.max())
+            caption = f"{title}; dashed: the order {model.order}"
+            chart = _curve(Axis.over(x, "order"), shown, label, caption, log=True)
+            chart.mark(model.order)
+            plots.append(chart)
+    return plots
+
+
+def gains(record: Record, model: LinearModel) -> list[Chart]:
+    """Return a plot of a linear model's gain over frequency for each input and output."""
+    found = model.accuracy
+    if found is None:
+        return []
+    axis = Axis.over_frequency(found.angles / (2 * np.pi * record.sampling_time), "Hz")
+    plots = []
+    for i, name in enumerate(record.inputs):
+        for j, column in enumerate(record.columns):
+            gain, error = found.response[:, j, i], NORMAL * found.response_errors[:, j, i]
+            if not (np.isfinite(gain) & (gain > 0)).all():
+                continue
+            caption, known = f"Gain, {name} to {column}", np.isfinite(error).all()
+            if known:
+                least, most = (number(float(100 * f(error / gain))) for f in (np.min, np.max))
+                caption += f"; shaded: 95 % interval, ± {least} to {most} %"
+            chart = _curve(axis, gain, "gain", caption, log=True)
+            if known:
+                lower = np.maximum(gain - error, 0.1 * chart.limits[0])
+                chart.band(lower, gain + error, "95 % interval", ["c0"])
+            plots.append(chart)
+    return plots
+
+
+def responses(found: Responses) -> list[Chart]:
+    """Return plots of step and frequency responses for each input and output."""
+    plots = []
+    frequencies, complex_gains = found.frequency_response()
+    time, bode = Axis.over(found.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
+    for i, name in enumerate(found.inputs):
+        for j, column in enumerate(found.columns):
+            gain = np.maximum(abs(complex_gains[:, j, i]), 1e-12)
+            phase = np.degrees(np.unwrap(np.angle(complex_gains[:, j, i])))
+            said = f"{name} to {column}"
+            plots += [
+                _curve(time, found.y[:, j, i], "change", f"Step response, {said}"),
+                _curve(bode, gain, "gain", f"Gain, {said}", log=True),
+                _curve(bode, phase, "phase (degrees)", f"Phase, {said}"),
+            ]
+    return plots
+
+
+def _curve(axis: Axis, y: Array, label: str, title: str, log: bool = False) -> Chart:
+    """Return a small plot of one curve."""
+    within = log_limits(y) if log else limits([y])
+    chart = Chart(axis, label, within, title, SMALL, log, small=True)
+    chart.line(y, label, ["c0"], line_width=1.5)
+    return chart
+
+
+def correlation(output: str, found: Correlation) -> Chart:
+    """Return a plot of the correlation of residuals by lag, with the band of no correlation."""
+    own = found.of == "residuals"
+    values, band = np.array(found.values), found.band
+    most = max(2 * band, 1.1 * float(abs(values).max()))
+    chance = f"p = {number(found.p)}" if found.p >= 0.001 else "p < 0.001"
+    outside = f"{int((abs(values) > band).sum())} of {len(values)} outside ± {number(band)}"
+    caption = f"{output} with {'its own past' if own else found.of}, {chance}; {outside}"
+    axis = Axis.over(own + np.arange(len(values), dtype=float), "lag (samples)")
+    chart = Chart(axis, "correlation", (-most, most), caption, SMALL, small=True)
+    shaded = BoxAnnotation(bottom=-band, top=band, fill_alpha=0.2, tags=["c0"])
+    chart.figure.add_layout(shaded)
+    chart.stems(values, output, ["c0"])
+    chart.mark(0.0, "zero", "width")
+    return chart

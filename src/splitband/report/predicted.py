@@ -1,0 +1,91 @@
+"""Hold what methods predict of a record, by each protocol of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from splitband.data import Record
+from splitband.evaluation.comparison import Comparison
+from splitband.forecasters.backtest import Fit
+from splitband.forecasters.prediction import Prediction
+from splitband.runtime.arrays import Array
+
+Protocol = Literal["test", "forecast", "start"]
+"""Simulations of a test record, forecasts after the training part, simulations from the start."""
+BEFORE = 8
+"""Plots begin earlier than the prediction, by its length divided by this number. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Hold a record, and predictions of its last samples or of those after it.
+
+    Attributes
+    ----------
+    protocol : How they were made.
+    says : The same in words, for captions.
+    record : The measured record.
+    predictions : Predictions by method, the median over its trainings; all end at the same sample.
+    trainings : Those of the single trainings, by method.
+    ahead : Number of the predicted samples that come after the record.
+    """
+
+    protocol: Protocol
+    says: str
+    record: Record
+    predictions: Mapping[str, Prediction]
+    trainings: Mapping[str, Sequence[Prediction]] = field(default_factory=dict)
+    ahead: int = 0
+
+    @property
+    def steps(self) -> int:
+        """Return the length of the longest prediction."""
+        return max(map(len, self.predictions.values()), default=0)
+
+    @property
+    def begin(self) -> int:
+        """Return the index of the first predicted sample."""
+        return len(self.record) + self.ahead - self.steps
+
+    @property
+    def first(self) -> int:
+        """Return the index of the first sample to show, shortly before the prediction."""
+        return max(self.begin - max(self.steps // BEFORE, 2), 0)
+
+    def truth(self, prediction: Prediction) -> Array:
+        """Return the noise-free or measured samples that are predicted, `(time, ny)`."""
+        return self.record.truth[len(self.record) - len(prediction) :]
+
+
+def predicted(comparison: Comparison) -> list[Predicted]:
+    """Return what the methods predict: of test records, after the training part, from the start.
+
+    Some methods, or all, may be unable to simulate the test records.
+    """
+    record = comparison.record
+
+    def of(
+        protocol: Protocol, says: str, record: Record, take: Callable[[Fit], Prediction | None]
+    ) -> Predicted:
+        medians = {n: p for n, fit in comparison.medians.items() if (p := take(fit)) is not None}
+        trainings = {
+            name: [p for fit in comparison.fits[name] if (p := take(fit)) is not None]
+            for name in medians
+        }
+        return Predicted(protocol, says, record, medians, trainings)
+
+    found = [
+        of("test", f"simulation of the test record {test.name or i + 1}", test, _of_test(i))
+        for i, test in enumerate(comparison.tests)
+    ]
+    if comparison.predictions:
+        ahead = of("forecast", "forecast after the training part", record, lambda f: f.forecast)
+        found.append(replace(ahead, predictions=comparison.predictions))
+    says = "simulation from the first samples"
+    return [*found, of("start", says, record, lambda fit: fit.from_start)]
+
+
+def _of_test(i: int) -> Callable[[Fit], Prediction | None]:
+    return lambda fit: fit.tests[i] if fit.tests else None

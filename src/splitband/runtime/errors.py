@@ -1,0 +1,16 @@
+"""Define the error for what a user gave."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Report what a user gave that cannot be used.
+
+    The message is one line that names the argument, the rule and the value. Any other error, a
+    `ValueError` of a library included, is a defect: the command line shows it with its traceback.
+    """
+
+
+def one_line(error: BaseException) -> str:
+    """Return the message of another library's error on one line."""
+    return " ".join(str(error).split())[:300] or type(error).__name__
