@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,9 +114,9 @@ def test_time_is_the_first_axis_without_a_batch_and_the_last_but_one_otherwise(
 )
 def test_torch_gives_the_numbers_of_numpy_as_a_tensor(shape: tuple[int, ...], dim: int) -> None:
     b, a = butterworth(CUTOFF, RATE, 3)
-    x = noise(*shape)
+    x: Any = noise(*shape)
     first = x.take(range(3), dim)
-    given = torch.from_numpy(x)
+    given: Any = torch.from_numpy(x)
     pairs = [
         *((filtfilt(b, a, of, start=s, dim=dim) for of in (x, given)) for s in BOTH_WAYS),
         *((lfilter(b, a, of, start=s, dim=dim) for of in (x, given)) for s in ONE_WAY),

@@ -52,8 +52,10 @@ class _Pass(torch.autograd.Function):
         ctx.arguments = b, a, reverse
         y = torch.empty(x.shape, dtype=torch.float64)
         if x.numel():
-            flat = [t.detach().reshape(-1, t.shape[-1]).contiguous().numpy() for t in (state, x)]
-            recurrence(b, a, *flat, y.view(-1, x.shape[-1]).numpy(), reverse)
+            first, values, out = (
+                t.detach().reshape(-1, t.shape[-1]).contiguous().numpy() for t in (state, x, y)
+            )
+            recurrence(b, a, first, values, out, reverse)
         return y
 
     @staticmethod

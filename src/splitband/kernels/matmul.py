@@ -51,12 +51,12 @@ def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
     item_bytes = types_of_args[1].dtype.bitwidth // 8
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        arrays = [
+        operands = [
             context.make_array(of_arg)(context, builder, value)
             for of_arg, value in zip(signature.args[:3], args[:3], strict=True)
         ]
-        item = context.get_value_type(signature.args[1].dtype)
-        kind(builder, *arrays, item, item_bytes, *args[3:]).emit()
+        operands += [context.get_value_type(signature.args[1].dtype), item_bytes, *args[3:]]
+        kind(builder, *operands).emit()
         return context.get_dummy_value()
 
     return types.void(*types_of_args), codegen

@@ -126,11 +126,11 @@ class _Run(torch.autograd.Function):
         sums = _cut(zeros(dy, _length(shapes)), shapes)
         # Of the inputs, all but the state at the first sample.
         wanted = any(ctx.needs_input_grad[len(ctx.shapes) : 2 + len(ctx.shapes)])
-        dy, written = dy.contiguous().numpy(), [g.numpy() for g in gradients]
+        given, written = dy.contiguous().numpy(), [g.numpy() for g in gradients]
         jobs = []
         for i, rows in enumerate(split):
             arrays = packed, kept[i] + working[i], sums[i], tuple(g[rows] for g in written)
-            jobs.append((wanted, dy[rows], *arrays))
+            jobs.append((wanted, given[rows], *arrays))
         run_jobs(kernel.compiled()[1], jobs)
         of_weights = kernel.unpack(*(sum(parts) for parts in zip(*sums, strict=True)))
         cut = (g[tuple(map(slice, w.shape))] for g, w in zip(of_weights, weights, strict=True))
