@@ -1,4 +1,4 @@
-"""Filters: ours, forward and backward, against SciPy's forward pass and a blocked torch form.
+"""Filters: ours, forward and backward, against SciPy's forward pass.
 
     python -m benchmarks.filters [--out FILE.json]
 
@@ -11,44 +11,12 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
 import scipy
 import torch
 from torch import Tensor
 
 from benchmarks.timing import circumstances, medians, write
 from splitband.filters import ComplementaryPair
-
-Array = npt.NDArray[np.float64]
-
-
-def blocked_lfilter(b: Array, a: Array, x: Tensor, block: int = 64) -> Tensor:
-    """One way from zero, in products of blocks: what the compiled passes were chosen over.
-
-    The output of a block is a triangular Toeplitz product and the response to the state before it;
-    the states follow the same recurrence over blocks, one step each.
-    """
-    order = len(a) - 1
-    basis = [scipy.signal.lfilter(b, a, np.zeros(block), zi=e)[0] for e in np.eye(order)]
-    impulse = scipy.signal.lfilter(b, a, np.eye(1, block)[0])
-    toeplitz = torch.tensor(scipy.linalg.toeplitz(impulse, np.zeros(block)).T)
-    observe = torch.tensor(np.array(basis))
-    ends = [scipy.signal.lfilter(b, a, np.zeros(block), zi=e)[1] for e in np.eye(order)]
-    transition = torch.tensor(np.array(ends))
-    into = torch.tensor(
-        np.array([scipy.signal.lfilter(b, a, row, zi=np.zeros(order))[1] for row in np.eye(block)])
-    )
-    samples = x.shape[-1]
-    padded = torch.nn.functional.pad(x.double(), (0, -samples % block))
-    blocks = padded.unflatten(-1, (-1, block))
-    pushed = blocks @ into
-    h, states = pushed.new_zeros(*x.shape[:-1], order), []
-    for n in range(blocks.shape[-2]):
-        states.append(h)
-        h = h @ transition + pushed[..., n, :]
-    y = blocks @ toeplitz + torch.stack(states, dim=-2) @ observe
-    return y.flatten(-2)[..., :samples].to(x)
 
 
 def case(batch: int, samples: int, repeats: int) -> dict[str, float]:
@@ -57,10 +25,8 @@ def case(batch: int, samples: int, repeats: int) -> dict[str, float]:
     one_way = ComplementaryPair.butterworth(1.0, 10.0, zero_phase=False)
     x = torch.randn(batch, samples, 1)
     leaf = x.clone().requires_grad_()
-    flat, array = leaf[..., 0], x[..., 0].double().numpy()
+    array = x[..., 0].double().numpy()
     b, a = one_way.b_low, one_way.a
-    expected = scipy.signal.lfilter(b, a, array)
-    np.testing.assert_allclose(blocked_lfilter(b, a, x[..., 0].double()), expected, atol=1e-9)
 
     def both(filtered: Callable[[], Tensor]) -> Callable[[], None]:
         def call() -> None:
@@ -79,7 +45,6 @@ def case(batch: int, samples: int, repeats: int) -> dict[str, float]:
             "joint, forward and backward": both(
                 lambda: one_way.combine(low=x, high=leaf, first=first)
             ),
-            "blocked form one way, forward and backward": both(lambda: blocked_lfilter(b, a, flat)),
         },
         repeats,
     )
@@ -88,8 +53,6 @@ def case(batch: int, samples: int, repeats: int) -> dict[str, float]:
         "zero-phase / SciPy filtfilt": found["zero-phase, forward and backward"] / scipy_zero,
         "one way / SciPy lfilter": found["one way, forward and backward"] / scipy_one,
         "joint / two SciPy lfilters": found["joint, forward and backward"] / scipy_one / 2,
-        "blocked form / ours, one way": found["blocked form one way, forward and backward"]
-        / found["one way, forward and backward"],
     }
     return found | ratios
 

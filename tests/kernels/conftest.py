@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from splitband.kernels import common
+from splitband.kernels import rollouts
 
 
 @pytest.fixture(autouse=True)
@@ -14,7 +14,7 @@ def two_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
-    monkeypatch.setattr(common, "_WORTH_A_THREAD", 1)
+    monkeypatch.setattr(rollouts, "_WORTH_A_THREAD", 1)
     torch.manual_seed(0)
     yield
     torch.set_num_threads(threads)

@@ -14,7 +14,7 @@ import pytest
 from numba import from_dtype, types
 
 import splitband
-from splitband.kernels import common
+from splitband.kernels import common, rollouts
 from splitband.kernels import matmul as products
 
 
@@ -67,10 +67,10 @@ def test_tanh_is_exact_to_four_ulp_and_bounded(dtype: type[np.floating], rtol: f
 def test_rows_are_split_evenly_over_the_threads_that_the_work_is_worth(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert common.split_rows(5, 100) == [slice(0, 2), slice(2, 5)]
-    assert common.split_rows(1, 100) == [slice(0, 1)]
-    monkeypatch.setattr(common, "_WORTH_A_THREAD", 60)
-    assert common.split_rows(5, 100) == [slice(0, 5)]
+    assert rollouts.split_rows(5, 100) == [slice(0, 2), slice(2, 5)]
+    assert rollouts.split_rows(1, 100) == [slice(0, 1)]
+    monkeypatch.setattr(rollouts, "_WORTH_A_THREAD", 60)
+    assert rollouts.split_rows(5, 100) == [slice(0, 5)]
 
 
 def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,8 +79,8 @@ def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch: pytest.Mon
             return Future()
 
     done: list[int] = []
-    monkeypatch.setattr(common, "_POOL", Lost())
-    common.run_rows(done.append, [(i,) for i in range(5)])
+    monkeypatch.setattr(rollouts, "_POOL", Lost())
+    rollouts.run_jobs(done.append, [(i,) for i in range(5)])
     assert sorted(done) == list(range(5))
 
 
@@ -90,7 +90,7 @@ def test_an_error_in_a_job_is_raised() -> None:
             raise MemoryError
 
     with pytest.raises(MemoryError):
-        common.run_rows(fail, [(0,), (1,), (2,)])
+        rollouts.run_jobs(fail, [(0,), (1,), (2,)])
 
 
 def test_compiling_is_announced_once_and_only_then(

@@ -7,13 +7,14 @@ records on which the rules were tested.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 
 import numpy as np
-import numpy.typing as npt
-import scipy
 
-from splitband.filters import ComplementaryPair, butterworth
+from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
@@ -124,15 +125,12 @@ def choose(
     spectrum = periodogram(y, sampling_rate)
     power = spectrum.shares()
     candidates = []
-    for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
-        # Squared, as the filter runs forward and backward.
-        gain = abs(_response(spectrum.frequencies, sampling_rate, *candidate)) ** 2
-        k = downsampling or _downsampling(
-            power * gain**2, spectrum.frequencies, candidate[0], warmup
-        )
+    for f, pair in _pairs(y, sampling_rate, warmup, cutoff, order, downsampling):
+        gain, _ = pair.response(spectrum.frequencies)
+        k = downsampling or _downsampling(power * gain**2, spectrum.frequencies, f, warmup)
         both = float(np.sum(2 * power * gain * (1 - gain)))
-        lost = both + _distortion(y, warmup, sampling_rate, *candidate)
-        candidates.append(Candidate(*candidate, k, float(np.sum(power * gain**2)), lost))
+        lost = both + _distortion(y, warmup, pair)
+        candidates.append(Candidate(f, pair.order, k, float(np.sum(power * gain**2)), lost))
     able = [c for c in candidates if c.passed >= LEAST_PASSED]
     good = [c for c in able if c.loss <= MOST_LOST]
     if good:
@@ -191,14 +189,14 @@ def choose_with_simulator(
     power[0] = error[0] = 0.0
     offset = float(np.mean(wrong.mean(axis=0) ** 2))
     candidates, wrongness = [], {}
-    for candidate in _grid(y, sampling_rate, warmup, cutoff, order, downsampling):
-        response = _response(spectrum.frequencies, sampling_rate, *candidate)
+    for f, pair in _pairs(y, sampling_rate, warmup, cutoff, order, downsampling):
+        response, _ = pair.one_way().response(spectrum.frequencies)
         low, high = abs(response) ** 2, abs(1 - response) ** 2
-        k = downsampling or _downsampling(power * low, spectrum.frequencies, candidate[0], warmup)
+        k = downsampling or _downsampling(power * low, spectrum.frequencies, f, warmup)
         passed, wrong_low = float(np.sum(low * power)), float(np.sum(low * error)) + offset
         left = wrong_low + LEFT_BY_NETWORK * float(np.sum(high * power))
-        candidates.append(Candidate(*candidate, k, passed, left))
-        wrongness[candidate] = wrong_low / (passed or 1.0)
+        candidates.append(Candidate(f, pair.order, k, passed, left))
+        wrongness[f, pair.order] = wrong_low / (passed or 1.0)
     lowest = min(c.order for c in candidates)
     best = min((c for c in candidates if c.order == lowest), key=lambda c: c.loss)
     other = min(candidates, key=lambda c: c.loss)
@@ -240,47 +238,31 @@ def _varying(y: Array) -> Flags:
     return varying if varying.any() else ~varying
 
 
-def _grid(
+def _pairs(
     y: Array,
     sampling_rate: float,
     warmup: int,
     cutoff: float | None,
     order: int | None,
     downsampling: int | None,
-) -> list[tuple[float, int]]:
-    """Return the pairs of cut-off in Hz and order to consider, from three cycles per record on."""
+) -> list[tuple[float, ComplementaryPair]]:
+    """Return the cut-offs in Hz to consider and their pairs, from three cycles per record on."""
     orders = [order] if order is not None else [n for n in ORDERS if _shortest(n) <= warmup] or [1]
-    if cutoff is not None:
-        butterworth(cutoff, sampling_rate, orders[0])
+    design = partial(ComplementaryPair.butterworth, sampling_rate=sampling_rate)
+    pairs = [] if cutoff is None else [(cutoff, design(cutoff, order=n)) for n in orders]
     check_downsampling(1 if downsampling is None else downsampling, cutoff or 0.0, sampling_rate)
-    if cutoff is not None:
-        return [(cutoff, n) for n in orders]
+    if pairs:
+        return pairs
     if not np.ptp(y, axis=0).any():
         raise ValueError("the training samples are constant: there is no band to split off")
     highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
     lowest = min(3 * sampling_rate / len(y), highest / 2)
     cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
-    # At a low cut-off, rounding makes a filter of high order unstable; such pairs are left out.
-    pairs = [(c, n) for c in cutoffs for n in orders if _exists(c, sampling_rate, n)]
-    if not pairs:
-        butterworth(cutoffs[-1], sampling_rate, orders[0])
-    return pairs
-
-
-def _exists(cutoff: float, sampling_rate: float, order: int) -> bool:
-    try:
-        butterworth(cutoff, sampling_rate, order)
-    except ValueError:
-        return False
-    return True
-
-
-def _response(
-    frequencies: Array, sampling_rate: float, cutoff: float, order: int
-) -> npt.NDArray[np.complex128]:
-    """Return the response of the low-pass filter, one way."""
-    b, a = butterworth(cutoff, sampling_rate, order)
-    return np.asarray(scipy.signal.freqz(b, a, frequencies, fs=sampling_rate)[1])
+    for f, n in product(cutoffs, orders):
+        # At a low cut-off, rounding makes a filter of high order unstable; such pairs are left out.
+        with suppress(ValueError):
+            pairs.append((f, design(f, order=n)))
+    return pairs or [(cutoffs[-1], design(cutoffs[-1], order=orders[0]))]
 
 
 def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) -> int:
@@ -298,12 +280,11 @@ def _shortest(order: int) -> int:
     return 3 * (order + 1) + 1
 
 
-def _distortion(y: Array, warmup: int, sampling_rate: float, cutoff: float, order: int) -> float:
+def _distortion(y: Array, warmup: int, pair: ComplementaryPair) -> float:
     """Return the mean squared error at the end of a filtered warm-up, as a share of the power."""
-    warmup = max(warmup, _shortest(order))
+    warmup = max(warmup, _shortest(pair.order))
     if len(y) < warmup:
         return 0.0
-    pair = ComplementaryPair.butterworth(cutoff, sampling_rate, order)
     begins = np.unique(np.linspace(0, len(y) - warmup, _WARMUPS).astype(int))
     index = begins[:, None] + np.arange(warmup)
     wrong = (pair.lowpass(y[index]) - pair.lowpass(y)[index])[:, -max(1, warmup // 10) :]

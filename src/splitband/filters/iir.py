@@ -1,12 +1,12 @@
 """Filter batches of signals by IIR filters, one way or both ways, exactly and differentiably.
 
-Arrays are filtered by SciPy, tensors as `filters.tensors` says, which is loaded for them. Both
-compute in float64, whatever the dtype of the signal: filters of high order lose many digits.
+All is composed of single passes, of `arrays` or `tensors`, so that torch derives the gradient of
+the rest. They compute in float64, whatever the dtype of the signal: filters of high order lose many
+digits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.filters import arrays
 from splitband.runtime.arrays import Array
 
 if TYPE_CHECKING:
@@ -54,9 +55,15 @@ def lfilter(
     _check_start(start)
     if start == "odd":
         raise ValueError('start="odd" is for filtering in both directions; use "steady" or "zeros"')
-    if first is not None:
-        check_first(first.shape, x.shape, len(a) - 1, time_axis(x.ndim, dim))
-    return _run(Passes(b, a, start, both_ways=False), x, first, dim)
+    axis, order, of = time_axis(x.ndim, dim), len(a) - 1, _kind(x)
+    rows = of.rows(x, axis)
+    if first is None:
+        return of.signal(_pass(of, b, a, rows, start), axis, x)
+    check_first(first.shape, x.shape, order, axis)
+    known = of.rows(first, axis)
+    state = of.xp.stack(_state_after(b, a, rows, known), -1)
+    rest = of.one_pass(b, a, rows[..., order:], state)
+    return of.signal(of.xp.concatenate([known, rest], -1), axis, x)
 
 
 def filtfilt(
@@ -81,91 +88,51 @@ def filtfilt(
     """
     b, a = normalised(b, a)
     _check_start(start)
-    passes = Passes(b, a, start, both_ways=True)
-    samples = x.shape[time_axis(x.ndim, dim)]
-    if samples <= passes.pad:
+    axis, of = time_axis(x.ndim, dim), _kind(x)
+    pad, samples = 3 * len(a) if start == "odd" else 0, x.shape[axis]
+    if samples <= pad:
         raise ValueError(
-            f"zero-phase filtering of order {len(a) - 1} needs more than {passes.pad} samples, "
+            f"zero-phase filtering of order {len(a) - 1} needs more than {pad} samples, "
             f"got {samples}"
         )
-    return _run(passes, x, None, dim)
+    rows = of.rows(x, axis)
+    if pad:
+        before = 2 * rows[..., :1] - of.xp.flip(rows[..., 1 : pad + 1], (-1,))
+        after = 2 * rows[..., -1:] - of.xp.flip(rows[..., -pad - 1 : -1], (-1,))
+        rows = of.xp.concatenate([before, rows, after], -1)
+    for reverse in (False, True):
+        rows = _pass(of, b, a, rows, start, reverse)
+    return of.signal(rows[..., pad : pad + samples], axis, x)
 
 
-class Passes:
-    """Describe one or two filter passes, and run them over arrays.
+def _kind(x: Any) -> Any:
+    """Return the module that filters signals of the kind of `x`."""
+    if isinstance(x, np.ndarray):
+        return arrays
+    from splitband.filters import tensors  # noqa: PLC0415  whoever has a tensor has torch
 
-    Attributes
-    ----------
-    b, a : Coefficients, `(P + 1,)` each.
-    pad : Samples by which both ends are extended.
-    directions : Of each pass: whether it runs from the last sample to the first.
-    steady : The initial state of a pass, for a first sample of 1.
-    """
-
-    def __init__(self, b: Array, a: Array, start: Start, both_ways: bool) -> None:
-        self.b, self.a = b, a
-        self.pad = 3 * len(a) if start == "odd" else 0
-        self.directions = (False, True) if both_ways else (False,)
-        order = len(a) - 1
-        self.steady = np.zeros(order) if start == "zeros" else _steady(tuple(b), tuple(a))
-
-    def run(self, x: npt.NDArray[Any], recurrence: Callable[..., None]) -> Array:
-        """Return `x` `(rows, time)`, filtered; `recurrence` runs a pass, as `passed` does."""
-        p = self.pad
-        y = np.empty((len(x), x.shape[1] + 2 * p))
-        inner = y[:, p : p + x.shape[1]]
-        inner[:] = x
-        if p:
-            y[:, :p] = 2 * inner[:, :1] - inner[:, p:0:-1]
-            y[:, -p:] = 2 * inner[:, -1:] - inner[:, -2 : -p - 2 : -1]
-        for reverse in self.directions:
-            first = y[:, -1] if reverse else y[:, 0]
-            recurrence(self.b, self.a, np.outer(first, self.steady), y, y, reverse)
-        return inner
-
-    def first_state(self, x: Any, first: Any) -> list[Any]:
-        """Return the entries of the state after the first P outputs of `x` `(..., time)`."""
-        order, b, a = len(self.a) - 1, self.b, self.a
-        return [
-            sum(
-                float(b[k]) * x[..., order - (k - m)] - float(a[k]) * first[..., order - (k - m)]
-                for k in range(m + 1, order + 1)
-            )
-            for m in range(order)
-        ]
+    return tensors
 
 
-def passed(b: Array, a: Array, state: Array, x: Array, y: Array, reverse: bool) -> None:
-    """Filter each row of `x` `(rows, time)` into `y`, which may be `x` itself, by SciPy.
+def _pass(of: Any, b: Array, a: Array, x: Any, start: Start, reverse: bool = False) -> Any:
+    """Filter `(..., time)` from zero, or from the steady state for the first sample."""
+    if not x.shape[-1]:
+        return x
+    steady = np.zeros(len(a) - 1) if start == "zeros" else _steady(tuple(b), tuple(a))
+    first = x[..., -1:] if reverse else x[..., :1]
+    return of.one_pass(b, a, x, first * of.xp.asarray(steady), reverse)
 
-    `state` `(rows, P)` is that before the first sample; `reverse`: from the last sample to the
-    first. `kernels.recurrence` does the same.
-    """
-    order = slice(None, None, -1 if reverse else 1)
-    y[:, order] = scipy.signal.lfilter(b, a, x[:, order], zi=state)[0]
 
-
-def _run(passes: Passes, x: Signal, first: Signal | None, dim: int | None) -> Signal:
-    """Filter along the time axis; `first` are the first P outputs of a single pass."""
-    axis = time_axis(x.ndim, dim)
-    if not isinstance(x, np.ndarray):
-        from splitband.filters import tensors  # noqa: PLC0415  whoever has a tensor has torch
-
-        return tensors.run(passes, x, first, axis)
-    kind = x.dtype if np.issubdtype(x.dtype, np.floating) else np.dtype(np.float64)
-    moved = np.moveaxis(x, axis, -1)
-    if not moved.size:
-        return x.astype(kind)
-    rows = moved.reshape(-1, moved.shape[-1]).astype(np.float64)
-    if first is None:
-        y = passes.run(rows, passed)
-    else:
-        known = np.moveaxis(np.asarray(first, np.float64), axis, -1).reshape(len(rows), -1)
-        state = np.stack(passes.first_state(rows, known), axis=-1)
-        y, order = rows, known.shape[1]
-        y[:, :order] = known
-        passed(passes.b, passes.a, state, rows[:, order:], y[:, order:], reverse=False)
-    return np.ascontiguousarray(np.moveaxis(y.reshape(moved.shape), -1, axis), kind)
+def _state_after(b: Array, a: Array, x: Any, y: Any) -> list[Any]:
+    """Return the entries of the state after the first P samples of `x` and outputs `y`."""
+    order = len(a) - 1
+    return [
+        sum(
+            float(b[k]) * x[..., order - (k - m)] - float(a[k]) * y[..., order - (k - m)]
+            for k in range(m + 1, order + 1)
+        )
+        for m in range(order)
+    ]
 
 
 @lru_cache(maxsize=64)

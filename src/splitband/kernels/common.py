@@ -1,39 +1,27 @@
-"""Provide what kernels share: compilation, tanh, padded buffers, rows split over threads."""
+"""Compile kernels and their parts, and provide the parts that they share."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 import math
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-import torch
 from numba import njit, types
 from numba.core import event
 from numba.extending import overload
 from numpy.typing import NDArray
-from torch import Tensor
 
 Array = NDArray[Any]
+Arrays = tuple[Array, ...]
 _LOG = logging.getLogger("splitband")
 F = TypeVar("F", bound=Callable[..., Any])
 
 PAD = 16
 """The last axis of a buffer is padded to a multiple of this: vector loops need no remainder."""
-CROWDED = 512
-"""Rows that `pad` makes are not a multiple of this many numbers apart. Of 512 columns, products
-take 0.4 to 0.6 of the time (501 rows, 8 to 50 rows of data, 512 KiB of second-level cache)."""
-_WORTH_A_THREAD = 1e7
-"""Multiplications that take as long as waking a thread."""
-
-# Numba's own threads may not be entered from several threads at once on every platform.
-_POOL = ThreadPoolExecutor(os.cpu_count(), "splitband")
-
 # Without "nnan" and "ninf", by which LLVM assumes that there is no NaN and no infinity.
 # With the error model of NumPy, division by zero gives infinity and does not raise.
 _OPTIONS: Any = {
@@ -137,102 +125,24 @@ def copy(out: Array, values: Array) -> None:
             out[i, j] = values[i, j]
 
 
-def check(like: Tensor, **tensors: tuple[Tensor, tuple[int, ...]]) -> None:
-    """Raise ValueError unless each tensor has its shape, and the dtype of `like`, on the CPU."""
-    if like.dtype not in (torch.float32, torch.float64):
-        raise ValueError(f"the kernels take float32 or float64, got {like.dtype}")
-    for name, (tensor, shape) in tensors.items():
-        if tensor.shape != shape or tensor.dtype != like.dtype or tensor.device.type != "cpu":
-            raise ValueError(
-                f"{name} must be {shape}, {like.dtype} on the CPU, "
-                f"got {tuple(tensor.shape)}, {tensor.dtype} on {tensor.device}"
-            )
+@part
+def add(out: Array, values: Array) -> None:
+    """Add `values` to the first columns of `out`."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            out[i, j] += values[i, j]
 
 
-# Buffers come from torch, which aligns them to 64 bytes. NumPy fills them: torch might use its
-# own threads, which go on spinning for milliseconds on the cores that `run_rows` needs.
+@part
+def tanh_of(x: Array) -> None:
+    """Write tanh(x) to x."""
+    for i in range(x.size):
+        x[i] = tanh(x[i])
 
 
-def zeros(like: Tensor, *shape: int) -> Tensor:
-    """Return zeros in the dtype of `like`."""
-    out = like.new_empty(shape)
-    out.numpy().fill(0)
-    return out
-
-
-def pad(x: Tensor | Array) -> Tensor:
-    """Return a copy whose last axis is padded with zeros to a multiple of `PAD`.
-
-    Rows a multiple of `CROWDED` apart get `PAD` more, as they would share few places of the cache.
-    """
-    values = array(x)
-    width = padded(values.shape[-1])
-    width += PAD * (width % CROWDED == 0)
-    out = zeros(torch.from_numpy(values[..., :0]), *values.shape[:-1], width)
-    out.numpy()[..., : values.shape[-1]] = values
-    return out
-
-
-def padded(n: int) -> int:
-    """Return the next multiple of `PAD`."""
-    return -(-n // PAD) * PAD
-
-
-def array(x: Any) -> Any:
-    """Return the values of a tensor, and anything else unchanged."""
-    return x.detach().numpy() if isinstance(x, Tensor) else x
-
-
-def add(sums: Sequence[Sequence[Tensor]]) -> list[Array]:
-    """Sum over jobs what each has summed over its rows."""
-    return [sum(array(s) for s in parts) for parts in zip(*sums, strict=True)]
-
-
-def split_rows(batch: int, work: float) -> list[slice]:
-    """Split batch rows over torch's threads, if `work` (multiplications) is worth them."""
-    n = max(1, min(torch.get_num_threads(), batch, int(work / _WORTH_A_THREAD)))
-    return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
-
-
-def buffers(like: Tensor, split: list[slice], *shapes: tuple[int, ...]) -> list[list[Tensor]]:
-    """Return for each job a tensor of each shape, with its rows as the last axis but one.
-
-    All are cut from one allocation: the C library gives several large ones back to the system,
-    and taking them again page by page costs as much as the products.
-    """
-    sizes = [math.prod(shape) for shape in shapes]
-    whole = like.new_empty(split[-1].stop * sum(sizes) + PAD * len(split) * len(sizes))
-    by_job: list[list[Tensor]] = []
-    at = 0
-    for rows in split:
-        by_job.append([])
-        for shape, size in zip(shapes, sizes, strict=True):
-            n = rows.stop - rows.start
-            values = whole[at : at + n * size]
-            by_job[-1].append(values.view(*shape[:-1], n, shape[-1]))
-            at = padded(at + n * size)
-    return by_job
-
-
-def run_rows(kernel: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:
-    """Call `kernel` with each of the `jobs`, tensors as arrays, on at most torch's many threads.
-
-    This thread takes jobs too, so that none waits for a thread that is busy, or that a fork of
-    the process has lost.
-    """
-    waiting = [[array(a) for a in job] for job in jobs]
-
-    def work() -> None:
-        while True:
-            try:
-                job = waiting.pop()
-            except IndexError:
-                return
-            kernel(*job)
-
-    threads = min(len(jobs), torch.get_num_threads())
-    helpers = [_POOL.submit(work) for _ in range(threads - 1)]
-    work()
-    for helper in helpers:
-        if not helper.cancel():
-            helper.result()
+@part
+def tanh_back(a: Array, da: Array) -> None:
+    """Bring the gradient of a = tanh(x) to x, in place."""
+    one = a.dtype.type(1)
+    for i in range(a.size):
+        da[i] *= one - a[i] * a[i]

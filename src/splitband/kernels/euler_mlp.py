@@ -10,34 +10,33 @@ and y is the first entries of h.
 
 from __future__ import annotations
 
-from itertools import chain
-from typing import Any
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from splitband.kernels.common import (
     Array,
+    Arrays,
     add,
-    array,
-    buffers,
-    check,
     copy,
     kernel,
-    pad,
-    padded,
     part,
-    run_rows,
-    split_rows,
-    zeros,
+    tanh_back,
+    tanh_of,
 )
 from splitband.kernels.matmul import matmul
-from splitband.kernels.state_space_lanes import tanh_back, tanh_of
-
-_GRADIENT_ROWS = 64
-"""Rows of gradients worth a product with them."""
+from splitband.kernels.rollouts import (
+    Kernel,
+    Shapes,
+    check,
+    gradient_steps,
+    pad,
+    padded,
+    run,
+    split_rows,
+)
 
 
 def euler_rollout(
@@ -55,8 +54,7 @@ def euler_rollout(
 ) -> Tensor:
     """Simulate from a given state (paper, Eq. 8, rollout).
 
-    Differentiable once, with respect to every tensor. Without gradients the memory does not grow
-    with the steps, apart from the result.
+    Differentiable once, with respect to every tensor.
 
     Returns the samples R..R+steps-1, shape `(batch, steps, ny)`.
 
@@ -85,103 +83,66 @@ def euler_rollout(
         bias_3=(bias_3, (size,)),
     )
     weights = (weight_1, bias_1, weight_2, bias_2, weight_3, bias_3)
-    if torch.is_grad_enabled() and any(t.requires_grad for t in (h0, u, *weights)):
-        y: Tensor = _Rollout.apply(h0, u, steps, ny, step_size, *weights)  # type: ignore[no-untyped-call]
-        return y
-    return _simulate(h0, u, steps, ny, step_size, weights, keep=False)[0]
+    return run(_EulerMLP(batch, steps, ny, u.shape[-1], last, step_size), (h0, u), weights)
 
 
-class _Rollout(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, h0: Tensor, u: Tensor, steps: int, ny: int, step_size: float, *weights: Tensor
-    ) -> Tensor:
-        y, ctx.rows, kept = _simulate(h0, u, steps, ny, step_size, weights, keep=True)
-        ctx.save_for_backward(*weights, *chain(*kept))
-        ctx.shapes, ctx.step_size = (h0.shape, u.shape), step_size
-        return y
+@dataclass(frozen=True)
+class _EulerMLP(Kernel):
+    """Keep x and b of each step; the narrow first layer is cheap: a is computed again."""
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, dy: Tensor) -> tuple[Tensor | None, ...]:
-        weights, kept = ctx.saved_tensors[:6], ctx.saved_tensors[6:]
-        w1, w2, w3 = (pad(w) for w in weights[::2])
-        first, *_ = _pack(weights)
-        dy = dy.contiguous()
-        dh, du = (zeros(dy, *shape) for shape in ctx.shapes)
-        sizes = first.shape, w2.shape, (1, w3.shape[1]), w3.shape, (len(w3),)
-        sums = [[zeros(dy, *size) for size in sizes] for _ in ctx.rows]
-        jobs = []
-        for i, rows in enumerate(ctx.rows):
-            n = rows.stop - rows.start
-            widths = w2.shape[1], w2.shape[1], w3.shape[1], padded(len(w3))
-            layers = [dy.new_empty(-(-_GRADIENT_ROWS // max(n, 1)), n, width) for width in widths]
-            saved = (*kept[2 * i : 2 * i + 2], *layers, first, w1, w2, w3)
-            jobs.append((ctx.step_size, dy[rows], *saved, *sums[i], dh[rows], du[rows]))
-        run_rows(_backward, jobs)
-        return dh, du, None, None, None, *_unpack(*weights[2].shape, *add(sums))
+    step_size: float
 
+    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
+        return _forward, _backward
 
-def _simulate(
-    h0: Tensor,
-    u: Tensor,
-    steps: int,
-    ny: int,
-    step_size: float,
-    weights: tuple[Tensor, ...],
-    keep: bool,
-) -> tuple[Tensor, list[slice], list[list[Tensor]]]:
-    """Return the samples, the rows of each job, and x and b of every step or the last.
+    def pack(self, *weights: Array) -> Arrays:
+        """Pack each layer's W' over its bias, to multiply from the right, and dt."""
+        layers = zip(weights[::2], weights[1::2], strict=True)
+        return *(_packed(w, bias) for w, bias in layers), self._step_size(weights)
 
-    The narrow first layer is cheap: a is computed anew on the way back.
-    """
-    packed = w1, w2, _ = _pack(weights)
-    slots = max(steps - 1, 1) if keep else 1
-    split = split_rows(len(h0), float(len(h0)) * steps * sum(w.numel() for w in packed))
-    y = h0.new_empty(len(h0), steps, ny)
-    h0, u = h0.contiguous(), u.contiguous()
-    kept = buffers(y, split, (slots + 1, len(w1)), (slots, w2.shape[1]))
-    jobs = [
-        (step_size, h0[rows], u[rows], *packed, *saved, y[rows])
-        for rows, saved in zip(split, kept, strict=True)
-    ]
-    run_rows(_forward, jobs)
-    return y, split, kept
+    def pack_back(self, *weights: Array) -> Arrays:
+        padded_weights = (pad(w) for w in weights[::2])
+        return _packed(*weights[:2]), *padded_weights, self._step_size(weights)
+
+    def split(self, packed: Arrays) -> list[slice]:
+        work = sum(w.size for w in packed[:-1])
+        return split_rows(self.batch, float(self.batch) * self.steps * work)
+
+    def kept(self, packed: Arrays, rows: int, keep: bool) -> Shapes:
+        w1, w2, *_ = packed
+        slots = max(self.last, 1) if keep else 1
+        return (slots + 1, rows, len(w1)), (slots, rows, w2.shape[1])
+
+    def scratch(self, packed: Arrays, rows: int) -> Shapes:
+        _, _, w2, w3, _ = packed
+        widths = w2.shape[1], w2.shape[1], w3.shape[1], padded(len(w3))
+        return [(gradient_steps(rows), rows, width) for width in widths]
+
+    def sums(self, packed: Arrays) -> Shapes:
+        first, _, w2, w3, _ = packed
+        return first.shape, w2.shape, (1, w3.shape[1]), w3.shape, (len(w3),)
+
+    def unpack(self, *sums: Array) -> Iterable[Array]:
+        dw1, dw2, db2, dw3, db3 = sums
+        return dw1[:-1].T, dw1[-1], dw2, db2[0], dw3, db3
+
+    def _step_size(self, weights: Arrays) -> Array:
+        return np.array([self.step_size], weights[0].dtype)
 
 
-def _pack(weights: tuple[Tensor, ...]) -> tuple[Tensor, Tensor, Tensor]:
-    """Pack each layer's W' over its bias, to multiply from the right."""
-    w1, b1, w2, b2, w3, b3 = (array(w) for w in weights)
-    pairs = (w1, b1), (w2, b2), (w3, b3)
-    first, second, third = (pad(np.concatenate([w.T, bias[None]])) for w, bias in pairs)
-    return first, second, third
-
-
-def _unpack(
-    n: int, m: int, dw1: Array, dw2: Array, db2: Array, dw3: Array, db3: Array
-) -> list[Tensor]:
-    """Return the gradients in the order and shapes of the weights."""
-    first = dw1[:, :m].T
-    grads = first[:, :-1], first[:, -1], dw2[:, :m], db2[0, :n], dw3[:, :n], db3
-    return [torch.from_numpy(np.ascontiguousarray(grad)) for grad in grads]
+def _packed(w: Array, bias: Array) -> Array:
+    return pad(np.concatenate([w.T, bias[None]]))
 
 
 @kernel
-def _forward(
-    step_size: float,
-    h0: Array,
-    u: Array,
-    w1: Array,
-    w2: Array,
-    w3: Array,
-    xs: Array,
-    bs: Array,
-    y: Array,
-) -> None:
+def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+    h0, u = inputs
+    w1, w2, w3, step_size = weights
+    xs, bs = kept
     rows, size = h0.shape
     steps, ny = y.shape[1:]
     one = size + u.shape[2]
-    dt = h0.dtype.type(step_size)
+    dt = step_size[0]
     a = np.empty((rows, w1.shape[1]), y.dtype)
     change = np.empty((rows, w3.shape[1]), y.dtype)
     copy(xs[0], h0)
@@ -211,32 +172,18 @@ def _layer(out: Array, values: Array, ones: Array, w: Array) -> None:
 
 @kernel
 def _backward(
-    step_size: float,
-    dy: Array,
-    xs: Array,
-    bs: Array,
-    as_: Array,
-    das: Array,
-    dbs: Array,
-    dcs: Array,
-    first: Array,
-    w1: Array,
-    w2: Array,
-    w3: Array,
-    dw1: Array,
-    dw2: Array,
-    db2: Array,
-    dw3: Array,
-    db3: Array,
-    dh: Array,
-    du: Array,
+    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
+    first, w1, w2, w3, step_size = weights
+    xs, bs, as_, das, dbs, dcs = kept
+    dw1, dw2, db2, dw3, db3 = sums
+    dh, du = gradients
     rows, size = dh.shape
     steps, one = dy.shape[1], size + du.shape[2]
-    dt = dy.dtype.type(step_size)
+    dt = step_size[0]
     dx = np.empty((rows, w1.shape[1]), dy.dtype)
     for t in range(steps - 1, -1, -1):
-        _add(dh, dy[:, t])
+        add(dh, dy[:, t])
         if t == 0:
             break
         s = t - 1
@@ -253,7 +200,7 @@ def _backward(
         tanh_of(a.reshape(-1))
         tanh_back(a.reshape(-1), da.reshape(-1))
         matmul(dx, da[:, : len(w1)], w1, False)
-        _add(dh, dx[:, :size])
+        add(dh, dx[:, :size])
         copy(du[:, s], dx[:, size:one])
         if step == 0:
             stop = min(s + len(das), steps - 1)
@@ -264,13 +211,6 @@ def _backward(
             matmul(dw2, db[:, : len(w2)].T, a, True)
             matmul(db2, x[:, one:].T, db, True)
             matmul(dw3, dc[:, :size].T, b, True)
-
-
-@part
-def _add(out: Array, values: Array) -> None:
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            out[i, j] += values[i, j]
 
 
 @part

@@ -10,36 +10,18 @@ The gates of a step are kept as planes r, z, m, n: U has the first three, W all 
 
 from __future__ import annotations
 
-from itertools import chain
-from typing import Any
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from splitband.kernels.common import (
-    PAD,
-    Array,
-    add,
-    array,
-    buffers,
-    check,
-    copy,
-    kernel,
-    pad,
-    part,
-    run_rows,
-    split_rows,
-    tanh,
-    zeros,
-)
+from splitband.kernels.common import PAD, Array, Arrays, copy, kernel, part, tanh
 from splitband.kernels.matmul import matmul
+from splitband.kernels.rollouts import Kernel, Shapes, check, gradient_steps, pad, run, split_rows
 
 _W_PLANES = [0, 1, 3]
 """Planes of gates that W has, out of r, z, m and n."""
-_GRADIENT_ROWS = 64
-"""Rows of gate gradients worth a product with them."""
 
 
 def gru_rollout(
@@ -55,8 +37,7 @@ def gru_rollout(
 ) -> Tensor:
     """Warm up from h = 0 on measured samples, then simulate (paper, Eq. 8, rollout).
 
-    Differentiable once, with respect to every tensor. Without gradients the memory does not grow
-    with the steps, apart from the result.
+    Differentiable once, with respect to every tensor.
 
     Returns the samples R..R+steps-1, shape `(batch, steps, ny)`.
 
@@ -83,100 +64,61 @@ def gru_rollout(
         bias_out=(bias_out, (ny,)),
     )
     weights = (weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out)
-    if torch.is_grad_enabled() and any(t.requires_grad for t in (y_warmup, u, *weights)):
-        y: Tensor = _Rollout.apply(y_warmup, u, steps, *weights)  # type: ignore[no-untyped-call]
-        return y
-    return _simulate(y_warmup, u, steps, weights, keep=False)[0]
+    return run(_GRU(batch, steps, ny, u.shape[-1], last), (y_warmup, u), weights)
 
 
-class _Rollout(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, y_warmup: Tensor, u: Tensor, steps: int, *weights: Tensor) -> Tensor:
-        y, ctx.rows, kept = _simulate(y_warmup, u, steps, weights, keep=True)
-        ctx.save_for_backward(*weights, *chain(*kept))
-        ctx.shapes = y_warmup.shape, u.shape
-        return y
+@dataclass(frozen=True)
+class _GRU(Kernel):
+    """Keep x, h and the gates of each step."""
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, dy: Tensor) -> tuple[Tensor | None, ...]:
-        weight_ih, weight_hh, _, _, weight_out, _, *kept = ctx.saved_tensors
-        ny, size = weight_out.shape
-        wih, whh = (pad(w.reshape(3, size, -1)) for w in (weight_ih, weight_hh))
-        wy, dy = pad(weight_out), dy.contiguous()
-        dy_warmup, du = (zeros(dy, *shape) for shape in ctx.shapes)
-        wanted = ctx.needs_input_grad[0] or ctx.needs_input_grad[1]
-        sizes = ((4, weight_ih.shape[1] + 1, whh.shape[2]), whh.shape, wy.shape, (ny,))
-        sums = [[zeros(dy, *size) for size in sizes] for _ in ctx.rows]
-        jobs = []
-        for i, rows in enumerate(ctx.rows):
-            n = rows.stop - rows.start
-            dgates = dy.new_empty(4, -(-_GRADIENT_ROWS // max(n, 1)), n, whh.shape[2])
-            saved = (*kept[3 * i : 3 * i + 3], dgates, wih, whh, wy)
-            jobs.append((wanted, dy[rows], *saved, *sums[i], dy_warmup[rows], du[rows]))
-        run_rows(_backward, jobs)
-        return dy_warmup, du, None, *_unpack(size, *add(sums))
+    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
+        return _forward, _backward
 
+    def pack(self, *weights: Array) -> Arrays:
+        """Pack W' and U' by planes, and C' over c, all to multiply from the right."""
+        weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out = weights
+        size = weight_hh.shape[1]
+        wx = np.zeros((4, weight_ih.shape[1] + 1, size), weight_ih.dtype)
+        wx[_W_PLANES, :-1] = weight_ih.reshape(3, size, -1).transpose(0, 2, 1)
+        wx[_W_PLANES, -1] = bias_ih.reshape(3, size)
+        wx[:3, -1] += bias_hh.reshape(3, size)
+        wh = weight_hh.reshape(3, size, size).transpose(0, 2, 1)
+        return pad(wx), pad(wh), pad(np.concatenate([weight_out.T, bias_out[None]]))
 
-def _simulate(
-    y_warmup: Tensor, u: Tensor, steps: int, weights: tuple[Tensor, ...], keep: bool
-) -> tuple[Tensor, list[slice], list[list[Tensor]]]:
-    """Return the samples, the rows of each job, and x, h and gates of every step or the last."""
-    packed = wx, wh, _ = _pack(*(array(w) for w in weights))
-    batch, warmup, ny = y_warmup.shape
-    width, last = wh.shape[2], warmup + steps - 1
-    slots = max(last, 1) if keep else 1
-    split = split_rows(batch, 4.0 * batch * last * width * (width + PAD))
-    y = y_warmup.new_empty(batch, steps, ny)
-    y_warmup, u = y_warmup.contiguous(), u.contiguous()
-    sizes = (slots + 1, wx.shape[1]), (slots + 1, width), (slots, 4, width)
-    kept = buffers(y, split, *sizes)
-    jobs = [
-        (y_warmup[rows], u[rows], *packed, *saved, y[rows])
-        for rows, saved in zip(split, kept, strict=True)
-    ]
-    run_rows(_forward, jobs)
-    return y, split, kept
+    def pack_back(self, *weights: Array) -> Arrays:
+        weight_ih, weight_hh, _, _, weight_out, _ = weights
+        wih, whh = (pad(w.reshape(3, weight_hh.shape[1], -1)) for w in (weight_ih, weight_hh))
+        return wih, whh, pad(weight_out)
 
+    def split(self, packed: Arrays) -> list[slice]:
+        width = packed[1].shape[2]
+        return split_rows(self.batch, 4.0 * self.batch * self.last * width * (width + PAD))
 
-def _pack(
-    weight_ih: Array,
-    weight_hh: Array,
-    bias_ih: Array,
-    bias_hh: Array,
-    weight_out: Array,
-    bias_out: Array,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Pack W' and U' by planes, and C' over c, all to multiply from the right."""
-    size = weight_hh.shape[1]
-    wx = np.zeros((4, weight_ih.shape[1] + 1, size), weight_ih.dtype)
-    wx[_W_PLANES, :-1] = weight_ih.reshape(3, size, -1).transpose(0, 2, 1)
-    wx[_W_PLANES, -1] = bias_ih.reshape(3, size)
-    wx[:3, -1] += bias_hh.reshape(3, size)
-    wh = weight_hh.reshape(3, size, size).transpose(0, 2, 1)
-    return pad(wx), pad(wh), pad(np.concatenate([weight_out.T, bias_out[None]]))
+    def kept(self, packed: Arrays, rows: int, keep: bool) -> Shapes:
+        wx, wh, _ = packed
+        slots, width = max(self.last, 1) if keep else 1, wh.shape[2]
+        return (slots + 1, rows, wx.shape[1]), (slots + 1, rows, width), (slots, 4, rows, width)
 
+    def scratch(self, packed: Arrays, rows: int) -> Shapes:
+        return ((4, gradient_steps(rows), rows, packed[1].shape[2]),)
 
-def _unpack(size: int, dwx: Array, dwh: Array, dwy: Array, dby: Array) -> list[Tensor]:
-    """Return the gradients in the order and shapes of the weights."""
-    dw = dwx[_W_PLANES, :, :size].transpose(0, 2, 1).reshape(3 * size, -1)
-    du = dwh[:, :, :size].reshape(3 * size, size)
-    db = dwx[:3, -1, :size].reshape(-1)
-    return [torch.from_numpy(d) for d in (dw[:, :-1], du, dw[:, -1], db, dwy[:, :size], dby)]
+    def sums(self, packed: Arrays) -> Shapes:
+        _, whh, wy = packed
+        return (4, self.ny + self.nu + 1, whh.shape[2]), whh.shape, wy.shape, (self.ny,)
+
+    def unpack(self, *sums: Array) -> Iterable[Array]:
+        dwx, dwh, dwy, dby = sums
+        size = dwh.shape[1]
+        dw = dwx[_W_PLANES, :, :size].transpose(0, 2, 1).reshape(3 * size, -1)
+        du, db = dwh[:, :, :size].reshape(3 * size, size), dwx[:3, -1, :size].reshape(-1)
+        return dw[:, :-1], du, dw[:, -1], db, dwy, dby
 
 
 @kernel
-def _forward(
-    y_warmup: Array,
-    u: Array,
-    wx: Array,
-    wh: Array,
-    wy: Array,
-    xs: Array,
-    hs: Array,
-    gates: Array,
-    y: Array,
-) -> None:
+def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+    y_warmup, u = inputs
+    wx, wh, wy = weights
+    xs, hs, gates = kept
     rows, warmup, ny = y_warmup.shape
     one, size = ny + u.shape[2], wh.shape[1]
     last = warmup + y.shape[1] - 1
@@ -217,22 +159,12 @@ def _gate(g: Array, h: Array, h_next: Array) -> None:
 
 @kernel
 def _backward(
-    wanted: bool,
-    dy: Array,
-    xs: Array,
-    hs: Array,
-    gates: Array,
-    dgates: Array,
-    wih: Array,
-    whh: Array,
-    wy: Array,
-    dwx: Array,
-    dwh: Array,
-    dwy: Array,
-    dby: Array,
-    dy_warmup: Array,
-    du: Array,
+    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
+    wih, whh, wy = weights
+    xs, hs, gates, dgates = kept
+    dwx, dwh, dwy, dby = sums
+    dy_warmup, du = gradients
     rows, warmup, ny = dy_warmup.shape
     one, size, width = ny + du.shape[2], whh.shape[1], whh.shape[2]
     last = warmup + dy.shape[1] - 1

@@ -7,6 +7,7 @@ a loop over an array goes through memory.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,39 +46,31 @@ def add_products(out: Array, a: Array, b: Array) -> None:
     _add_products(out, a, b)
 
 
-def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple[Any, Any]:
-    item_bytes = w.dtype.bitwidth // 8
+def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
+    """Return the signature of a product for Numba, and the function that emits its code."""
+    item_bytes = types_of_args[1].dtype.bitwidth // 8
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        arrays = [
-            context.make_array(kind)(context, builder, value)
-            for kind, value in zip(signature.args[:3], args[:3], strict=True)
+        operands = [
+            context.make_array(of_arg)(context, builder, value)
+            for of_arg, value in zip(signature.args[:3], args[:3], strict=True)
         ]
-        item = context.get_value_type(w.dtype)
-        _Product(builder, arrays[0], arrays[1], arrays[2], args[3], item, item_bytes).emit()
+        operands += [context.get_value_type(signature.args[1].dtype), item_bytes, *args[3:]]
+        kind(builder, *operands).emit()
         return context.get_dummy_value()
 
-    return types.void(out, a, w, accumulate), codegen
+    return types.void(*types_of_args), codegen
 
 
-_matmul: Any = intrinsic(_product)
+def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple[Any, Any]:
+    return _emitted_by(_Product, out, a, w, accumulate)
 
 
 def _sum_of_products(typingctx: Any, out: Any, a: Any, b: Any) -> tuple[Any, Any]:
-    item_bytes = a.dtype.bitwidth // 8
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        arrays = [
-            context.make_array(kind)(context, builder, value)
-            for kind, value in zip(signature.args, args, strict=True)
-        ]
-        item = context.get_value_type(a.dtype)
-        _SumOfProducts(builder, arrays[0], arrays[1], arrays[2], None, item, item_bytes).emit()
-        return context.get_dummy_value()
-
-    return types.void(out, a, b), codegen
+    return _emitted_by(_SumOfProducts, out, a, b)
 
 
+_matmul: Any = intrinsic(_product)
 _add_products: Any = intrinsic(_sum_of_products)
 
 
@@ -89,9 +82,9 @@ class _Product:
     out: Any
     a: Any
     w: Any
-    accumulate: Any
     item: Any
     item_bytes: int
+    accumulate: Any = None
 
     @property
     def vector(self) -> Any:
@@ -116,10 +109,7 @@ class _Product:
         count = self.vector.count
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(v), count) for v in range(width)]
-        places = [(r, c) for r in down for c in across]
-        sums = {place: cgutils.alloca_once(self.builder, self.vector) for place in places}
-        for register in sums.values():
-            self.builder.store(ir.Constant(self.vector, None), register)
+        sums = self.registers((r, c) for r in down for c in across)
         inner = cgutils.unpack_tuple(self.builder, self.w.shape)[0]
         with cgutils.for_range(self.builder, inner) as k:
             ws = {c: self.load(self.w, (k.index, c), self.vector) for c in across}
@@ -134,6 +124,13 @@ class _Product:
         for (r, c), register in sums.items():
             target = self.pointer(self.out, (r, c), self.vector)
             self.builder.store(self.builder.load(register), target, align=self.item_bytes)
+
+    def registers(self, places: Iterable[tuple[Any, Any]]) -> dict[tuple[Any, Any], Any]:
+        """Return a vector of zeros for each place of the result."""
+        found = {place: cgutils.alloca_once(self.builder, self.vector) for place in places}
+        for register in found.values():
+            self.builder.store(ir.Constant(self.vector, None), register)
+        return found
 
     def divide(self, start: Any, stop: Any, length: int) -> tuple[Any, Any]:
         """Return how many whole lengths fit between start and stop, and where they end."""
@@ -185,11 +182,7 @@ class _SumOfProducts(_Product):
     def block(self, row: Any, column: Any, height: int, width: int) -> None:
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(c), 1) for c in range(width)]
-        sums = {
-            (r, c): cgutils.alloca_once(self.builder, self.vector) for r in down for c in across
-        }
-        for register in sums.values():
-            self.builder.store(ir.Constant(self.vector, None), register)
+        sums = self.registers((r, c) for r in down for c in across)
         times, _, lanes = cgutils.unpack_tuple(self.builder, self.a.shape)
         vectors, _ = self.divide(lanes.type(0), lanes, self.vector.count)
         with (

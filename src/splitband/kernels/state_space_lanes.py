@@ -8,47 +8,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitband.kernels.common import Array, kernel, part, tanh
+from splitband.kernels.common import Array, Arrays, kernel, part, tanh_back, tanh_of
 from splitband.kernels.matmul import add_products, matmul
 
 _GRADIENT_STEPS = 16
 """Steps whose gradients are kept until they are multiplied with what they belong to."""
 
 
-def size_of_kept(slots: int, width: int, hidden: int, warm: int) -> int:
-    """Return how many quantities `forward` keeps of so many steps, and `warm` errors."""
-    return (slots + 1) * (width + 2 * hidden) + warm
-
-
-@part
-def _parts(kept: Array, width: int, hidden: int, warm: int) -> tuple[Array, Array, Array, Array]:
-    """Return the stream, the units of f and of g, and the errors of the warm-up."""
-    slots, lanes = (len(kept) - warm) // (width + 2 * hidden), kept.shape[1]
-    a, b = slots * width, slots * (width + hidden)
-    c = b + slots * hidden
-    fs, gs = kept[a:b].reshape(slots, hidden, lanes), kept[b:c].reshape(slots, hidden, lanes)
-    return kept[:a], fs, gs, kept[c:]
-
-
 @kernel
-def forward(
-    keep: bool,
-    x0: Array,
-    y_warmup: Array,
-    u: Array,
-    wz: Array,
-    wf: Array,
-    ws: Array,
-    wg: Array,
-    gain: Array,
-    kept: Array,
-    y: Array,
-) -> None:
-    """Follow the warm-up and simulate; with `keep`, what `backward` needs is kept."""
+def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+    """Follow the warm-up and simulate; where there is room in `kept`, all steps are kept."""
+    x0, y_warmup, u = inputs
+    wz, wf, ws, wg, gain = weights
+    stream, fs, gs, es = kept
     warmup, ny = y_warmup.shape[1:]
-    (size, hidden), nu, width, lanes = wf.shape, u.shape[2], wz.shape[1], kept.shape[1]
+    (size, hidden), nu, width, lanes = wf.shape, u.shape[2], wz.shape[1], stream.shape[1]
     last = warmup + y.shape[1] - 1
-    stream, fs, gs, es = _parts(kept, width, hidden, warmup * ny)
+    keep = len(fs) > last
     seen = np.empty((ny, lanes), y.dtype)
     _to_lanes(stream[:nu], u[:, 0])
     _to_lanes(stream[nu : nu + size], x0)
@@ -85,29 +61,17 @@ def forward(
 
 
 @kernel
-def backward(
-    wanted: bool,
-    dy: Array,
-    kept: Array,
-    wz: Array,
-    wf: Array,
-    ws: Array,
-    wg: Array,
-    gain: Array,
-    dwz: Array,
-    dwf: Array,
-    dws: Array,
-    dwg: Array,
-    dgain: Array,
-    dx0: Array,
-    dy_warmup: Array,
-    du: Array,
+def backward(  # noqa: PLR0915
+    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     """Add the gradients of the weights, and write or add the others."""
+    wz, wf, ws, wg, gain = weights
+    dwz, dwf, dws, dwg, dgain = sums
+    dx0, dy_warmup, du = gradients
+    stream, fs, gs, es = kept
     rows, warmup, ny = dy_warmup.shape
-    (size, hidden), nu, width, lanes = wf.shape, du.shape[2], wz.shape[1], kept.shape[1]
+    (size, hidden), nu, width, lanes = wf.shape, du.shape[2], wz.shape[1], stream.shape[1]
     last = warmup + dy.shape[1] - 1
-    stream, fs, gs, es = _parts(kept, width, hidden, warmup * ny)
     ss = stream.reshape(last + 1, width, lanes)
     zs = stream[nu : nu + last * width].reshape(last, width, lanes)
     # Of each step: the gradients of the units and of what they are added to.
@@ -177,18 +141,3 @@ def _add_rows(out: Array, values: Array) -> None:
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] += values[j, i]
-
-
-@part
-def tanh_of(x: Array) -> None:
-    """Write tanh(x) to x."""
-    for i in range(x.size):
-        x[i] = tanh(x[i])
-
-
-@part
-def tanh_back(a: Array, da: Array) -> None:
-    """Bring the gradient of a = tanh(x) to x, in place."""
-    one = a.dtype.type(1)
-    for i in range(a.size):
-        da[i] *= one - a[i] * a[i]

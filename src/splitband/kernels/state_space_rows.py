@@ -9,73 +9,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitband.kernels.common import PAD, Array, copy, kernel, padded, part
+from splitband.kernels.common import PAD, Array, Arrays, copy, kernel, part, tanh_back, tanh_of
 from splitband.kernels.matmul import matmul
-from splitband.kernels.state_space_lanes import tanh_back, tanh_of
 
 CHUNK = 64
 """Samples whose outputs, and gradients of weights, are computed at once."""
 
 
-def size_of_kept(slots: int, width: int, hidden: int, warmup: int, ny: int) -> int:
-    """Return how many times `PAD` numbers `forward` keeps of so many samples."""
-    wide = (slots + 2) * padded(width) + 2 * slots * padded(hidden) + warmup * padded(ny)
-    return wide // PAD
-
-
-@part
-def _to_pad(n: int) -> int:
-    return -(-n // PAD) * PAD
-
-
-@part
-def _parts(
-    kept: Array, slots: int, width: int, hidden: int, shape: tuple[int, int]
-) -> tuple[Array, Array, Array, Array]:
-    """Return all z, the units of f and of g, and the errors of the warm-up."""
-    flat, (warmup, ny) = kept.reshape(-1), shape
-    width, hidden = -(-width // PAD) * PAD, -(-hidden // PAD) * PAD
-    a = (slots + 2) * width
-    b = a + slots * hidden
-    c = b + slots * hidden
-    d = c + warmup * (-(-ny // PAD) * PAD)
-    fs, gs = flat[a:b].reshape(slots, hidden), flat[b:c].reshape(slots, hidden)
-    return (
-        flat[:a].reshape(slots + 2, width),
-        fs,
-        gs,
-        flat[c:d].reshape(warmup, -(-ny // PAD) * PAD),
-    )
-
-
 @part
 def _wide(w: Array) -> Array:
     """Return a copy whose rows are padded with zeros."""
-    out = np.zeros((w.shape[0], _to_pad(w.shape[1])), w.dtype)
+    out = np.zeros((w.shape[0], -(-w.shape[1] // PAD) * PAD), w.dtype)
     copy(out, w)
     return out
 
 
 @kernel
-def forward(
-    keep: bool,
-    x0: Array,
-    y_warmup: Array,
-    u: Array,
-    wz: Array,
-    wf: Array,
-    ws: Array,
-    wg: Array,
-    gain: Array,
-    kept: Array,
-    y: Array,
-) -> None:
-    """Follow the warm-up and simulate; with `keep`, what `backward` needs is kept."""
+def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+    """Follow the warm-up and simulate; where there is room in `kept`, all steps are kept."""
+    x0, y_warmup, u = inputs
+    wz, wf, ws, wg, gain = weights
+    xs, fs, gs, es = kept
     warmup, ny = y_warmup.shape[1:]
     (size, hidden), nu, width = wf.shape, u.shape[2], wz.shape[1]
     last = warmup + y.shape[1] - 1
-    slots = last + 1 if keep else CHUNK
-    xs, fs, gs, es = _parts(kept, slots, width, hidden, (warmup, ny))
+    keep = len(fs) > last
     units_of_z, x_of_z = _wide(wz[:hidden].T), _wide(wz[hidden:].T)
     x_of_units, x_of_e = _wide(wf.T), _wide(gain.T)
     of_x, of_u = _wide(ws[:hidden, nu:].T), _wide(ws[:hidden, :nu].T)
@@ -134,28 +92,16 @@ def _outputs(
 
 @kernel
 def backward(  # noqa: PLR0915
-    wanted: bool,
-    dy: Array,
-    kept: Array,
-    wz: Array,
-    wf: Array,
-    ws: Array,
-    wg: Array,
-    gain: Array,
-    dwz: Array,
-    dwf: Array,
-    dws: Array,
-    dwg: Array,
-    dgain: Array,
-    dx0: Array,
-    dy_warmup: Array,
-    du: Array,
+    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     """Add the gradients of the weights, and write or add the others."""
+    wz, wf, ws, wg, gain = weights
+    dwz, dwf, dws, dwg, dgain = sums
+    dx0, dy_warmup, du = gradients
+    xs, fs, gs, es = kept
     warmup, ny = dy_warmup.shape[1:]
     (size, hidden), nu, width = wf.shape, du.shape[2], wz.shape[1]
     last = warmup + dy.shape[1] - 1
-    xs, fs, gs, es = _parts(kept, last + 1, width, hidden, (warmup, ny))
     dtype, wide = dy.dtype, xs.shape[1]
     units_of_x, units_of_y, e_of_x = _wide(wf), _wide(wg), _wide(gain)
     z_of_units, z_of_x = _wide(wz[:hidden]), _wide(wz[hidden:])

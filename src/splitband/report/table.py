@@ -257,10 +257,12 @@ def of_comparison(comparison: Comparison) -> Table:
         f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to train "
         f"on, {len(record) - train:,} after them; the best of each column is bold"
     )
-    said = {
-        name: "; ".join(filter(None, [in_words(name, comparison.methods), note]))
-        for name, note in remarks(comparison).items()
-    }
+    said = {}
+    for name, note in remarks(comparison).items():
+        kind = in_words(name, comparison.methods)
+        # What a baseline has chosen says what it is; a network's sizes do not.
+        trained = trial is not None and name in trial.trained
+        said[name] = f"{kind}; {note}" if trained and kind and note else note or kind
     return _ranked(Table(title, columns(comparison), said), trial)
 
 
