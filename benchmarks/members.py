@@ -131,7 +131,7 @@ def _longer(network: sb.Single) -> sb.Forecaster:
     assert settings.quasi_newton is not None
     iterations, window = round(1.25 * settings.quasi_newton), settings.window
     window = SAMPLES if window == FITTED else window
-    return network.trained_as(replace(settings, quasi_newton=iterations, window=window))
+    return network._trained_as(replace(settings, quasi_newton=iterations, window=window))
 
 
 def errors(found: dict[str, Array]) -> dict[str, float]:

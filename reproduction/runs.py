@@ -232,8 +232,8 @@ def run(
     done = backtest(forecaster, question, job.seed, checkpoint=checkpoint)
     sliced = None
     if job.splits:
-        assert done.fitted.network is not None
-        model = done.fitted.network.model
+        assert done.fitted._network is not None
+        model = done.fitted._network.model
         assert isinstance(model, Split)
         sliced = sliced_rmse(model, record, setup.train, setup.settings.warmup)
     return done, sliced

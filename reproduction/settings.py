@@ -33,7 +33,7 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The method with this name."""
-        return named(name, self.sizes).with_defaults(self.settings, self.bands)
+        return named(name, self.sizes)._with_defaults(self.settings, self.bands)
 
     def as_json(self) -> dict[str, Any]:
         """What a file of a run says of it."""

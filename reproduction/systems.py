@@ -14,7 +14,7 @@ import scipy
 from splitband.data import Record
 from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.simulators import Ode, run
 
 Array = npt.NDArray[np.float64]

@@ -27,7 +27,7 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The method of that name."""
-        return named(name, self.sizes).with_defaults(self.settings, self.bands)
+        return named(name, self.sizes)._with_defaults(self.settings, self.bands)
 
     @property
     def options(self) -> dict[str, Any]:

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecaster]:
     """The methods, those that are given by name with what the setup says."""
     made = [setup.forecaster(each) if isinstance(each, str) else each for each in names]
-    return [each.with_defaults(setup.settings, setup.bands) for each in made]
+    return [each._with_defaults(setup.settings, setup.bands) for each in made]
 
 
 def simulated(model: Model, y: Array, steps: int, u: Any = None, y_sim: Any = None) -> Array:

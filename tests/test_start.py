@@ -24,7 +24,7 @@ for model in (sb.Mean(), sb.Persistence(), sb.Linear(), sb.Harmonic()):
     y = model.fit(record).predict(5, u=u).y
     assert np.isfinite(y).all()
 model = named("linear").fit(record)
-model.require_held_out()
+model._require_held_out()
 model.save("model")
 again = sb.load("model").predict(5, u=u, level=0.9)
 assert (again.y == model.predict(5, u=u).y).all()

@@ -38,27 +38,27 @@ from .forecasters.closed_form import (
 )
 from .forecasters.ensemble import Ensemble as Ensemble
 from .forecasters.grey_box import GreyBox as GreyBox
-from .forecasters.hybrids import (
-    Filtered as Filtered,
-    Residual as Residual,
-)
-from .forecasters.known import Known as Known
 from .forecasters.names import (
     Sizes as Sizes,
     named as named,
 )
 from .forecasters.learned import (
+    Filtered as Filtered,
+    Residual as Residual,
     Single as Single,
     Split as Split,
 )
 from .forecasters.linear import Linear as Linear
-from .forecasters.prediction import Prediction as Prediction
+from .forecasters.prediction import (
+    Known as Known,
+    Prediction as Prediction,
+)
 from .forecasters.saving import load as load
 from .forecasters.simulation import (
     Calibrated as Calibrated,
     Simulation as Simulation,
 )
-from .forecasters.streaming import Stream as Stream
+from .forecasters.stepping import Stream as Stream
 from .metrics import (
     ExtrapolationWarning as ExtrapolationWarning,
     cumulative_rmse as cumulative_rmse,

@@ -13,7 +13,7 @@ from splitband.baselines.harmonic import HarmonicRegression
 from splitband.baselines.seasonal import LastPeriod
 from splitband.data.named import double_mass_spring
 from splitband.forecasters.closed_form import Persistence
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 
 Array = npt.NDArray[Any]
 

@@ -40,7 +40,7 @@ def cut_weights(folder: Path) -> None:
         (lambda f: (f / "forecaster.json").write_text("{"), ("forecaster.json is damaged:",)),
         (cut_weights, ("damaged/weights-", "damaged:")),
         (change_json(lambda d: d.pop("format")), ("`splitband fit`", "format")),
-        (change_json(lambda d: state(d)["trained_by"]["fields"].update(warmup=-3)), ("warm",)),
+        (change_json(lambda d: state(d)["_trained_by"]["fields"].update(warmup=-3)), ("warm",)),
         (
             change_json(
                 lambda d: state(d)["fitted"]["fields"]["record"]["fields"].update(columns=["a"])
@@ -90,6 +90,6 @@ def test_a_damaged_calibration_is_one_line(
     for name in ("history.csv", "simulated.csv"):
         shutil.copy(name, tmp_path)
     monkeypatch.chdir(tmp_path)
-    change_json(lambda d: change(state(d)["fitted_base"]["fields"]["applied"]))(Path("damaged"))
+    change_json(lambda d: change(state(d)["_fitted_base"]["fields"]["applied"]))(Path("damaged"))
     line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
     assert_fails(line, ("damaged",), capsys)

@@ -259,7 +259,10 @@ def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
     assert not Path("out/results.json").exists()
     write("spectrum.png")
     assert {path.name for path in Path("out").iterdir()} == {"results.json", "spectrum.png"}
-    assert json.loads(Path("out/results.json").read_text()) == {"files": ["spectrum.png"]}
+    assert json.loads(Path("out/results.json").read_text()) == {
+        "format": 2,
+        "files": ["spectrum.png"],
+    }
 
 
 def test_predictions_of_test_records_and_errors_by_channel_are_written() -> None:

@@ -185,6 +185,9 @@ def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
         Path("other").mkdir(exist_ok=True)
         assert main(["summary", *given.split()]) == 2
         assert says in capsys.readouterr().err
+    Path("pump/results.json").write_text(json.dumps({**results(Path("pump")), "format": 1}))
+    assert main(["summary", "pump"]) == 2
+    assert "got 1 in pump: make them again with `splitband compare`" in capsys.readouterr().err
 
 
 def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def test_it_is_trained_as_the_search_has_found(monkeypatch: pytest.MonkeyPatch) 
     members = model.templates if isinstance(model, sb.Ensemble) else [model]
     # The final training has other numbers of steps, and no need of a shorter window.
     said = [each.training.rpartition(", ")[0] for each in result.attempts]
-    tried = [for_trial(each, TRAIN).training_in_words() for each in members]
+    tried = [for_trial(each, TRAIN)._training_in_words() for each in members]
     assert {each.rpartition(", ")[0] for each in tried} <= {*said}
     assert len(members) == len(result.fits["gru"])
 

@@ -82,7 +82,7 @@ def test_the_bands_of_a_simulator_of_ones_own_are_chosen_beside_it() -> None:
     alone = model.clone().fit(record[:160])
     assert isinstance(chosen, sb.Filtered)
     assert isinstance(alone, sb.Filtered)
-    assert chosen.trained_in == alone.trained_in
+    assert chosen._trained_in == alone._trained_in
 
 
 @pytest.mark.parametrize("cores", [1, 2])

@@ -236,7 +236,7 @@ def test_a_fit_searches_and_ends_with_one_training() -> None:
     assert model.seeds == (0,)
     # Its interval is that of the search, and a copy is trained as long as all rounds together.
     assert model.held_out is not None
-    assert model.settings == vars(model)["trained_by"]
+    assert model.settings == vars(model)["_trained_by"]
     assert len(model.require_fitted().record) == len(RECORD)
 
 

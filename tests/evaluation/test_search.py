@@ -42,7 +42,7 @@ class Trainer:
         model = job.forecaster.clone()
         settings = model.settings
         assert settings is not None
-        model.trained_by = settings  # type: ignore[attr-defined]
+        model._trained_by = settings  # type: ignore[attr-defined]
         losses = [1.0] * (settings.epochs + settings.rounds)
         model.fitted = replace(
             Fitted.of([RECORD], job.seed), report=FitReport(losses={"network": losses})

@@ -40,9 +40,9 @@ def test_the_options_stay_as_they_were_given() -> None:
     model = OPEN["part of the bands"].clone().fit(tones(0.05))
     assert isinstance(model, sb.Split)
     assert model.bands == Bands(order=2)
-    assert model.trained_in is not None
-    assert model.trained_in.order == 2
-    assert model.trained_in.complete
+    assert model._trained_in is not None
+    assert model._trained_in.order == 2
+    assert model._trained_in.complete
 
 
 @pytest.mark.parametrize("bands", [Bands(cutoff=2.0), Bands(order=2), Bands(downsampling=3)])
@@ -50,9 +50,9 @@ def test_bands_that_are_given_in_part_are_completed_to_suit_it(bands: Bands) -> 
     """Not by a choice that was made for another cut-off."""
     model = sb.Split(GRU(3), GRU(3), bands, settings=SETTINGS)
     usual = Bands(0.5, 1, 5)
-    shared = model.with_defaults(SETTINGS, usual)
+    shared = model._with_defaults(SETTINGS, usual)
     assert shared.bands == bands
-    assert sb.Split(GRU(3), GRU(3)).with_defaults(SETTINGS, usual).bands == usual
+    assert sb.Split(GRU(3), GRU(3))._with_defaults(SETTINGS, usual).bands == usual
 
 
 def test_the_interval_knows_nothing_of_what_is_held_out() -> None:
@@ -67,12 +67,12 @@ def test_the_interval_knows_nothing_of_what_is_held_out() -> None:
 
     def watched(network: sb.Split, *args: object, **options: object) -> None:
         learn(network, *args, **options)  # type: ignore[arg-type]
-        seen.append(network.trained_in)
+        seen.append(network._trained_in)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Network, "learn", watched)
         model.predict(20, level=0.9)
-    assert seen == [part.trained_in]
+    assert seen == [part._trained_in]
 
 
 def test_the_ensembles_of_two_seeds_share_no_member() -> None:

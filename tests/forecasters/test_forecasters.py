@@ -57,7 +57,7 @@ def test_the_slow_component_of_a_hybrid_is_labelled_by_its_base(name: str, slow:
     assert [*fitted(name).predict(STEPS).components] == [slow, f"network{band}"]
     network = fitted(name)
     assert isinstance(network, Network)
-    before = network.unfiltered(STEPS, record()[:TRAIN])
+    before = network._unfiltered(STEPS, record()[:TRAIN])
     assert [*before] == ([slow.removesuffix(", low band"), "network"] if band else [])
 
 

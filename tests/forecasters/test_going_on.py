@@ -50,8 +50,8 @@ def test_the_trainings_add_up_in_words() -> None:
     network = sb.Single(sb.GRU(4), replace(SHORT, quasi_newton=20))
     start = network.clone().fit(rig(0))
     model = network.clone().set_params(settings=ONE_MORE).fit(rig(0), start=start)
-    assert "L-BFGS 21" in model.training_in_words()
-    assert "1 epoch" in model.training_in_words()
+    assert "L-BFGS 21" in model._training_in_words()
+    assert "1 epoch" in model._training_in_words()
 
 
 def test_a_base_that_was_fitted_to_the_same_samples_is_not_fitted_again() -> None:
@@ -59,8 +59,8 @@ def test_a_base_that_was_fitted_to_the_same_samples_is_not_fitted_again() -> Non
     start = network.clone().fit(rig(6))
     again = network.clone().fit(rig(6), start=start)
     longer = network.clone().fit(rig(6, samples=400), start=start)
-    assert again.fitted_base is start.fitted_base
-    assert longer.fitted_base is not start.fitted_base
+    assert again._fitted_base is start._fitted_base
+    assert longer._fitted_base is not start._fitted_base
 
 
 @pytest.mark.parametrize("other", [sb.Mean(), sb.Split(sb.GRU(3), sb.GRU(3), Bands(0.5, 1, 2))])
@@ -76,8 +76,21 @@ def test_a_base_is_fitted_again_where_its_inputs_or_its_options_differ() -> None
     assert record.u is not None
     driven = network.clone().fit(replace(record, u=-record.u), start=start)
     other = sb.Residual(sb.Linear(order=3), sb.GRU(3), settings=SHORT).fit(record, start=start)
-    assert driven.fitted_base is not start.fitted_base
-    assert other.fitted_base is not start.fitted_base
+    assert driven._fitted_base is not start._fitted_base
+    assert other._fitted_base is not start._fitted_base
+
+
+def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:
+    """Whose code says nothing of the parameters that it closes over."""
+
+    def on(level: float) -> sb.Forecaster:
+        simulator = sb.Function(lambda t: np.full(len(t), level))
+        return sb.Residual(simulator, sb.GRU(3), settings=SHORT)
+
+    start = on(1.0).fit(rig(0))
+    other = on(2.0).fit(rig(0), start=start)
+    said = other.predict(3, u=np.zeros((3, 1))).components["simulator"]
+    np.testing.assert_allclose(said, 2.0, rtol=1e-6)
 
 
 def test_another_size_or_another_median_is_refused_in_one_line() -> None:

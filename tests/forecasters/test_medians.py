@@ -8,14 +8,15 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splitband.forecasters.medians import mean_over, median, middle_members
+from splitband.forecasters.prediction import median, median_components
 
 
 @given(count=st.integers(1, 9), seed=st.integers(0, 2**16))
 def test_it_is_numpys_with_ties_and_odd_or_even_members(count: int, seed: int) -> None:
     values = [*np.random.default_rng(seed).integers(0, 4, (count, 6, 2)).astype(float)]
     expected = np.median(values, axis=0)
-    np.testing.assert_array_equal(mean_over(values, middle_members(values)), expected)
+    whole = median_components([{"": each} for each in values], values)
+    np.testing.assert_array_equal(whole[""], expected)
     np.testing.assert_array_equal(median(values, np.minimum, np.maximum), expected)
     found = median([*map(torch.from_numpy, values)], torch.minimum, torch.maximum)
     np.testing.assert_array_equal(found, expected)
@@ -24,15 +25,18 @@ def test_it_is_numpys_with_ties_and_odd_or_even_members(count: int, seed: int) -
 @given(count=st.integers(1, 6), seed=st.integers(0, 2**16))
 def test_the_parts_of_the_members_in_the_middle_add_up(count: int, seed: int) -> None:
     low, high = np.random.default_rng(seed).standard_normal((2, count, 5, 1))
-    middle = middle_members(low + high)
-    parts = mean_over(low, middle) + mean_over(high, middle)
-    np.testing.assert_allclose(parts, np.median(low + high, axis=0), atol=1e-12)
+    members = [{"low": one, "high": other} for one, other in zip(low, high, strict=True)]
+    parts = median_components(members, [*(low + high)])
+    np.testing.assert_allclose(
+        parts["low"] + parts["high"], np.median(low + high, axis=0), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("astray", [1e300, np.inf])
 def test_one_member_that_diverges_does_not_matter(astray: float) -> None:
     values = [np.full((3, 1), each) for each in (1.0, 2.0, astray)]
-    assert mean_over(values, middle_members(values)).tolist() == [[2.0]] * 3
+    found = median_components([{"": each} for each in values], values)
+    assert found[""].tolist() == [[2.0]] * 3
 
 
 def test_the_gradient_is_that_of_the_member_in_the_middle() -> None:

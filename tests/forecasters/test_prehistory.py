@@ -78,7 +78,7 @@ def test_a_saved_network_still_simulates_from_a_few(network: sb.Forecaster, tmp_
 
 def test_what_a_file_brings_must_fit(network: sb.Forecaster, tmp_path: Path) -> None:
     forged = network.clone().fit(output(400, 1), seed=0)
-    vars(forged)["prehistory"] = Prehistory(np.zeros((5, 2)), np.zeros((3, 5, 2)), 0.1)
+    vars(forged)["_prehistory"] = Prehistory(np.zeros((5, 2)), np.zeros((3, 5, 2)), 0.1)
     forged.save(tmp_path / "model")
     with pytest.raises(ValueError, match=r"mean of the prehistory must be \(20, 2\), got \(5, 2\)"):
         sb.load(tmp_path / "model")

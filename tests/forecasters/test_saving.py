@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from torch import nn
 
 import splitband as sb
 from splitband.forecasters import saving
-from splitband.forecasters.known import Known
 
 Array = npt.NDArray[np.float64]
 DT, STEPS = 0.1, 20
@@ -203,32 +203,51 @@ def test_a_class_of_ones_own_is_asked_for_by_its_module(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert "the class Last is not known here: import my_parts first" in done.stderr
+    edit(tmp_path / "m", lambda d: d["forecaster"].update(module="__main__"))
+    assert sb.load(tmp_path / "m").predict(1).y == [[8.0]]  # it was a script, and is imported now
 
 
-def test_of_classes_that_a_notebook_defines_again_the_latest_is_loaded(tmp_path: Path) -> None:
+def test_of_classes_that_a_notebook_defines_again_the_latest_is_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    notebook = ModuleType("notebook")
+    monkeypatch.setitem(sys.modules, "notebook", notebook)
+
     def defined(level: float) -> sb.Forecaster:
-        class Constant(sb.Forecaster):
-            name = "constant"
-
-        class Level(Constant):
-            def extrapolate(self, known: Known) -> Array:
-                return np.full((known.steps, 1), level)
-
-        return Level()
+        cell = (
+            "import splitband as sb\nclass Level(sb.Forecaster):\n    name = 'level'\n"
+            f"    def extrapolate(self, known):\n        return {level} + 0 * known.y[:1]\n"
+        )
+        exec(cell, vars(notebook))
+        made: sb.Forecaster = notebook.Level()
+        return made
 
     first, _ = defined(1.0), defined(2.0)
     first.fit(sb.Record(np.arange(9.0), 1.0)).save(tmp_path / "m")
     assert sb.load(tmp_path / "m").predict(1).y == [[2.0]]
 
 
+def test_a_class_inside_of_a_function_is_refused(tmp_path: Path) -> None:
+    class Inner(OwnForecaster):
+        pass
+
+    model = Inner(sb.Mean()).fit(TRAIN)
+    with pytest.raises(ValueError, match=r"Inner cannot be saved: .* define it in a module"):
+        model.save(tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
+class Forgetful(sb.GRU):
+    """A cell that does not keep the argument of its constructor."""
+
+    def __init__(self, units: int, ny: int = 1, nu: int = 0) -> None:
+        super().__init__(2 * units, ny, nu)
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Forgetful:
+        return Forgetful(self.hidden_size // 2, ny, nu)
+
+
 def test_a_cell_that_does_not_keep_its_arguments_is_refused(tmp_path: Path) -> None:
-    class Forgetful(sb.GRU):
-        def __init__(self, units: int, ny: int = 1, nu: int = 0) -> None:
-            super().__init__(2 * units, ny, nu)
-
-        def sized(self, ny: int, nu: int, warmup: int) -> Forgetful:
-            return Forgetful(self.hidden_size // 2, ny, nu)
-
     model = sb.Single(Forgetful(1), SHORT).fit(TRAIN)
     with pytest.raises(ValueError, match=r"Forgetful cannot be saved: .* argument units"):
         model.save(tmp_path)
@@ -262,7 +281,7 @@ def test_a_damaged_description_is_named(folder: Path, text: bytes) -> None:
         sb.load(folder)
 
 
-@pytest.mark.parametrize("version", [0, 2, "3", None])
+@pytest.mark.parametrize("version", [0, 5, "3", None])
 def test_another_format_is_refused_with_what_to_do(folder: Path, version: object) -> None:
     edit(folder, lambda d: d.update(format=version))
     with pytest.raises(ValueError, match=rf"format {version!r}.*train it again, with `splitband"):
@@ -332,10 +351,11 @@ def test_no_memory_is_taken_for_what_a_file_only_says(
 @pytest.mark.parametrize(
     ("word", "name", "module"),
     [
-        ("made", "system", "os"),
+        ("class", "system", "os"),
         ("class", "Popen", "subprocess"),
         ("cell", "Linear", "torch.nn"),
-        ("made", "Fmu", None),
+        ("class", "Fmu", None),
+        ("class", "Isolated", None),
         ("class", ["x"], 3),
     ],
 )

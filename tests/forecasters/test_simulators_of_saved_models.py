@@ -201,7 +201,7 @@ def test_no_fmu_is_made_of_what_a_file_says(
     van_der_pol_fmu: Path, tmp_path: Path, opened: list[Any]
 ) -> None:
     sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
-    for word in ("made", "class", "cell"):
+    for word in ("class", "cell"):
         fmu = {word: "Fmu", "fields": {"path": str(van_der_pol_fmu), "outputs": ["x"]}}
         edit(
             tmp_path / "forecaster.json",

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband.forecasters.streaming import Repredicted
+from splitband.forecasters.stepping import Repredicted
 from tests.streams import BANDS, SHORT, WITH_INPUTS, WITHOUT, driven, fitted, free, rows
 
 Array = npt.NDArray[np.float64]

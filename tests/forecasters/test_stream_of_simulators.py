@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband.forecasters.streaming import Repredicted
+from splitband.forecasters.stepping import Repredicted
 from tests.streams import BANDS, SHORT, driven, free, in_double
 
 Array = npt.NDArray[np.float64]

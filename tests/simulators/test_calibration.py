@@ -11,7 +11,7 @@ from splitband import Record
 from splitband.data import drill_string
 from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.hybrids import Filtered, Residual
+from splitband.forecasters.learned import Filtered, Residual
 from splitband.forecasters.names import named
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import ExtrapolationWarning, rmse

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband.forecasters.grey_box import ESTIMATES
+from splitband.runtime.caching import KEPT
 from splitband.runtime.deadlines import Deadline, within
 from splitband.simulators.digests import code_digest
 
@@ -145,7 +145,7 @@ def test_an_edited_equation_is_fitted_again() -> None:
 
 
 def test_a_fit_that_a_deadline_cut_is_done_again_without_one() -> None:
-    ESTIMATES.results.clear()
+    KEPT.clear()
     calls = 0
 
     def slow(t: float, x: Any, u: Any, p: Any) -> list[float]:

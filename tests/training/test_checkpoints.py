@@ -10,7 +10,7 @@ import torch
 
 from splitband import Record, Settings
 from splitband.models import Model
-from splitband.runtime.keys import key_of
+from splitband.runtime.caching import key_of
 from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.network import MOST_RESTARTS, NetworkTraining

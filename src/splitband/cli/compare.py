@@ -64,7 +64,7 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
     kind = in_words(best, result.methods)
     why = " ".join(words.why(trial, plan.train))
     showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
-    network = result.methods[best].network
+    network = result.methods[best]._network
     if network is not None and network.bands is not None:
         showing.console.print(words.of_bands(plan.bands, plan.training))
     choice = plan.bands.choice

@@ -98,7 +98,7 @@ def planned(
     found = _names(replace(asked, simulator=simulator), record, model, fitting)
     usual = default_names(hybrid, record.nu > 0) if found is None else found
     expected = [known(each) if isinstance(each, str) else each for each in usual]
-    calibrates = any(method.calibrates for method in expected)
+    calibrates = any(method._calibrates for method in expected)
     past = steps if hybrid and simulator.simulator not in BASES else 0
     if steps:
         u = records.inputs_ahead(future_inputs, record, steps, reading)
@@ -214,7 +214,7 @@ def _further(
 ) -> tuple[list[Record], list[Record]]:
     """Return the records of --more and of --test, with their simulators."""
     needed = any(method.random and "simulator" in method.needs for method in methods)
-    beyond = not needed or any(method.calibrates for method in methods)
+    beyond = not needed or any(method._calibrates for method in methods)
     more, testing, beside = asked.further, asked.testing, (record, asked.reading, simulator)
     others = load_further("--more", more.more, more.more_simulator, *beside, needed, beyond)
     tests = load_further("--test", testing.test, testing.test_simulator, *beside)

@@ -87,7 +87,7 @@ def fit(
         _try_out(forecaster)
     training, settled = plan.training, plan.as_json()
     fitted, calibration = forecaster.require_fitted(), forecaster.calibration
-    training_in_words = forecaster.training_in_words()
+    training_in_words = forecaster._training_in_words()
     if forecaster.settings is not None:
         settled |= {"settings": asdict(forecaster.settings)}
     facts = {
@@ -157,7 +157,7 @@ def _try_out(forecaster: Forecaster) -> None:
     """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
         with showing.without_warnings():
-            forecaster.require_held_out()
+            forecaster._require_held_out()
     except (ValueError, FloatingPointError) as error:
         showing.warn(f"the model has no intervals: {error}")
 

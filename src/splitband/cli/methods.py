@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import showing
-from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.base import cells_of, parts_of
 from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
 
 
@@ -22,7 +22,7 @@ class Group(NamedTuple):
 
 def _alone(cells: int) -> tuple[str, ...]:
     """Return the methods of this number of networks (`cells`) and no simulator or fitted model."""
-    return tuple(n for n, m in NAMES.items() if not parts_of(m) and len(m.cells) == cells)
+    return tuple(n for n, m in NAMES.items() if not parts_of(m) and len(cells_of(m)) == cells)
 
 
 _SIMULATORS = tuple(name for name in QUICK if "simulator" in NAMES[name].needs)

@@ -12,7 +12,7 @@ import typer
 from splitband.cli import showing
 from splitband.report.table import NOTES, OVER_ALL, Column, Table, Unit
 from splitband.runtime.files import CHECKPOINTS, replacing, to_json
-from splitband.runtime.outputs import FACTS
+from splitband.runtime.outputs import FACTS, FORMAT
 
 _TIME = "time (s)"
 
@@ -59,14 +59,21 @@ def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
     """Return the rows of a result, and add the units of their headings."""
     path = folder / FACTS if folder.is_dir() else folder
     try:
-        facts: dict[str, Any] = {"recommended": "", "table": [], "unfinished": "no result yet"}
+        begun = {"recommended": "", "table": [], "unfinished": "no result yet"}
+        facts: dict[str, Any] = begun | {"format": FORMAT}
         if path.exists() or not (folder / CHECKPOINTS).is_dir():
             facts = json.loads(path.read_text(encoding="utf-8"))
-        best, table = facts["recommended"], facts["table"]
+        best, written = facts["recommended"], facts.get("format")
+        table = facts["table"] if written == FORMAT else []
     except (OSError, ValueError, KeyError, TypeError):
         raise ValueError(
             f"DIR must be a folder that splitband compare wrote, with {FACTS}, got {folder}"
         ) from None
+    if written != FORMAT:
+        raise ValueError(
+            f"DIR must hold results of format {FORMAT}, got {written} in {folder}: make them again "
+            "with `splitband compare`"
+        )
     own = facts.get("record", {}).get("name", "")
     state = facts.get("unfinished") or ("interrupted" if facts.get("interrupted") else "")
     over_all = {_TIME: facts["time"]["used_seconds"]} if "time" in facts else {}

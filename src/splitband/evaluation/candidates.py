@@ -9,6 +9,7 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial
+from splitband.forecasters.base import cells_of
 from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
@@ -109,7 +110,7 @@ class Candidate:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
         usual = Settings.most_samples
         more = replace(self.settings, epochs=0, quasi_newton=iterations, most_samples=usual)
-        return self.network.trained_as(more)
+        return self.network._trained_as(more)
 
     def again(self, seed: int) -> Candidate:
         """Return the same choice with another seed, not trained."""
@@ -148,7 +149,7 @@ def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate |
     network.set_params(
         **{name: getattr(other.network, name) for name in theirs - {*vars(best.settings)}}
     )
-    return Candidate(network.trained_as(replace(best.settings, **trained)), usual.seed)
+    return Candidate(network._trained_as(replace(best.settings, **trained)), usual.seed)
 
 
 def candidates(
@@ -172,7 +173,7 @@ def candidates(
     steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
     first = replace(usual, epochs=steps, quasi_newton=FIRST_ROUND, most_samples=FIRST_SAMPLES)
     size, *sizes = _sizes(forecaster) if sized else [forecaster]
-    if record.nu and all(isinstance(cell, LinearPart) for cell in _cells(forecaster)):
+    if record.nu and all(isinstance(cell, LinearPart) for cell in cells_of(forecaster).values()):
         window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
         iterations = FIRST_ROUND * (1 if samples <= SHORT else LONGER)
         base = replace(first, window=window, epochs=0, quasi_newton=iterations)
@@ -193,22 +194,17 @@ def candidates(
         every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
     distinct: dict[str, Candidate] = {}
     for network, how in every:  # windows may become equal on the shorter record of a trial
-        shorter = for_trial(network.trained_as(how), samples)
-        distinct.setdefault(shorter.training_in_words(), Candidate(network.trained_as(how), seed))
+        shorter = for_trial(network._trained_as(how), samples)
+        distinct.setdefault(shorter._training_in_words(), Candidate(network._trained_as(how), seed))
     return [*distinct.values()]
-
-
-def _cells(forecaster: Network) -> list[Any]:
-    return [getattr(forecaster, name) for name in forecaster.cells]
 
 
 def _sizes(forecaster: Network) -> list[Network]:
     """Return the network with each size of its cells to try, the usual one first."""
-    cells = _cells(forecaster)
-    if not all(hasattr(cell, "variants") for cell in cells):
+    cells: dict[str, Any] = {**cells_of(forecaster)}
+    if not all(hasattr(cell, "variants") for cell in cells.values()):
         return [forecaster.clone()]
-    every = zip(*(cell.variants() for cell in cells), strict=True)
+    every = zip(*(cell.variants() for cell in cells.values()), strict=True)
     return [
-        forecaster.clone().set_params(**dict(zip(forecaster.cells, sized, strict=True)))
-        for sized in every
+        forecaster.clone().set_params(**dict(zip(cells, sized, strict=True))) for sized in every
     ]

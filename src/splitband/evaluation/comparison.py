@@ -17,12 +17,10 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.checking import tests_of, tests_on
+from splitband.forecasters.checking import ResidualTests, tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction, median_of
-from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
-from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -165,8 +163,9 @@ class Comparison:
         Errors are those of the median prediction over seeds, for each channel; columns that end in
         "spread" hold the standard deviation of the seeds' errors.
         """
-        table: pd.DataFrame = provided("table")(self)
-        return table
+        from splitband.report.table import frame  # noqa: PLC0415  of a higher layer
+
+        return frame(self)
 
     def covers(self, name: str) -> float:
         """Return the share of the forecast's measured samples inside a method's interval, 0 to 1.
@@ -227,26 +226,33 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the recommendation and the table, which is at most 100 characters wide."""
-        text: str = provided("table as text")(self)
-        return text
+        from splitband.report.table import as_text  # noqa: PLC0415  of a higher layer
+
+        return as_text(self)
 
     def _repr_html_(self) -> str:
         """Return the recommendation and the table, for notebooks."""
-        html: str = provided("table as HTML")(self)
-        return html
+        from splitband.report.table import as_html  # noqa: PLC0415  of a higher layer
+
+        return as_html(self)
 
     def plot(self) -> Figure:
         """Draw every method's predictions over the record, with intervals."""
-        figure: Figure = provided("picture of a comparison")(self)
-        return figure
+        from splitband.report.pictures import rollouts  # noqa: PLC0415  of a higher layer
+
+        return rollouts(self)
 
     def save(self, folder: str | Path) -> None:
         """Write all files of `splitband compare`: results, predictions, the page, the model."""
-        provided("results")(self, Path(folder))
+        from splitband.report.results import save  # noqa: PLC0415  of a higher layer
+
+        save(self, Path(folder))
 
     def report(self, path: str | Path) -> None:
         """Write one self-contained HTML file with summary, table, zoomable plots and settings."""
-        provided("page of a comparison")(self, path)
+        from splitband.report.page.document import of_comparison  # noqa: PLC0415  of a higher layer
+
+        of_comparison(self, path)
 
 
 def median_fit(fits: Sequence[Fit]) -> Fit:

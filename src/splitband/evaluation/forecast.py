@@ -21,7 +21,6 @@ from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import Extrapolation, leaves_range
 from splitband.runtime.arguments import whole
-from splitband.runtime.provided import provided
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,7 +79,9 @@ class Forecast:
 
     def report(self, path: str | Path) -> None:
         """Write one self-contained HTML file with the forecast, the trial and the settings."""
-        provided("page of a forecast")(self, path)
+        from splitband.report.page.document import of_forecast  # noqa: PLC0415  of a higher layer
+
+        of_forecast(self, path)
 
 
 def forecast(

@@ -20,18 +20,15 @@ from typing import Any, Self
 
 from splitband.data import Record
 from splitband.forecasters.backtest import Fit, Origin, Question, as_it_is, backtest
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.caching import Cached
-from splitband.forecasters.grey_box import ESTIMATES
+from splitband.forecasters.base import Forecaster, cells_of
 from splitband.forecasters.saving import packed, unpacked
-from splitband.forecasters.simulation import CALIBRATIONS, simulations, with_own_simulators
+from splitband.forecasters.simulation import simulations, with_simulators_of
 from splitband.networks.cell import label_of
+from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 
-CACHES: tuple[Cached[Any], ...] = (CALIBRATIONS, ESTIMATES)
-"""Fits of simulators that several jobs share."""
 LATE = "left out, as the time was over"
 BATCH = 8
 """Rows of the batch with which kernels of trainings are compiled; any number of several will do."""
@@ -110,12 +107,11 @@ class Job:
         return Fit(self.method, self.seed, failure=LATE, cut=True)
 
 
-def _run(known: Sequence[Mapping[str, Any]], deadline: Deadline, job: Job) -> Fit:
-    """Run a job in any process, with the simulators' fits that are `known`."""
+def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
+    """Run a job in any process, with the simulators' fits that are `known`, for all jobs."""
     if deadline.over and job.trains and not job.needed:
         return job.late()
-    for cache, results in zip(CACHES, known, strict=True):
-        cache.learn(results)
+    keep(known)
     with within(deadline):
         return job.run()
 
@@ -164,8 +160,7 @@ class Runner:
         """
         if self.executor is None:
             return
-        networks = [each.network for each in forecasters]
-        cells = [getattr(n, name) for n in networks if n is not None for name in n.cells]
+        cells = [cell for each in forecasters for cell in cells_of(each).values()]
         for cell in {label_of(cell): cell for cell in cells}.values():
             for rows in (
                 BATCH,
@@ -189,10 +184,9 @@ class Runner:
             else:
                 self.found += 1
                 yield job, found
-        known = [dict(each.results) for each in CACHES]
         patience = Deadline(deadline.at + max(PATIENCE, 2 * forecasting))
         for job, future in run_jobs(
-            partial(_run, known, deadline), [*todo], self.executor, patience
+            partial(_run, {**KEPT}, deadline), [*todo], self.executor, patience
         ):
             todo.remove(job)
             error = future.exception()
@@ -233,7 +227,7 @@ class Runner:
                 whole=True,
             )
             model.fitted = whole
-            with_own_simulators(model, job.forecaster)
+            with_simulators_of(model, job.forecaster)
             forecasts = {Origin(*at): each for at, each in said["forecasts"]}
             return Fit(
                 job.method, job.seed, model, forecasts, said["tests"], said["unfiltered"],
@@ -275,4 +269,4 @@ def prepare(
     """
     for forecaster in forecasters:
         with suppress(Exception), within(deadline):
-            forecaster.prepare(records, runner.executor or 1, runner.folder)
+            forecaster._prepare(records, runner.executor or 1, runner.folder)

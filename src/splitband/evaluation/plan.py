@@ -21,8 +21,7 @@ from splitband.forecasters.backtest import (
     held_out_origins,
 )
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.configurable import parts_of
+from splitband.forecasters.base import Forecaster, parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
 from splitband.runtime.arguments import whole
@@ -127,7 +126,7 @@ class Plan:
         Not in the paper.
         """
         (name,) = with_base(["residual-gru-conditioned"], base)
-        network = named(name, self.sizes).with_defaults(self.settings, self.bands)
+        network = named(name, self.sizes)._with_defaults(self.settings, self.bands)
         return replace(
             self, methods=(*self.methods, network), searched={**self.searched, name: False}
         )
@@ -235,10 +234,10 @@ def plan(
     made, searched = list[Forecaster](), dict[str, bool]()
     for each in asked:
         method = known(each, of_names) if isinstance(each, str) else each
-        complete = method.with_defaults(decided, chosen)
+        complete = method._with_defaults(decided, chosen)
         if isinstance(each, str) and simulator is not None:
-            complete = complete.given(simulator)
-        if usual and complete.network is not None and method.settings is None:
+            complete = complete._given(simulator)
+        if usual and complete._network is not None and method.settings is None:
             searched[complete.name] = isinstance(each, str) and sizes is None
         made.append(complete)
     if rounds is not None and not searched:
@@ -303,11 +302,11 @@ def chosen_bands(
     if methods is None:
         usual = default_names(training.y_sim is not None, training.nu > 0)
         methods = [known(name) for name in usual]
-    if given.cutoff is None and not any(each.shares_bands for each in methods):
+    if given.cutoff is None and not any(each._shares_bands for each in methods):
         return given
     y_sim, beside = None, [base for method in methods for base in _simulators_in(method)]
     if training.y_sim is not None and beside:
-        simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
+        simulation = next((f for f in beside if f._calibrates), beside[0]).clone()
         y_sim = simulation.fit(training).on(training).y_sim
     # Where the record has no band to split off, the methods that need one report it.
     with nullcontext() if given.cutoff is not None else suppress(ValueError):
@@ -317,7 +316,7 @@ def chosen_bands(
 
 def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:
     """Yield the parts of a forecaster that use the simulator's output in the record."""
-    for part in parts_of(forecaster).values():
+    for part in parts_of(forecaster):
         if parts_of(part):
             yield from _simulators_in(part)
         elif "simulator" in part.needs:

@@ -123,7 +123,7 @@ def judged(
     ahead = {name: [fit.ahead for fit in fits] for name, fits in final.items() if name in held}
     medians = {name: np.median(y, axis=0) for name, y in ahead.items()}
     held_out = {name: interval_errors(record, said) for name, said in forecasts.items()}
-    once = {name for name, fits in held.items() if not fits[0].fitted.refits}
+    once = {name for name, fits in held.items() if not fits[0].fitted._refits}
     for name in once & medians.keys():
         early = [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
         change = np.mean([(medians[name] - y) ** 2 for y in early], axis=0)

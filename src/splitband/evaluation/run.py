@@ -187,7 +187,7 @@ class Run:
         """Fit the methods without networks: first those that fit no simulator, either."""
         quick = [f for f in self._ready if not f.random]
         at_once, slow = (
-            [f for f in quick if f.fits_simulator == slowly] for slowly in (False, True)
+            [f for f in quick if f._fits_simulator == slowly] for slowly in (False, True)
         )
         for forecaster in at_once:
             self._try(forecaster)
@@ -314,9 +314,9 @@ class Run:
         for name, fits in self.finals.items():
             for fit in fits:
                 with_simulators_of(fit.fitted, methods[name])
-                if (network := fit.fitted.network) is not None:
+                if (network := fit.fitted._network) is not None:
                     # A copy that is fitted again is trained as long as all rounds together.
-                    network.settings = network.trained_by
+                    network.settings = network._trained_by
 
     def fits(self) -> dict[str, list[Fit]]:
         """Return the final fits, without failed trainings where their number was left open."""
@@ -367,12 +367,12 @@ class Run:
         plan, others = self.plan, self.plan.others
         try:
             try:
-                return forecaster.simulated(plan.training, plan.horizon, *others, *plan.tests)
+                return forecaster._simulated(plan.training, plan.horizon, *others, *plan.tests)
             except ValueError:
                 if not plan.tests:
                     raise
                 # It may fail for the test records only, which are then left out.
-                return forecaster.simulated(plan.training, plan.horizon, *others)
+                return forecaster._simulated(plan.training, plan.horizon, *others)
         except ValueError as error:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None
@@ -397,7 +397,7 @@ class Run:
 
     def _at_once(self, job: Job) -> Fit:
         # A deadline would change a quick fit for no gain.
-        until = self._half() if job.forecaster.fits_simulator else Deadline()
+        until = self._half() if job.forecaster._fits_simulator else Deadline()
         with one_thread(), within(until):
             return job.run()
 

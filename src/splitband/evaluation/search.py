@@ -85,8 +85,8 @@ class Search:
         self._choices: dict[str, list[Candidate]] = {}
         self._added: list[Candidate] = []
         for method in plan.methods:
-            if method.name in plan.searched and method.network is not None:
-                self._choose(method.network)
+            if method.name in plan.searched and method._network is not None:
+                self._choose(method._network)
         self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
         self._course = self._rounds()
         self._asked: list[Candidate] = []
@@ -102,7 +102,7 @@ class Search:
 
     def add(self, method: Forecaster) -> bool:
         """Add a method, if it can be trained; its first candidate is one of the next round."""
-        able = method.network is not None and self._choose(method.network)
+        able = method._network is not None and self._choose(method._network)
         self._added += self._choices[method.name][:1] if able else []
         return able
 
@@ -159,7 +159,7 @@ class Search:
         candidate.fits.append(fit)
         candidate.errors.append(error if math.isfinite(error) else math.inf)
         trained = candidate.network if fit.model is None else fit.fitted
-        said = candidate.method, trained.training_in_words(), candidate.seed
+        said = candidate.method, trained._training_in_words(), candidate.seed
         self.attempts.append(Attempt(self.round, *said, None if fit.model is None else error))
         if len(candidate.fits) == 1:
             self.tried.append(candidate)

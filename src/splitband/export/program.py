@@ -13,7 +13,7 @@ from splitband.data import Record
 from splitband.data.preparation import seconds
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.streaming import program_of
+from splitband.forecasters.stepping import program_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import named_leaves
 

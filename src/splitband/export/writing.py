@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 from splitband.data import Record
@@ -47,7 +46,8 @@ def _c(made: Program, path: Path, precision: Precision) -> list[Path]:
 
 
 def _onnx(made: Program, path: Path, precision: Precision) -> list[Path]:
-    onnx_graph = import_module("splitband.export.onnx_graph")  # needs the extra `onnx`
+    from splitband.export import onnx_graph  # noqa: PLC0415  needs the extra `onnx`
+
     beside = path.with_name(f"{path.stem}-rollout{path.suffix}")
     contents = onnx_graph.render(made, precision)
     for file, content in zip((path, beside), contents, strict=True):

@@ -217,7 +217,7 @@ def predicted(
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
             forecasts[origin] = fitted.predict(question.end - origin.at, history)
         if origin.at < origin.fitted:
-            unfiltered = fitted.unfiltered(question.end - origin.at, history)
+            unfiltered = fitted._unfiltered(question.end - origin.at, history)
     return forecasts, unfiltered
 
 
@@ -267,7 +267,7 @@ def check_held_out(record: Record) -> None:
 
 def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
     """Return the forecaster adapted to `samples` without their held-out part."""
-    return forecaster.for_samples(first_held_out(samples), samples)
+    return forecaster._for_samples(first_held_out(samples), samples)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
@@ -283,10 +283,10 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     fitted, ends = first_held_out(samples), dict.fromkeys(origins(samples))
     measured = np.cumsum(~np.isnan(record.seen), axis=0)
     early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
-    if not forecaster.refits:
+    if not forecaster._refits:
         held = samples - fitted
         once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-        quick = not forecaster.random and not forecaster.fits_simulator
+        quick = not forecaster.random and not forecaster._fits_simulator
         return [*once, *(Origin(end, end) for end in early[:1] if quick)]
     return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 
@@ -315,11 +315,14 @@ def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOu
     return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
 
 
-def interval_errors_of(forecaster: Forecaster) -> HeldOut:
+def held_out_of(forecaster: Forecaster) -> HeldOut:
     """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
-    Raises ValueError for a loaded forecaster, which does not have all of its training records.
+    They are kept with it. Raises ValueError for a loaded forecaster without them, which does not
+    have all of its training records.
     """
+    if forecaster.held_out is not None:
+        return forecaster.held_out
     fitted = forecaster.require_fitted()
     record = fitted.record
     if fitted.begin or not fitted.whole:
@@ -331,7 +334,8 @@ def interval_errors_of(forecaster: Forecaster) -> HeldOut:
     origins = held_out_origins(forecaster, record)
     question = Question(record, origins, len(record), fitted.others)
     done = backtest(shorter, question, fitted.report.seed)
-    return interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
+    forecaster.held_out = interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
+    return forecaster.held_out
 
 
 def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:

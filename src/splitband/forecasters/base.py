@@ -5,52 +5,59 @@ from __future__ import annotations
 import contextlib
 import time
 import warnings
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
 
+import numpy as np
 import numpy.typing as npt
 
 from splitband.baselines.delays import check_delays
-from splitband.data import Record, require_records
-from splitband.forecasters.configurable import Configurable
+from splitband.data import Record, check_alike, require_records
+from splitband.data.signals import last_before
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.known import Known
-from splitband.forecasters.predicting import (
-    first_needed,
+from splitband.forecasters.prediction import (
+    Known,
+    Prediction,
     known_at_origin,
     known_of,
     predicted,
     prepared_like,
     seconds_after,
 )
-from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.stepping import (
     Extrapolated,
     NotSteppedError,
     Part,
     Recursion,
+    Stream,
+    stream_of,
 )
-from splitband.forecasters.streaming import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning
+from splitband.networks.cell import Template
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import attributes
-from splitband.runtime.provided import provided
+from splitband.runtime.options import WithRepr, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
-from splitband.training import Checkpoint, Progress
+from splitband.training import Checkpoint, Progress, Settings
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
+    import torch
+    from torch import nn
 
     from splitband.baselines.linear import LinearModel
-    from splitband.forecasters.checking import ModelCheck
+    from splitband.forecasters.checking import ModelCheck, Responses
     from splitband.forecasters.differentiable import TorchSimulation
-    from splitband.forecasters.responses import Responses
+    from splitband.forecasters.network import Network
+
+SHORT = 20_000
+"""Longest training record with a simulator's output, in samples, that is saved whole. By eye."""
 
 
 class Training(TypedDict):
@@ -62,7 +69,7 @@ class Training(TypedDict):
     checkpoint: Checkpoint | None
 
 
-class Forecaster(Configurable):
+class Forecaster(WithRepr, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
@@ -76,14 +83,50 @@ class Forecaster(Configurable):
     fitted : The training records and the report of the fit; None before `fit`.
     delays : Delay of each input in samples, as found in training; empty where none are estimated.
     held_out : Errors of held-out forecasts, once an interval has been requested.
+    settings : Of its networks' training; None where they are not set or nothing is trained.
     """
 
+    settings: Settings | None = None
+    _fits_simulator: ClassVar[bool] = False
+    """Whether its fit runs a simulator many times, which may take minutes."""
+    _words: ClassVar[str] = ""
+    """Description that all instances of the class share; see `in_words`."""
+    _slow_part: ClassVar[str] = ""
+    """Description as the slow component of a hybrid, such as "linear model"."""
     affine: ClassVar[bool] = False
     """Whether predictions are affine in the inputs, or do not depend on them; needed by `as_torch`,
     unless `differentiable` is overridden."""
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Return its name in tables and files, unique within a comparison."""
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Return what it needs of a record: "inputs", "simulator"."""
+        return frozenset().union(*(part.needs for part in parts_of(self)))
+
+    @property
+    def random(self) -> bool:
+        """Return whether its fit depends on a seed, as the slow training of a network does."""
+        return any(part.random for part in parts_of(self))
+
+    @property
+    def anchored(self) -> bool:
+        """Return whether a forecast depends on the time since the training record began.
+
+        Such a forecaster cannot predict a record whose time is unrelated to that of training.
+        """
+        return any(part.anchored for part in parts_of(self))
+
+    @property
+    def warmup(self) -> int:
+        """Return the length of the warm-up: measured samples in a row before a forecast."""
+        return 0
 
     @property
     def calibration(self) -> Calibration | None:
@@ -96,13 +139,13 @@ class Forecaster(Configurable):
         return {}
 
     @property
-    def warmup(self) -> int:
-        """Return the length of the warm-up: measured samples in a row before a forecast."""
-        return 0
+    def seeds(self) -> tuple[int, ...]:
+        """Return the seeds of an ensemble's members; (0,) for a single forecaster."""
+        return (0,)
 
-    @abstractmethod
-    def extrapolate(self, known: Known) -> Array | dict[str, Array]:
-        """Return the forecast after `known.y`, `(steps, ny)`, or its components by name."""
+    def in_words(self) -> str:
+        """Return a description that can follow "is"; empty where there is none."""
+        return self._words
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit to the records; by default there is nothing to learn.
@@ -113,26 +156,16 @@ class Forecaster(Configurable):
         how : See `Training`; a method that needs none of the options takes `**_`.
         """
 
+    @abstractmethod
+    def extrapolate(self, known: Known) -> Array | dict[str, Array]:
+        """Return the forecast after `known.y`, `(steps, ny)`, or its components by name."""
+
     def trajectory(self, known: Known) -> Array:
         """Return its simulation of the history and of the forecast, `(time + steps, ny)`.
 
         A forecaster with this method can be the slow component of a hybrid.
         """
         raise NotImplementedError(f"{self.name} cannot be the base of a hybrid")
-
-    def on(self, record: Record, first: bool = True) -> Record:
-        """Return a training record, the `first` or another, with the trajectory as `y_sim`."""
-        begin = 0.0 if first else None
-        known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
-        return replace(record, y_sim=self.trajectory(known), beyond=None)
-
-    def as_simulator(self) -> Self:
-        """Return the fitted forecaster as the slow component of a hybrid, which only simulates."""
-        return self
-
-    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return the signals before its filters by name; empty for a forecaster without filters."""
-        return {}
 
     def describe(self) -> str:
         """Return the result of the fit, in a few words for a table."""
@@ -142,13 +175,13 @@ class Forecaster(Configurable):
         """Return the method's own reasons to doubt its forecast, in sentences."""
         return []
 
-    def given(self, simulator: Any) -> Forecaster:
-        """Return it with this simulator in each part that fits a simulator's parameters."""
-        return self.with_parts(lambda part: part.given(simulator))
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
+        if not self.affine:
+            raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
+        from splitband.forecasters.differentiable import Affine  # noqa: PLC0415  needs torch
 
-    def calibrated(self) -> Forecaster:
-        """Return it with its simulator calibrated; itself if it has none."""
-        return self.with_parts(lambda part: part.calibrated())
+        return Affine(self, known)
 
     @final
     def fit(
@@ -183,8 +216,7 @@ class Forecaster(Configurable):
         """
         self.check(*records)
         seed = whole("seed", seed, None)
-        kept = {name: vars(self)[name] for name in attributes(self).values()}
-        self._become(self.clone(), kept)  # nothing of an earlier fit
+        self.set_params()  # removes what an earlier fit has found
         self.fitted = Fitted.of(records, seed)
         began = time.perf_counter()
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
@@ -257,14 +289,43 @@ class Forecaster(Configurable):
         known, past = known_of(self, steps, history, u, y_sim, other_record)
         prediction = predicted(self, known, past)
         if level is not None:
-            prediction = self.require_held_out().interval(level).around(prediction)
+            prediction = self._require_held_out().interval(level).around(prediction)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return prediction
 
-    def linear_model(self) -> LinearModel | None:
-        """Return the linear model that the fitted forecaster is; None for other kinds."""
-        return None
+    @final
+    def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
+        """Return the forecaster as a stream, which goes on from a history sample by sample.
+
+        Each step takes constant time and memory. A forecaster of your own, and a few that look
+        ahead or interpolate a simulator's output, call `predict` for each sample, which is slower.
+
+        Parameters
+        ----------
+        history, other_record : See `predict`. Where the training record was detrended, clipped or
+            resampled, samples are in the measured units, at the step of the prepared record; after
+            a history that was prepared in the same way, they are in the history's units.
+        """
+        return stream_of(self, history, other_record)
+
+    def check_residuals(self, record: Record) -> ModelCheck:
+        """Check the fitted forecaster on a record, preferably one that it was not fitted to.
+
+        Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
+        residuals, whether a long free run stays in range, and inputs beyond their range in
+        training; see `splitband.forecasters.checking`. For an `anchored` forecaster, the time
+        stamps of `record` count from the beginning of the training record.
+
+        Raises
+        ------
+        ValueError
+            For a forecaster that has not been fitted, and a record that does not match it or is too
+            short.
+        """
+        from splitband.forecasters.checking import check  # noqa: PLC0415  it imports this
+
+        return check(self, record)
 
     def step_responses(
         self,
@@ -287,40 +348,9 @@ class Forecaster(Configurable):
         ValueError
             For a forecaster without inputs, and one that needs a simulator's output from a record.
         """
-        found: Responses = provided("step responses")(self, steps, at, size)
-        return found
+        from splitband.forecasters.checking import respond  # noqa: PLC0415  it imports this
 
-    def check_residuals(self, record: Record) -> ModelCheck:
-        """Check the fitted forecaster on a record, preferably one that it was not fitted to.
-
-        Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
-        residuals, whether a long free run stays in range, and inputs beyond their range in
-        training; see `splitband.forecasters.checking`. For an `anchored` forecaster, the time
-        stamps of `record` count from the beginning of the training record.
-
-        Raises
-        ------
-        ValueError
-            For a forecaster that has not been fitted, and a record that does not match it or is too
-            short.
-        """
-        found: ModelCheck = provided("check")(self, record)
-        return found
-
-    @final
-    def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
-        """Return the forecaster as a stream, which goes on from a history sample by sample.
-
-        Each step takes constant time and memory. A forecaster of your own, and a few that look
-        ahead or interpolate a simulator's output, call `predict` for each sample, which is slower.
-
-        Parameters
-        ----------
-        history, other_record : See `predict`. Where the training record was detrended, clipped or
-            resampled, samples are in the measured units, at the step of the prepared record; after
-            a history that was prepared in the same way, they are in the history's units.
-        """
-        return stream_of(self, history, other_record)
+        return respond(self, steps, at, size)
 
     @final
     def as_torch(
@@ -366,14 +396,6 @@ class Forecaster(Configurable):
 
         return TorchSimulation(self.differentiable(known), record.nu)
 
-    def differentiable(self, known: Known) -> nn.Module:
-        """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
-        if not self.affine:
-            raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
-        from splitband.forecasters.differentiable import Affine  # noqa: PLC0415  needs torch
-
-        return Affine(self, known)
-
     @final
     def export(
         self,
@@ -400,15 +422,164 @@ class Forecaster(Configurable):
             For another ending, and for a part that cannot be exported, which it names, such as a
             cell of your own.
         """
-        files: list[Path] = provided("export")(self, path, precision, history)
-        return files
+        from splitband.export.writing import export  # noqa: PLC0415  of a higher layer
+
+        return export(self, path, precision, history)
+
+    def save(self, folder: str | Path) -> None:
+        """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.
+
+        The folder also holds the end of the training record (for the warm-up), the calibration,
+        units, input ranges, and the held-out errors, if an interval has been requested.
+        """
+        from splitband.forecasters.saving import save  # noqa: PLC0415  it imports this
+
+        save(self, folder)
+
+    def on(self, record: Record, first: bool = True) -> Record:
+        """Return a training record, the `first` or another, with the trajectory as `y_sim`."""
+        begin = 0.0 if first else None
+        known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
+        return replace(record, y_sim=self.trajectory(known), beyond=None)
+
+    def to(self, device: str | torch.device) -> Self:
+        """Train and run networks on this device from now on, and return the forecaster itself."""
+        for part in parts_of(self):
+            part.to(device)
+        return self
+
+    def check(self, *records: Record) -> None:
+        """Raise ValueError for unsuitable training records, before anything runs."""
+        if not records:
+            raise ValueError("records must be one or several, got none")
+        require_records("records", *records)
+        for other in records[1:]:
+            check_alike(other, records[0], other.name or "another record")
+        for record in records:
+            if "inputs" in self.needs and record.u is None:
+                raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
+            if "simulator" in self.needs and record.y_sim is None:
+                raise ValueError(f"{self.name} needs a simulator, {_named(record)} has none")
+        for part in parts_of(self):
+            part.check(*records)
 
     def untrained(self) -> Forecaster:
         """Return it not fitted, with the settings and bands that its fit has chosen."""
         return self.clone()
 
-    def stepped(self, outside: bool = False) -> Recursion:
-        """Return the step-by-step form of the fitted forecaster, by default that of its `part`.
+    def get_params(self) -> dict[str, Any]:
+        """Return the options by name: the arguments of the constructor.
+
+        Raises TypeError where the constructor does not keep an argument as an attribute.
+        """
+        return options(self)
+
+    def set_params(self, **params: Any) -> Self:
+        """Change some options and return the forecaster itself, which is then not fitted.
+
+        Raises TypeError for an unknown option, and the errors of the constructor.
+        """
+        new = self._made({**self.get_params(), **params})
+        vars(self).clear()
+        vars(self).update(vars(new))
+        return self
+
+    def clone(self) -> Self:
+        """Return a new forecaster with the same options, not fitted."""
+        return self._with_changed(lambda part: part.clone())
+
+    def require_fitted(self) -> Fitted:
+        """Return the training records and the report of the fit; raises ValueError before `fit`."""
+        if self.fitted is None:
+            raise ValueError(f"{self.name} must be fitted first: call fit(record)")
+        return self.fitted
+
+    # What follows is for the package alone.
+
+    def _training_in_words(self) -> str:
+        """Return sizes, window and steps of its networks, for tables; empty without."""
+        return ""
+
+    @property
+    def _network(self) -> Network | None:
+        """Return itself if it is a network, with settings, sizes and weights; else None."""
+        return None
+
+    @property
+    def _calibrates(self) -> bool:
+        """Return whether it calibrates a simulator, which may need output beyond the record."""
+        return any(part._calibrates for part in parts_of(self))
+
+    @property
+    def _shares_bands(self) -> bool:
+        """Return whether it takes the bands that a comparison chooses, see `_with_defaults`."""
+        return any(part._shares_bands for part in parts_of(self))
+
+    @property
+    def _refits(self) -> bool:
+        """Return whether it is refitted at each origin of a trial, as its fit is quick."""
+        return not self.random
+
+    def _linear_model(self) -> LinearModel | None:
+        """Return the linear model that the fitted forecaster is; None for other kinds."""
+        return None
+
+    def _with_defaults(self, settings: Settings, bands: Bands) -> Self:
+        """Return it with a comparison's settings and bands, where its own are not set."""
+        return self._with_parts(lambda part: part._with_defaults(settings, bands))
+
+    def _for_samples(self, samples: int, instead_of: int) -> Self:
+        """Return it adapted to `samples` of a training record of `instead_of` samples."""
+        return self._with_parts(lambda part: part._for_samples(samples, instead_of))
+
+    def _simulated(self, record: Record, horizon: int, *others: Record) -> Self:
+        """Return it with its own simulator's output computed once, for all processes.
+
+        The output covers the training record and `horizon` samples more, and other records.
+        """
+        return self._with_parts(lambda part: part._simulated(record, horizon, *others))
+
+    def _given(self, simulator: Any) -> Forecaster:
+        """Return it with this simulator in each part that fits a simulator's parameters."""
+        return self._with_parts(lambda part: part._given(simulator))
+
+    def _calibrated(self) -> Forecaster:
+        """Return it with its simulator calibrated; itself if it has none."""
+        return self._with_parts(lambda part: part._calibrated())
+
+    def _prepare(
+        self,
+        records: Sequence[Record],
+        workers: int | Executor = 1,
+        folder: Path | None = None,
+    ) -> None:
+        """Compute once the results that the fits of several forecasters and seeds share.
+
+        `workers` may run it in parallel; an interrupted computation may resume from files in
+        `folder`.
+        """
+        for part in parts_of(self):
+            part._prepare(records, workers, folder)
+
+    @property
+    def _slow_label(self) -> str:
+        """Return the label of the slow component of a prediction, if that is the forecaster."""
+        return self.name
+
+    def _hybrid_name(self, kind: str, cell: str) -> str:
+        """Return the name of a hybrid of this kind, with the forecaster as the slow component."""
+        return f"{kind}-{self.name}-{cell}"
+
+    def _as_simulator(self) -> Self:
+        """Return the fitted forecaster as the slow component of a hybrid, which only simulates."""
+        return self
+
+    def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+        """Return the signals before its filters by name; empty for a forecaster without filters."""
+        return {}
+
+    def _stepped(self, outside: bool = False) -> Recursion:
+        """Return the step-by-step form of the fitted forecaster, by default that of its `_part`.
 
         Streams and exported programs run it, see `splitband.forecasters.stepping`.
 
@@ -423,62 +594,93 @@ class Forecaster(Configurable):
             With the reason, where there is no step-by-step form and `predict` is needed.
         """
         record = self.require_fitted().record
-        return Extrapolated(self.part(outside), record.ny, record.nu)
+        return Extrapolated(self._part(outside), record.ny, record.nu)
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return what computes its values step by step, alone or as the slow component of a hybrid.
 
-        Raises NotSteppedError, see `stepped`.
+        Raises NotSteppedError, see `_stepped`.
         """
-        raise NotSteppedError(f"{self.name} cannot be stepped: {type(self).__name__} has no `part`")
+        raise NotSteppedError(f"{self.name} cannot be stepped: it has no step-by-step form")
 
-    def save(self, folder: str | Path) -> None:
-        """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.
+    @final
+    def _require_held_out(self) -> HeldOut:
+        """Return the errors of held-out forecasts, from which intervals of all levels follow.
 
-        The folder also holds the end of the training record (for the warm-up), the calibration,
-        units, input ranges, and the held-out errors, if an interval has been requested.
+        The first call refits copies to shorter parts of its training record. ValueError is raised
+        where that is too short, and for a loaded forecaster that was saved without these errors.
         """
-        provided("saving")(self, folder)
+        from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
 
-    def to_dict(self) -> dict[str, Any]:
+        return held_out_of(self)
+
+    def _first_needed(self) -> int:
+        """Return the first sample of the training record that a forecast from its end needs."""
+        record = self.require_fitted().record
+        if "simulator" in self.needs and len(record) <= SHORT:
+            return 0
+        measured = ~np.isnan(record.seen)
+        first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
+        if self.warmup:
+            start = last_before(record.complete, self.warmup, len(record))
+            first = min(first, (self.warmup if start is None else start) - self.warmup)
+        first -= max(self.delays, default=0)
+        if "simulator" in self.needs:
+            # A calibrated delay or clock uses earlier output, up to a seventh of the record.
+            first = min(first, len(record) - len(record) // 5)
+        return max(0, min(first, len(record) - 2))
+
+    def _to_dict(self) -> dict[str, Any]:
         """Return the options and fitted attributes of the forecaster, for `save`.
 
         Only the end of the training record is kept, on which a forecast warms up.
         """
-        end = None if self.fitted is None else self.fitted.end(self.first_needed())
+        end = None if self.fitted is None else self.fitted.end(self._first_needed())
         return {**vars(self), "fitted": end}
 
     @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the forecaster that `to_dict` described; its constructor is not called."""
+    def _from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the forecaster that `_to_dict` described; its constructor is not called."""
         new = object.__new__(cls)
         vars(new).update(found)
         if new.fitted is not None and new.delays:
             check_delays(new.delays, new.fitted.record.nu)
         return new
 
-    def first_needed(self) -> int:
-        """Return the first sample of the training record that a forecast from its end needs."""
-        return first_needed(self)
+    def _with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
+        """Return it with each part changed; itself without parts."""
+        return self._with_changed(changed) if parts_of(self) else self
 
-    def state(self) -> dict[str, Tensor]:
-        """Return the trained weights, from which another training can start."""
-        return {}
+    def _with_changed(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
+        given = self.get_params().items()
+        return self._made({name: _changed(option, changed) for name, option in given})
 
-    def require_fitted(self) -> Fitted:
-        """Return the training records and the report of the fit; raises ValueError before `fit`."""
-        if self.fitted is None:
-            raise ValueError(f"{self.name} must be fitted first: call fit(record)")
-        return self.fitted
+    def _made(self, params: dict[str, Any]) -> Self:
+        """Return a forecaster of the same class with these options."""
+        return type(self)(**params)
 
-    @final
-    def require_held_out(self) -> HeldOut:
-        """Return the errors of held-out forecasts, from which intervals of all levels follow.
 
-        The first call refits copies to shorter parts of its training record. ValueError is raised
-        where that is too short, and for a loaded forecaster that was saved without these errors.
-        """
-        if self.held_out is None:
-            self.held_out = provided("held-out forecasts")(self)
-        assert self.held_out is not None
-        return self.held_out
+def parts_of(forecaster: Forecaster) -> list[Forecaster]:
+    """Return the options of a forecaster, and those in lists, that are forecasters themselves."""
+    given = forecaster.get_params().values()
+    several = [each if isinstance(each, list | tuple) else [each] for each in given]
+    return [each for inner in several for each in inner if isinstance(each, Forecaster)]
+
+
+def cells_of(forecaster: Forecaster) -> dict[str, Template]:
+    """Return the options of a forecaster that are templates of its networks' cells, by name."""
+    given = forecaster.get_params().items()
+    return {name: each for name, each in given if isinstance(each, Template)}
+
+
+def _changed(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
+    """Return an option with the forecasters in it changed; everything else is shared."""
+    if isinstance(option, Forecaster):
+        return changed(option)
+    if type(option) in (list, tuple):
+        return type(option)(_changed(part, changed) for part in option)
+    return option
+
+
+def _named(record: Record) -> str:
+    return record.name or "the record"

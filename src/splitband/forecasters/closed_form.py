@@ -15,7 +15,7 @@ from splitband.baselines.seasonal import LastPeriod
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
 from splitband.runtime.arrays import Array
@@ -42,11 +42,11 @@ class Mean(Forecaster):
         """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the mean as a constant part."""
         return Constant(self.level)
 
-    words = "mean of the training samples"
+    _words = "mean of the training samples"
 
     def describe(self) -> str:
         """Return a description."""
@@ -68,11 +68,11 @@ class Persistence(Forecaster):
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the part that holds the last measured sample."""
         return Held(self.require_fitted().record.ny)
 
-    words = "last measured value, held"
+    _words = "last measured value, held"
 
     def describe(self) -> str:
         """Return a description."""
@@ -105,7 +105,7 @@ class _ByTime(Forecaster):
         """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the function of time."""
         return InTime(self.baseline.predict)
 
@@ -136,10 +136,10 @@ class SeasonalNaive(_ByTime):
     name = "seasonal-naive"
     baseline: LastPeriod
 
-    words = "last period, repeated"
+    _words = "last period, repeated"
     fits = LastPeriod
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the part that repeats the period, plus its trend."""
         return Repeated(self.baseline.period, self.baseline.end, self.baseline.trend)
 
@@ -150,8 +150,8 @@ class Harmonic(_ByTime):
 
     name = "harmonic"
 
-    slow_part = "sinusoids"
-    words = "sinusoids and a trend, fitted"
+    _slow_part = "sinusoids"
+    _words = "sinusoids and a trend, fitted"
     fits = HarmonicRegression
 
 
@@ -161,8 +161,8 @@ class Periodic(_ByTime):
 
     name = "periodic"
 
-    slow_part = "periodic waveform"
-    words = "periodic waveform, fitted"
+    _slow_part = "periodic waveform"
+    _words = "periodic waveform, fitted"
     fits = PeriodicRegression
 
 

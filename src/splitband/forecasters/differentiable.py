@@ -11,9 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from splitband.forecasters.known import Known, continued
-from splitband.forecasters.medians import median
-from splitband.forecasters.predicting import total
+from splitband.forecasters.prediction import Known, continued, median, total
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
 

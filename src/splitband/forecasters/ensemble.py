@@ -10,9 +10,7 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.known import Known
-from splitband.forecasters.medians import mean_over, middle_members
-from splitband.forecasters.predicting import total
+from splitband.forecasters.prediction import Known, median_components, total
 from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -125,9 +123,9 @@ class Ensemble(Forecaster):
         return super().to(device)
 
     @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
+    def _from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved ensemble; raises ValueError where `count` does not match the members."""
-        new = super().from_dict(found)
+        new = super()._from_dict(found)
         if new.fitted is not None and len(new.members) != whole("count", new.count):
             raise ValueError(f"count must be {len(new.members)}, got {new.count}")
         return new
@@ -137,9 +135,9 @@ class Ensemble(Forecaster):
         members = [member.untrained() for member in self.members or self.templates]
         return type(self)(members, name=self._name, seeds=self.seeds)
 
-    def first_needed(self) -> int:
+    def _first_needed(self) -> int:
         """Return the earliest sample that a member needs."""
-        return min(member.first_needed() for member in self.members)
+        return min(member._first_needed() for member in self.members)
 
     def in_words(self) -> str:
         """Return the description of the first member."""
@@ -177,12 +175,11 @@ class Ensemble(Forecaster):
         ]
         if any(each.keys() != parts[0].keys() for each in parts):
             parts = [{self.name: total([*each.values()])} for each in parts]
-        middle = middle_members([total([*each.values()]) for each in parts])
-        return {name: mean_over([each[name] for each in parts], middle) for name in parts[0]}
+        return median_components(parts, [total([*each.values()]) for each in parts])
 
-    def stepped(self, outside: bool = False) -> Recursion:
+    def _stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""
-        return Medians([member.stepped(outside) for member in self.members])
+        return Medians([member._stepped(outside) for member in self.members])
 
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module that simulates the median of the members."""

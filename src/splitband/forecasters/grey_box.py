@@ -12,13 +12,12 @@ import numpy as np
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.caching import Cached
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
 from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import current
+from splitband.runtime.caching import cached
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.estimate import Estimate
@@ -53,8 +52,8 @@ class _Fit:
         return f"{fit_key(self.simulator, experiments, self.effort.starts)} {self.effort.seconds}"
 
 
-ESTIMATES: Cached[Estimate] = Cached(_Fit.result)
-"""Cache of fits: hybrids, seeds and trials need the same one, which takes seconds."""
+estimated = cached(_Fit.result)
+"""Fits a simulator once: hybrids, seeds and trials need the same fit, which takes seconds."""
 
 
 @final
@@ -105,7 +104,7 @@ class GreyBox(Forecaster):
         """Return the given name, or "grey-box"."""
         return self._name or "grey-box"
 
-    slow_part = "a simulator with fitted parameters"
+    _slow_part = "a simulator with fitted parameters"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -114,7 +113,7 @@ class GreyBox(Forecaster):
             return {}
         return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
 
-    def given(self, simulator: Any) -> Forecaster:
+    def _given(self, simulator: Any) -> Forecaster:
         """Return it with this simulator, if it has none; else itself."""
         if self.simulator is not None:
             return self
@@ -132,15 +131,15 @@ class GreyBox(Forecaster):
             self.simulator.simulate(None)  # raises the error that asks for it
         check_runs(self.simulator, records[0])
 
-    refits = False
-    fits_simulator = True
+    _refits = False
+    _fits_simulator = True
 
-    def to_dict(self) -> dict[str, Any]:
+    def _to_dict(self) -> dict[str, Any]:
         """Return what is saved, with a description in place of the simulator."""
         described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
-        return {**super().to_dict(), "simulator": described}
+        return {**super()._to_dict(), "simulator": described}
 
-    words = "the simulator, its parameters fitted to the training samples"
+    _words = "the simulator, its parameters fitted to the training samples"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
@@ -156,7 +155,7 @@ class GreyBox(Forecaster):
         fitted = self.require_fitted()
         self.fitted = replace(fitted, report=replace(fitted.report, cut=self.estimate.cut))
 
-    def prepare(
+    def _prepare(
         self,
         records: Sequence[Record],
         workers: int | Executor = 1,
@@ -166,12 +165,7 @@ class GreyBox(Forecaster):
         self._estimated(records, Effort(self.starts, self.seconds, workers, folder))
 
     def _estimated(self, records: Sequence[Record], effort: Effort) -> Estimate:
-        fit = _Fit(self._matched(records[0]), tuple(records), effort)
-        found = ESTIMATES(fit)
-        if found.cut and effort.seconds is None and current().left == np.inf:
-            ESTIMATES.forget(fit)  # a deadline has cut it, and there is none now
-            found = ESTIMATES(fit)
-        return found
+        return estimated(_Fit(self._matched(records[0]), tuple(records), effort))
 
     def _matched(self, record: Record) -> Any:
         """Return the simulator for the channels and inputs of a record."""
@@ -200,14 +194,14 @@ class GreyBox(Forecaster):
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole.time, whole.u, state)[0]
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the simulator, integrated from the first state of the training record on."""
         if outside:
             ny = self.require_fitted().record.ny
             return Given(np.ones(ny), np.zeros(ny), self.trajectory)
         return self._integrated()
 
-    def stepped(self, outside: bool = False) -> Recursion:
+    def _stepped(self, outside: bool = False) -> Recursion:
         """Return the simulator, with its state estimated from `memory` samples."""
         if outside:
             raise NotSteppedError(

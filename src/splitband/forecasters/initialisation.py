@@ -7,7 +7,7 @@ them as for everything else, or never find them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.realisation import Realisation, realised, state_estimator
 from splitband.data import Record
-from splitband.forecasters.caching import Cached
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import cached
 
 if TYPE_CHECKING:
     from splitband.models import Model
@@ -36,13 +36,10 @@ class LinearPart(Protocol):
         """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
 
 
+@cached  # all seeds and sizes of a search start from it
 def _fitted(most: int, *records: tuple[Array, Array]) -> LinearModel:
     delay = np.zeros((records[0][0].shape[1], records[0][1].shape[1]), int)
     return identified(records, delay=delay, most=most)
-
-
-FITTED: Cached[Any] = Cached(_fitted)
-"""Cache of linear models, from which all seeds and sizes of a search start."""
 
 
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
@@ -86,7 +83,7 @@ def _set(
     seed: int,
 ) -> None:
     """Set the linear part of one network, which predicts `targets`."""
-    linear = FITTED(cell.states, *zip(targets, inputs, strict=True))
+    linear = _fitted(cell.states, *zip(targets, inputs, strict=True))
     found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
     nu = inputs[0].shape[1]
     # A row of the network's inputs is [u of this sample, u of the next one, other inputs].

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, Literal, Self, final
 
 import numpy as np
@@ -18,7 +17,7 @@ from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import Part
 from splitband.forecasters.stepping_linear import Driven
 from splitband.runtime.arguments import whole
@@ -58,8 +57,8 @@ class Linear(Forecaster):
     affine = True
     needs = frozenset({"inputs"})
 
-    slow_part = "linear model"
-    words = "linear model of the inputs, in state space"
+    _slow_part = "linear model"
+    _words = "linear model of the inputs, in state space"
 
     def __init__(
         self,
@@ -78,7 +77,7 @@ class Linear(Forecaster):
         super().check(*records)
         self._delays(records[0])
 
-    refits = False
+    _refits = False
     """Two fits for its held-out forecasts: with one for each of them, the intervals of 40 drawn
     plants held 92 % as well, in 2.4 times the time."""
 
@@ -113,13 +112,13 @@ class Linear(Forecaster):
         y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
         return self.model.without_filter.continued(known.u, y, self._before(known))[0]
 
-    def as_simulator(self) -> Self:
+    def _as_simulator(self) -> Self:
         """Return it without its Kalman filter, for the slow component of a hybrid."""
         new = copy(self)
         new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
         return new
 
-    def linear_model(self) -> LinearModel:
+    def _linear_model(self) -> LinearModel:
         """Return the fitted model itself."""
         self.require_fitted()
         return self.model
@@ -134,7 +133,7 @@ class Linear(Forecaster):
             raise ValueError("accuracy was not computed: the deadline of the fit came first")
         return self.model.accuracy
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""
         return Driven(self.model, self.u)
 
@@ -168,7 +167,9 @@ class Linear(Forecaster):
 
     def to_control(self) -> Any:
         """Return `state_space` as a `control.StateSpace` (the extra `control`), with its names."""
-        control, record = import_module("control"), self.require_fitted().record
+        import control  # noqa: PLC0415  an extra
+
+        record = self.require_fitted().record
         return control.ss(
             *self.model.state_space(), record.sampling_time,
             inputs=[*record.inputs], outputs=[*record.columns],

@@ -12,9 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from splitband import networks
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, cells_of, parts_of
 from splitband.forecasters.closed_form import (
     Harmonic,
     Mean,
@@ -22,10 +23,8 @@ from splitband.forecasters.closed_form import (
     Persistence,
     SeasonalNaive,
 )
-from splitband.forecasters.configurable import parts_of
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.hybrids import Filtered, Residual
-from splitband.forecasters.learned import Single, Split
+from splitband.forecasters.learned import Filtered, Residual, Single, Split
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.networks.cell import Cell, Template
@@ -115,7 +114,7 @@ def _baselines() -> list[Forecaster]:
     return [Mean(), Persistence(), SeasonalNaive(), Harmonic(), Periodic(), Linear()]
 
 
-BASES = {each.name: each for each in _baselines() if each.as_base.words}
+BASES = {each.name: each for each in _baselines() if each._slow_part}
 """Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
 _REPLACEMENTS: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
@@ -135,7 +134,7 @@ def variants(forecaster: Forecaster, calibrate: bool, conditioned: bool) -> list
     """Return a forecaster and, if requested, its calibrated and conditioned variants."""
     found = [forecaster]
     if calibrate:
-        found.append(forecaster.calibrated())
+        found.append(forecaster._calibrated())
     if conditioned and "conditioned" in forecaster.get_params():
         found += [each.clone().set_params(conditioned=True) for each in found]
     return [*{each.name: each for each in found}.values()]
@@ -147,7 +146,7 @@ def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
         return forecaster
     if not parts_of(forecaster):
         return base.clone()
-    return forecaster.with_parts(lambda part: _on_base(part, base))
+    return forecaster._with_parts(lambda part: _on_base(part, base))
 
 
 NAMES = {each.name: each for each in _methods(Sizes())}
@@ -167,7 +166,7 @@ def named(name: str, sizes: Sizes | None = None) -> Forecaster:
 
 def built(forecaster: Forecaster) -> Forecaster:
     """Return a forecaster with its cells built, where they are not; that loads torch."""
-    cells = {option: getattr(forecaster, option) for option in forecaster.cells}
+    cells: dict[str, Any] = {**cells_of(forecaster)}
     if not any(hasattr(cell, "build") for cell in cells.values()):
         return forecaster
     # Templates draw weights that are never used; this must not change the user's random numbers.
@@ -204,7 +203,7 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
     """
     found = {v.name: v for name in names for v in variants(known(name), calibrate, conditioned)}
     for argument, wanted in (
-        ("calibrate", calibrate and not any(each.calibrates for each in found.values())),
+        ("calibrate", calibrate and not any(each._calibrates for each in found.values())),
         ("conditioned", conditioned and not any(_conditioned(f) for f in found.values())),
     ):
         if wanted:

@@ -2,16 +2,16 @@
 
 A forecaster holds a model of `splitband.models`, the settings of its training, its bands, and the
 base that it is combined with. Networks alone are in `forecasters.learned`, hybrids with a simulator
-or another forecaster in `forecasters.hybrids`.
+or another forecaster in `forecasters.learned`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 import numpy as np
 
@@ -19,18 +19,18 @@ from splitband import models, training
 from splitband.baselines.delays import delayed
 from splitband.baselines.identification import input_delays
 from splitband.data import Record
-from splitband.data.signals import first_after
+from splitband.data.signals import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.caching import Cached
+from splitband.forecasters.base import Forecaster, Training, cells_of
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.free_run import FreeRun
 from splitband.forecasters.initialisation import begin_as_linear
-from splitband.forecasters.known import Known
-from splitband.forecasters.predicting import known_of
+from splitband.forecasters.prediction import Known, known_of, total
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.stepping import Recursion
+from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
+from splitband.models.labels import FAST, SLOW
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import cached, key_of
+from splitband.runtime.options import UNKNOWN
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
     from splitband.models import Model
 
-DELAYS = Cached(input_delays)
-"""Cache of input delays: many trainings need those of the same records."""
+delays_of = cached(input_delays)
+"""Estimates the delays once, as many trainings need those of the same records."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
 
@@ -62,7 +62,6 @@ class Network(Forecaster):
     name : By default derived from its parts.
     """
 
-    cells: ClassVar[tuple[str, ...]] = ("cell",)
     base: Forecaster | None = None
     """The forecaster of the slow component, in a hybrid."""
     bands: Bands | None = None
@@ -71,18 +70,18 @@ class Network(Forecaster):
     """Whether the slow component is an input of the fast network."""
     model: Model | None = None
     """The trained model."""
-    trained_by: Settings | None = None
+    _trained_by: Settings | None = None
     """The settings of the training, given or chosen."""
-    trained_in: Bands | None = None
+    _trained_in: Bands | None = None
     """The bands of the training, given or chosen."""
-    fitted_base: Forecaster | None = None
+    _fitted_base: Forecaster | None = None
     """The fitted base."""
-    prehistory: Prehistory | None = None
+    _prehistory: Prehistory | None = None
     """The distribution of warm-ups, for histories that are shorter than one."""
 
     def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
         self.settings = settings
-        self.device: str | torch.device = "cpu"
+        self._device: str | torch.device = "cpu"
         self._name = name
 
     @property
@@ -93,44 +92,44 @@ class Network(Forecaster):
     random = True
 
     @property
-    def network(self) -> Network:
+    def _network(self) -> Network:
         """Return itself."""
         return self
 
     @property
     def warmup(self) -> int:
         """Return the samples of its warm-up; 0 where `fit` has yet to choose the settings."""
-        settings = self.trained_by or self.settings
+        settings = self._trained_by or self.settings
         return 0 if settings is None else settings.warmup
 
     @property
     def calibration(self) -> Calibration | None:
         """Return the calibration of the base."""
-        return None if self.fitted_base is None else self.fitted_base.calibration
+        return None if self._fitted_base is None else self._fitted_base.calibration
 
     @property
     def parameters(self) -> dict[str, Any]:
         """Return the fitted parameters of the base."""
-        return {} if self.fitted_base is None else self.fitted_base.parameters
+        return {} if self._fitted_base is None else self._fitted_base.parameters
 
     @property
-    def shares_bands(self) -> bool:
+    def _shares_bands(self) -> bool:
         """Return whether it, or its base, takes the bands that a comparison chooses.
 
         A comparison chooses bands for networks alone and for the simulator output of the record.
         Another base shows only after its fit up to which frequency it is accurate; the bands are
         chosen then.
         """
-        return self._takes_bands or super().shares_bands
+        return self._takes_bands or super()._shares_bands
 
     @property
     def _takes_bands(self) -> bool:
         return self.bands == OPEN and (self.base is None or "simulator" in self.base.needs)
 
-    slow_part = "network"
+    _slow_part = "network"
 
     @property
-    def conditioned_in_words(self) -> str:
+    def _conditioned_in_words(self) -> str:
         """Return the words on conditioning, which end `in_words`."""
         seen = ", with the slower part's output as an input"
         return seen if self.conditioned else ""
@@ -140,91 +139,82 @@ class Network(Forecaster):
         """Return the name that is derived from its parts."""
 
     @abstractmethod
-    def build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: Settings) -> Model:
         """Return the untrained model for a record, with weights drawn from torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
         import torch  # noqa: PLC0415  whoever names a device needs it
 
-        self.device = torch.device(device)
+        self._device = torch.device(device)
         if self.model is not None:
-            self.model.to(self.device)
-        if self.fitted_base is not None:
-            self.fitted_base.to(device)
+            self.model.to(self._device)
+        if self._fitted_base is not None:
+            self._fitted_base.to(device)
         return super().to(device)
 
-    def with_defaults(self, settings: Settings, bands: Bands) -> Self:
+    def _with_defaults(self, settings: Settings, bands: Bands) -> Self:
         """Return it with a comparison's settings and bands, where its own are not set."""
-        new = super().with_defaults(settings, bands)
+        new = super()._with_defaults(settings, bands)
         shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if self._takes_bands:
             shared["bands"] = bands
         return new.clone().set_params(**shared) if shared else new
 
-    def trained_as(self, settings: Settings) -> Self:
+    def _trained_as(self, settings: Settings) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
     def untrained(self) -> Forecaster:
         """Return it not trained, with the settings and bands of its training."""
-        chosen = {"settings": self.trained_by or self.settings}
+        chosen = {"settings": self._trained_by or self.settings}
         return self.clone().set_params(
-            **chosen, **({} if self.trained_in is None else {"bands": self.trained_in})
+            **chosen, **({} if self._trained_in is None else {"bands": self._trained_in})
         )
 
-    def training_in_words(self) -> str:
+    def _training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
-        sizes = [describe() for cell in self.cells
-                 if (describe := getattr(getattr(self, cell), "size_in_words", None))]  # fmt: skip
+        cells = cells_of(self).values()
+        sizes = [cell.size_in_words() for cell in cells if hasattr(cell, "size_in_words")]
         said = [" and ".join(sizes)] if sizes else []
-        settings = self.trained_by or self.settings
+        settings = self._trained_by or self.settings
         if settings is not None:
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
-    def state(self) -> dict[str, torch.Tensor]:
-        """Return the state dict of the trained model, on the CPU."""
-        return {name: x.detach().cpu().clone() for name, x in self._trained().state_dict().items()}
-
-    def weights(self, record: Record) -> int:
-        """Return the number of trained weights, for such a record."""
-        model = self._built(record, self._settings_for(record), seed=0)
-        return sum(weight.numel() for weight in model.parameters())
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: the model as its weights; `device` is omitted."""
-        said = super().to_dict()
-        del said["device"]  # that of the training may not exist where it is loaded
+    def _to_dict(self) -> dict[str, Any]:
+        """Return what is saved: the model as its weights; the device is omitted."""
+        said = super()._to_dict()
+        del said["_device"]  # that of the training may not exist where it is loaded
         model = said.pop("model", None)
         return said | {"weights": None if model is None else dict(model.state_dict())}
 
     @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
+    def _from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
         weights = found.pop("weights")
-        found["device"] = "cpu"
-        new = super().from_dict(found)
+        found["_device"] = "cpu"
+        new = super()._from_dict(found)
         if new.fitted is not None:
-            record, settings = new.fitted.record, new.trained_by
+            record, settings = new.fitted.record, new._trained_by
             assert settings is not None
             new.model = models.with_weights(lambda: new._built(record, settings, seed=0), weights)
-            if new.prehistory is not None:
-                new.prehistory.check(new.model, settings.warmup)
+            if new._prehistory is not None:
+                new._prehistory.check(new.model, settings.warmup)
         return new
 
-    def first_needed(self) -> int:
+    def _first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs.
 
         With a network as base the whole record is needed, since the base's run starts there.
         """
-        beside_network = self.fitted_base is not None and self.fitted_base.random
-        return 0 if beside_network else super().first_needed()
+        beside_network = self._fitted_base is not None and self._fitted_base.random
+        return 0 if beside_network else super()._first_needed()
 
-    def for_samples(self, samples: int, instead_of: int) -> Self:
+    def _for_samples(self, samples: int, instead_of: int) -> Self:
         """Return it adapted to a part of the training record: long windows shrink with it."""
-        new = super().for_samples(samples, instead_of)
+        new = super()._for_samples(samples, instead_of)
         if self.settings is None:
             return new
         window = self.settings.window
@@ -255,7 +245,7 @@ class Network(Forecaster):
             )
         checked_starts(records, settings.window, settings.warmup)
         # Cells that are given by name are built when they are trained, as torch loads slowly.
-        if not any(hasattr(getattr(self, name), "build") for name in self.cells):
+        if not any(hasattr(cell, "build") for cell in cells_of(self).values()):
             self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise ValueError(
@@ -268,75 +258,118 @@ class Network(Forecaster):
         """Fit the base, choose settings and bands that are not given, and train the model."""
         seed, start = how["seed"], self._start(how["start"])
         settings = self._settings_for(records[0], records[1:])
-        self.trained_by = settings if start is None else settings.after(start.trained_by)
+        self._trained_by = settings if start is None else settings.after(start._trained_by)
         seen = self._seen(records, seed, start)
         if self.bands is not None:
-            self.trained_in = (
-                self._bands_for(seen[0], settings) if start is None else start.trained_in
+            self._trained_in = (
+                self._bands_for(seen[0], settings) if start is None else start._trained_in
             )
         self.model = self._built(seen[0], settings, seed)
         if start is not None:
             try:
-                self.model.load_state_dict(start.state())
+                self.model.load_state_dict(start._trained().state_dict())
             except RuntimeError:
                 raise ValueError(
                     f"start must have the sizes and channels of {self.name}: "
-                    f"{self.training_in_words()}, got {start.training_in_words()}"
+                    f"{self._training_in_words()}, got {start._training_in_words()}"
                 ) from None
             self.model.units_kept = True
         elif settings.linear_start:
             begin_as_linear(self.model, seen, settings.normalize, seed)
-        self.model.to(self.device)
+        self.model.to(self._device)
         history = training.fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
         # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
-        self.prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
+        self._prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         cut = history.cut or (
-            self.fitted_base is not None and self.fitted_base.require_fitted().report.cut
+            self._fitted_base is not None and self._fitted_base.require_fitted().report.cut
         )
         report = FitReport(seed, history.seconds, history.losses, notes, cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: Known) -> dict[str, Array]:
-        """Return a free run from the last `warmup` samples without a gap, by component."""
-        return self._free_run().components(known)
+        """Return the forecast after a history by component, `(steps, ny)` each.
+
+        It warms up on the last `warmup` samples without a gap. Where the history is shorter, the
+        samples before it are estimated.
+        """
+        return self._run(self._trained().simulate_components, known)
+
+    def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+        """Return the signals before the model's filters by name; empty for one without filters."""
+        known = known_of(self, steps, history, None, None)[0]
+        return self._run(self._trained().simulate_unfiltered, known)
 
     def trajectory(self, known: Known) -> Array:
-        """Return a free run from the first warm-up of the history on, `(time + steps, ny)`."""
-        return self._free_run().trajectory(known)
+        """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
 
-    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return the signals before the model's filters by name; empty for one without filters."""
-        return self._free_run().unfiltered(known_of(self, steps, history, None, None)[0])
-
-    def stepped(self, outside: bool = False) -> Recursion:
-        """Return the step-by-step form of its model, warmed up."""
-        return self._free_run().stepped(outside)
-
-    def differentiable(self, known: Known) -> nn.Module:
-        """Return its model, warmed up."""
-        return self._free_run().differentiable(known)
+        The samples before the run are the measured ones.
+        """
+        complete = np.asarray(~np.isnan(known.y).any(axis=1))
+        start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
+        if start is None or not complete[:start].all():
+            raise ValueError(
+                f"history must begin with {self.warmup} measured samples for {self.name}"
+            )
+        steps = len(known.y) + known.steps - start
+        begun = replace(known, y=known.y[:start], steps=steps)
+        return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
     def doubts(self, known: Known) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
-        return self._free_run().doubts(known)
+        doubts = [] if self._fitted_base is None else self._fitted_base.doubts(known)
+        if self._short(known):
+            short = (
+                f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
+                "what came before is estimated"
+            )
+            doubts = [*dict.fromkeys([*doubts, short])]
+        return doubts
+
+    def _stepped(self, outside: bool = False) -> Recursion:
+        """Return the step-by-step form of model and base, warmed up."""
+        try:
+            model = self._trained().stepped()
+        except ValueError as error:
+            raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
+        part = None if self._fitted_base is None else self._fitted_base._part(outside)
+        return Warmed(model, part, self.warmup, self.delays)
+
+    def differentiable(self, known: Known) -> nn.Module:
+        """Return model and base as a torch module, warmed up."""
+        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
+            ModelSimulation,
+        )
+
+        model, base = self._trained(), self._fitted_base
+        if base is not None and not base.affine:
+            raise ValueError(
+                f"{self.name} cannot be run by torch: its base, {base.name}, is not affine in the "
+                "inputs"
+            )
+        beside = None if base is None else base.differentiable(known)
+        y, u, slow, since = self._warmed(known)
+        longest = max(self.delays, default=0)
+        late = np.zeros((0, 0)) if known.u is None else _last(known.u, longest)
+        made = ModelSimulation(model, (y, u, slow), since, late, self.delays, beside)
+        return made.to(next(model.parameters()).device)
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""
-        fitted, base = self.require_fitted(), self.fitted_base
+        fitted, base = self.require_fitted(), self._fitted_base
         said = []
-        if base is not None and base.as_base.described:
-            said = [f"{base.as_base.label}: {base.describe()}"]
-        said += [self.training_in_words(), fitted.late_inputs(self.delays)]
+        if base is not None and (base._slow_label != SLOW or base._calibrates):
+            said = [f"{base._slow_label}: {base.describe()}"]
+        said += [self._training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def _made(self, params: dict[str, Any]) -> Self:
         """Return one with other options, on the same device."""
         new = super()._made(params)
-        new.device = self.device
+        new._device = self._device
         return new
 
     def _start(self, start: Forecaster | None) -> Self | None:
@@ -354,27 +387,23 @@ class Network(Forecaster):
         """
         seen = [*records]
         if self.base is not None:
-            same = start is not None and repr(start.base) == repr(self.base)
+            same = start is not None and _same(start.base, self.base)
             base = start._base_for(records) if start is not None and same else None
             if base is None:
-                base = self.base.clone().fit(*records, seed=seed).as_simulator()
-            self.fitted_base = base
+                base = self.base.clone().fit(*records, seed=seed)._as_simulator()
+            self._fitted_base = base
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
-            found = DELAYS([(r.seen, r.u) for r in records]) if start is None else start.delays
-            self.delays = found
+            driven = [(r.seen, r.u) for r in records if r.u is not None]
+            self.delays = delays_of(driven) if start is None else start.delays
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     def _base_for(self, records: Sequence[Record]) -> Forecaster | None:
         """Return its base where that was fitted to the same samples, which saves another fit."""
         fitted = self.require_fitted()
-        before = [fitted.record, *fitted.others]
-        same = len(before) == len(records) and all(
-            old.grid == new.grid and all(map(_equal, _signals(old), _signals(new)))
-            for old, new in zip(before, records, strict=True)
-        )
-        return self.fitted_base if same else None
+        same = _samples([fitted.record, *fitted.others]) == _samples(records)
+        return self._fitted_base if same else None
 
     def _remarks(self, record: Record) -> list[str]:
         """Return remarks for the user on a training record with the base's output."""
@@ -387,8 +416,8 @@ class Network(Forecaster):
     def _bands_for(self, record: Record, settings: Settings) -> Bands:
         """Return the bands; those that are not given are chosen on the training record."""
         assert self.bands is not None
-        if self.trained_in is not None:
-            return self.trained_in
+        if self._trained_in is not None:
+            return self._trained_in
         if self.bands.complete:
             return self.bands
         slow = None if self.base is None else record.y_sim
@@ -405,7 +434,7 @@ class Network(Forecaster):
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
         with seeded(seed):
-            return self.build(record, settings)
+            return self._build(record, settings)
 
     def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> Settings:
         return self.settings or recipe_settings("default", record, others)
@@ -415,24 +444,72 @@ class Network(Forecaster):
         assert self.model is not None
         return self.model
 
-    def _free_run(self) -> FreeRun:
-        """Return the trained model, ready to simulate."""
-        return FreeRun(
-            self.name,
-            self._trained(),
-            self.warmup,
-            self.delays,
-            self.fitted_base,
-            self.prehistory,
-        )
+    def _short(self, known: Known) -> bool:
+        """Return whether the history is shorter than the warm-up and can be completed."""
+        short = 0 < len(known.y) < self.warmup
+        return short and self._prehistory is not None and not np.isnan(known.y).any()
+
+    def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
+        """Return what a simulation of the model gives after the history, by component.
+
+        The base labels the slow one.
+        """
+        y, u, slow, since = self._warmed(known)
+        found = {}
+        for part, values in simulate(y, since + known.steps, u, slow).items():
+            label = part
+            if self._fitted_base is not None and part.startswith(SLOW):
+                # The base may have the label of the fast component; labels must differ.
+                slow_label = self._fitted_base._slow_label
+                label = "base" if slow_label == FAST else slow_label
+                label += part.removeprefix(SLOW)
+            found[label] = values[since:]
+        return found
+
+    def _warmed(self, known: Known) -> tuple[Array, Array | None, Array | None, int]:
+        """Return the last warm-up without a gap, and the samples between its end and the origin.
+
+        The warm-up holds the measured samples `(warmup, ny)`, and the inputs and the base's output
+        from its beginning to the last sample of the forecast.
+        """
+        y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
+        slow, base = None, self._fitted_base
+        if self._short(known):
+            assert self._prehistory is not None
+            slow = None if base is None else base.trajectory(known)
+            y, u, slow = self._prehistory.completed(self._trained(), y, u, slow)
+        complete = np.asarray(~np.isnan(y).any(axis=1))
+        start = last_before(complete, self.warmup, len(y))
+        if start is None:
+            raise ValueError(
+                f"history must have {self.warmup} measured samples in a row to warm up on, got "
+                f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
+            )
+        begin, since = start - self.warmup, len(y) - start
+        if base is not None and slow is None:
+            slow = base.trajectory(replace(known, since=begin))[begin:]
+        return y[begin:start], None if u is None else u[begin:], slow, since
 
 
-def _signals(record: Record) -> tuple[Array | None, ...]:
-    """Return what a base is fitted to: outputs, inputs and the simulator's output."""
-    return record.seen, record.u, record.y_sim
+def _last(u: Array, rows: int) -> Array:
+    """Return the last rows; the first row is repeated where there are fewer, as in `delayed`."""
+    return np.concatenate(
+        [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
+    )
 
 
-def _equal(one: Array | None, other: Array | None) -> bool:
-    if one is None or other is None:
+def _same(one: Any, other: Any) -> bool:
+    """Return whether two options are known to be the same; of functions, only by their key."""
+    if one is other or type(one) is not type(other):
         return one is other
-    return np.array_equal(one, other, equal_nan=True)
+    if isinstance(one, Forecaster):
+        ours, theirs = one.get_params(), other.get_params()
+        return all(_same(option, theirs[name]) for name, option in ours.items())
+    if callable(getattr(one, "fingerprint", None)):
+        return one.fingerprint() is not None and one.fingerprint() == other.fingerprint()
+    return UNKNOWN not in repr(one) and repr(one) == repr(other)
+
+
+def _samples(records: Sequence[Record]) -> str:
+    """Return a hash of what a base is fitted to: times, outputs, inputs, the simulator's output."""
+    return key_of(*(part for r in records for part in (r.grid, r.seen, r.u, r.y_sim)))

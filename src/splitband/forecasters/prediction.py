@@ -1,25 +1,137 @@
-"""Define what a forecaster returns: values, their times, and the interval around them."""
+"""Predict: what is known at an origin, the forecast from it, and the median of several.
+
+Several trainings are combined by the median of their predictions, sample by sample. One that goes
+astray, on inputs that it has not learned from, moves a mean as far as it goes itself, and a median
+hardly (docs/results/rules.md).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
-from splitband.data import Grid
-from splitband.data.preparation import Preparation
-from splitband.data.timing import stamps_at
-from splitband.forecasters.medians import mean_over, middle_members
+from splitband.data import Grid, Record, check_alike
+from splitband.data.preparation import Preparation, seconds
+from splitband.data.timing import same_sampling, stamps_at, zones_differ
+from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
-from splitband.runtime.provided import provided
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from splitband.forecasters.base import Forecaster
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Hold the data that a forecaster may use for a forecast.
+
+    Attributes
+    ----------
+    y : Measured samples up to the origin, `(time, ny)`, NaN in gaps.
+    steps : Number of samples to forecast.
+    begin : Index of the first sample of `y`, counted from the first one of the training record;
+        None for a record with an unrelated time.
+    u : The inputs of history and forecast, `(time + steps, nu)`, where there are any.
+    y_sim : A simulator's output over the same samples, `(time + steps or more, ny)`, if any.
+    grid : The times of `y`, by the clock of its record.
+    own : Whether `y` is the training record or its end, to which the model is already fitted.
+    since : First row of a trajectory that is used; the rows before it may hold any values.
+    """
+
+    y: Array
+    steps: int
+    begin: float | None = 0.0
+    u: Array | None = None
+    y_sim: Array | None = None
+    grid: Grid | None = None
+    own: bool = False
+    since: int = 0
+
+
+def continued(
+    name: str,
+    past: Array,
+    beyond: npt.ArrayLike | None,
+    given: npt.ArrayLike | None,
+    steps: int,
+    more: bool = False,
+) -> Array:
+    """Return a signal up to the origin and its next `steps` samples; with `more`, all after it.
+
+    Parameters
+    ----------
+    name : For errors.
+    past : `(time, channels)`.
+    beyond, given : Samples after the origin that the history brings, and that a user gives in their
+        place, `(steps or more, channels)`, or `(steps or more,)` for a single channel.
+
+    Raises
+    ------
+    ValueError
+        For too few samples ahead, another number of channels, and given samples that begin with
+        those of the history.
+    """
+    n, channels = past.shape
+    ahead = beyond if given is None else given
+    values = None if ahead is None else np.asarray(ahead, dtype=np.float64)
+    if values is not None and values.ndim == 1:
+        values = values[:, None]
+    if values is None or len(values) < steps or values.shape[1] != channels:
+        shape = "none" if values is None else values.shape
+        raise ValueError(
+            f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
+        )
+    whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
+    if whole and n and np.ptp(past):
+        raise ValueError(
+            f"{name} must hold the {steps} samples to come alone, got the {n} of the history first"
+        )
+    return np.concatenate([past, values if more else values[:steps]])
+
+
+def median_components(
+    parts: Sequence[Mapping[str, Array]], totals: Sequence[Array]
+) -> dict[str, Array]:
+    """Return the components of the median of several predictions, which add up to it.
+
+    At each sample they are those of the member in the middle, or the mean of the two there.
+
+    Parameters
+    ----------
+    parts : The components of each member, by the same names, `(time, ny)` each.
+    totals : Their sums.
+    """
+    count = len(totals)
+    ordered = np.argsort(totals, axis=0, kind="stable")
+    middle = ordered[(count - 1) // 2 : count // 2 + 1]
+    return {
+        name: np.take_along_axis(np.array([each[name] for each in parts]), middle, 0).mean(axis=0)
+        for name in parts[0]
+    }
+
+
+def median(values: Sequence[Any], least: Callable[..., Any], most: Callable[..., Any]) -> Any:
+    """Return the median by comparing pairs (odd-even sort), which an export can write down.
+
+    Parameters
+    ----------
+    values : Arrays of equal shape.
+    least, most : Functions that return the element-wise minimum and maximum of two of them.
+    """
+    ordered, count = [*values], len(values)
+    for turn in range(count):
+        for i in range(turn % 2, count - 1, 2):
+            pair = ordered[i], ordered[i + 1]
+            ordered[i], ordered[i + 1] = least(*pair), most(*pair)
+    return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
 
 
 @saved
@@ -99,8 +211,9 @@ class Prediction:
 
     def plot(self) -> Figure:
         """Return a plot of the prediction."""
-        figure: Figure = provided("picture of a prediction")(self)
-        return figure
+        from splitband.report.pictures import prediction  # noqa: PLC0415  of a higher layer
+
+        return prediction(self)
 
 
 def median_of(predictions: Sequence[Prediction]) -> Prediction:
@@ -110,14 +223,13 @@ def median_of(predictions: Sequence[Prediction]) -> Prediction:
     warnings of all are kept.
     """
     first = predictions[0]
-    middle = middle_members([p.y for p in predictions])
-    parts = [name for name in first.components if all(name in p.components for p in predictions)]
+    totals = [p.y for p in predictions]
+    shared = [name for name in first.components if all(name in p.components for p in predictions)]
+    parts = [{name: p.components[name] for name in shared} for p in predictions]
     return replace(
         first,
-        y=mean_over([p.y for p in predictions], middle),
-        components={
-            name: mean_over([p.components[name] for p in predictions], middle) for name in parts
-        },
+        y=np.median(totals, axis=0),
+        components=median_components(parts, totals),
         lower=None,
         upper=None,
         level=None,
@@ -129,3 +241,119 @@ def median_of(predictions: Sequence[Prediction]) -> Prediction:
 def time_header(columns: tuple[str, ...]) -> str:
     """Return a name for the time column that differs from those in `columns`."""
     return "time (s)" if "time" in columns else "time"
+
+
+OVERFLOWED = 1e100
+"""Replaces predicted values that are not finite, so that their errors are finite, and huge. Its
+square is finite, too."""
+
+
+def known_of(
+    forecaster: Forecaster,
+    steps: int,
+    history: Record | None,
+    u: npt.ArrayLike | None,
+    y_sim: npt.ArrayLike | None,
+    other_record: bool = False,
+) -> tuple[Known, Record]:
+    """Return the data for a forecast of `steps` samples, and the history; see `predict`."""
+    fitted = forecaster.require_fitted()
+    if other_record and forecaster.anchored:
+        raise ValueError(
+            f"history must go on from the training record for {forecaster.name}, which depends on "
+            "the time since then"
+        )
+    past, begin = fitted.record, None if other_record else float(fitted.begin)
+    if history is not None:
+        check_alike(history, fitted.record, "history")
+        step, own = fitted.record.sampling_time, history.sampling_time
+        if forecaster.anchored and not same_sampling(step, own, len(history)):
+            raise ValueError(
+                f"history must be sampled like the training record for {forecaster.name}, which "
+                f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
+            )
+        past, begin = history, None if other_record else fitted.begins(history)
+    inputs = None
+    if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
+        raise ValueError("u must hold finite numbers, got some that are not")
+    if past.u is not None:
+        inputs = continued("u", past.u, past.u_beyond, u, steps)
+    elif u is not None:
+        raise ValueError("u must be given exactly for a record with inputs, this has none")
+    simulated = None
+    if "simulator" in forecaster.needs:
+        if past.y_sim is None:
+            raise ValueError(
+                f"history must bring a simulator's output (y_sim) for {forecaster.name}"
+            )
+        simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
+    own = history is None and not other_record
+    return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
+
+
+def known_at_origin(
+    forecaster: Forecaster, history: Record | None, other_record: bool = False
+) -> Known:
+    """Return the data at the end of a history, by default of the training record."""
+    past = forecaster.require_fitted().record if history is None else history
+    u = None if past.u is None else past.u[:0]
+    y_sim = None if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
+    return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
+
+
+def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
+    """Return the prediction of a forecaster, with the reasons to doubt it."""
+    fitted, steps = forecaster.require_fitted(), known.steps
+    extrapolated = forecaster.extrapolate(known)
+    parts = extrapolated if isinstance(extrapolated, dict) else {"": extrapolated}
+    y = total([*parts.values()])
+    if y.shape != (steps, past.ny):
+        raise ValueError(
+            f"{forecaster.name} must extrapolate {steps} samples of {past.ny} channel(s), "
+            f"got the shape {y.shape}"
+        )
+    beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
+    messages = [each.describe(past.inputs[each.channel]) for each in beyond]
+    messages += (doubts := forecaster.doubts(known))
+    if zones_differ(past.start, fitted.record.start):
+        messages.append(
+            "of the dates of the history and of the training record just one has a time zone: "
+            f"the two were not compared ({past.grid} and {fitted.record.grid})"
+        )
+    left = leaves_range(fitted.y_range, y)
+    if left is not None:
+        messages.append(f"the prediction of {forecaster.name} {leaving(left)}")
+    return Prediction(
+        y,
+        past.grid.after(steps),
+        past.columns,
+        parts if len(parts) > 1 else {},
+        warnings=tuple(messages),
+        doubts=tuple(doubts),
+    )
+
+
+def prepared_like(
+    record: Record, history: Record, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
+) -> tuple[Record, npt.ArrayLike | None, npt.ArrayLike | None]:
+    """Return a history, future inputs and future simulator output, prepared like a record."""
+    prepared = history.prepared_as(record)
+    for step in record.prepared:
+        if u is not None:
+            u = np.asarray(u, np.float64).reshape(-1, history.nu)
+            u = step.inputs(u, seconds_after(prepared, len(u)))
+        if y_sim is not None:
+            y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
+            y_sim = step.outputs(y_sim, seconds_after(prepared, len(y_sim)))
+    return prepared, u, y_sim
+
+
+def seconds_after(record: Record, samples: int) -> Array:
+    """Return the times of the `samples` that follow a record, in s."""
+    return np.asarray(seconds(record)[-1] + record.sampling_time * np.arange(1.0, samples + 1))
+
+
+def total(parts: Sequence[Array]) -> Array:
+    """Return the sum of the components, with `OVERFLOWED` where it is not finite."""
+    most = OVERFLOWED
+    return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)

@@ -2,38 +2,54 @@
 
 A folder holds forecaster.json, which describes the forecaster and its parts, and one safetensors
 file with all weights and arrays. The latter is named after its content, so that an interrupted
-`save` leaves the previous pair intact. Loading runs no code from a file, and none that a file
-names, see `forecasters.description`. Of a simulator that is not recorded output only a description
-is saved (`simulators.absent`); `load` takes the simulator itself.
+`save` leaves the previous pair intact. Of a simulator that is not recorded output only a
+description is saved (`simulators.absent`); `load` takes the simulator itself.
+
+Loading runs no code from a file, and none that a file names. The description of an object contains
+the name of its class, which is looked up in the modules that are loaded: nothing is imported. The
+class has to be that of a forecaster, restored by `_from_dict` from the result of `_to_dict`; one of
+the package that is marked as `saved`, restored from its fields; or that of a cell, which is a
+module with a method `sized`, restored from the arguments of its constructor.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
+import sys
 import warnings
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
 import safetensors
 import safetensors.numpy
 
+from splitband import networks
 from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.description import Classes, Tensors, described
 from splitband.forecasters.simulation import simulations
 from splitband.runtime import outputs
+from splitband.runtime.arguments import whole
 from splitband.runtime.files import replacing, to_json
+from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
 from splitband.simulators.absent import Absent
 
-FORMAT = 5
-"""Version of the folder's format, which changes with the results of `to_dict`."""
+FORMAT = 6
+"""Version of the description, which changes with the attributes of what is saved."""
 FILE, WEIGHTS = outputs.DESCRIPTION, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
 """Largest size of a description in bytes: bounds the memory. By eye."""
+LARGEST_NUMBER = 1_000_000
+"""Largest whole number that a cell's constructor gets: a larger one in a file is a forgery.
+By eye."""
 _DIGITS = 16
 """Digits of the weights' SHA-256 in the name of their file: enough to be unique."""
 _UNFIT = (
@@ -42,6 +58,10 @@ _UNFIT = (
 )  # fmt: skip
 """Errors that a forged or damaged description may raise."""
 _AGAIN = "train it again, with `splitband fit` or fit(record), and save it"
+_PACKAGE = __name__.partition(".")[0]
+
+Tensors = dict[str, npt.NDArray[Any]]
+"""The arrays and the weights of a forecaster, by their place in it."""
 
 
 def save(
@@ -87,17 +107,18 @@ def packed(value: Any) -> bytes:
     Raises ValueError for a value that cannot be saved.
     """
     tensors: dict[str, Any] = {}
-    said = to_json(described(value, tensors))
-    return safetensors.numpy.save(tensors, {"value": said})
+    said = to_json({"format": FORMAT, "value": described(value, tensors)})
+    return safetensors.numpy.save(tensors, {"said": said})
 
 
 def unpacked(content: bytes) -> Any:
     """Return the value that `packed` described; raises ValueError for other content."""
     try:
         header = int.from_bytes(content[:8], "little")
-        said = json.loads(content[8 : 8 + header])["__metadata__"]["value"]
-        tensors = dict(safetensors.numpy.load(content))
-        return Classes((Forecaster,), tensors).made(json.loads(said))
+        said = json.loads(json.loads(content[8 : 8 + header])["__metadata__"]["said"])
+        if said["format"] != FORMAT:
+            raise ValueError(f"it has format {said['format']}")
+        return restored(said["value"], dict(safetensors.numpy.load(content)))
     except _UNFIT as error:
         raise ValueError(f"the file cannot be read: {error}") from None
 
@@ -174,7 +195,7 @@ def load_with_facts(
         )
     tensors = _tensors(folder, facts)
     try:
-        loaded = Classes((Forecaster,), tensors).made(facts["forecaster"])
+        loaded = restored(facts["forecaster"], tensors)
         if not isinstance(loaded, Forecaster):
             raise ValueError(f"it is {type(loaded).__name__}")
         loaded.require_fitted()
@@ -227,3 +248,179 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
             warnings.warn(said, stacklevel=4)
     for each in given:
         each.simulator = simulator
+
+
+def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911  a line a kind
+    """Return a value as JSON, and put its arrays into `tensors`, by their place in the value.
+
+    Raises ValueError for a value that cannot be described.
+    """
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"number": str(value)}
+    if isinstance(value, pd.Timestamp):
+        return {"date": value.isoformat()}
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind not in "biufc":
+            raise ValueError(f"an array of {value.dtype} cannot be saved")
+        tensors[place] = np.array(value, order="C")
+        return {"array": place}
+    if isinstance(value, Forecaster):
+        return _named("class", value, value._to_dict(), tensors, place)
+    if is_saved(type(value)):
+        parts = {name: getattr(value, name) for name in _fields(type(value))}
+        return _named("class", value, parts, tensors, place)
+    if isinstance(value, Mapping):
+        return {"mapping": _parts(value, tensors, place)}
+    if isinstance(value, list | tuple | frozenset):
+        ordered = sorted(value) if isinstance(value, frozenset) else value
+        inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
+        return {type(value).__name__: inner}
+    if "torch" in sys.modules:  # otherwise it can be nothing of torch's
+        return _of_torch(value, tensors, place)
+    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+
+
+def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
+    """Return the description of a tensor, a device or a cell."""
+    import torch  # noqa: PLC0415  see `described`
+
+    if isinstance(value, torch.Tensor):
+        try:
+            array = value.detach().cpu().numpy()
+        except TypeError:
+            raise ValueError(f"a tensor of {value.dtype} cannot be saved") from None
+        return described(array, tensors, place)
+    if isinstance(value, torch.device):
+        return {"device": str(value)}
+    if isinstance(value, torch.nn.Module):
+        try:
+            return _named("cell", value, options(value), tensors, place)
+        except TypeError as error:
+            raise ValueError(f"{type(value).__name__} cannot be saved: {error}") from None
+    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+
+
+def _named(
+    word: str, value: Any, parts: Mapping[str, Any], tensors: Tensors, place: str
+) -> dict[str, Any]:
+    """Return the description of an object by its class and parts."""
+    kind = type(value)
+    own = {} if _of_package(kind) else {"module": kind.__module__}
+    if own and "<locals>" in kind.__qualname__:
+        raise ValueError(
+            f"{kind.__name__} cannot be saved: its class is defined inside of a function, where "
+            "loading cannot find it; define it in a module"
+        )
+    return {word: kind.__qualname__, **own, "fields": _parts(parts, tensors, place)}
+
+
+def _parts(parts: Mapping[str, Any], tensors: Tensors, place: str) -> dict[str, Any]:
+    if not all(isinstance(name, str) for name in parts):
+        raise ValueError("a mapping that is saved with a forecaster must have texts as keys")
+    dot = "." if place else ""
+    return {name: described(v, tensors, f"{place}{dot}{name}") for name, v in parts.items()}
+
+
+def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a kind
+    """Return the object that `value` describes.
+
+    Raises ValueError for an unknown class, or a value that is not a description; a damaged
+    description may raise other errors, too.
+    """
+    if not isinstance(value, dict):
+        return value
+    for several in (list, tuple, frozenset):
+        if several.__name__ in value:
+            return several(restored(part, tensors) for part in value[several.__name__])
+    if "array" in value:
+        return np.array(tensors[value["array"]])
+    if "number" in value:
+        return float(value["number"])
+    if "date" in value:
+        return pd.Timestamp(value["date"])
+    if "device" in value:
+        return "cpu"  # the device of the training may not exist here
+    named = "mapping" not in value
+    parts = value["fields" if named else "mapping"].items()
+    found = {name: restored(part, tensors) for name, part in parts}
+    if not named:
+        return found
+    if "cell" in value:
+        _ = networks.GRU, networks.EulerMLP, networks.StateSpace  # load them, as they may be meant
+        return _cell(_loaded(value["cell"], value.get("module")), found)
+    kind = _loaded(value["class"], value.get("module"))
+    if issubclass(kind, Forecaster):
+        return kind._from_dict(found)
+    _check_numbers(kind, found)
+    return kind(**found)
+
+
+def _loaded(name: str, module: str | None) -> Any:
+    """Return the class of that name and module, or the only one of that name elsewhere.
+
+    It is looked up in the modules that are loaded; without a module it is one of the package.
+    """
+    own = _inside(sys.modules.get(module or ""), name, module)
+    loaded = [*sys.modules.items()] if own is None else []
+    places = [each for at, each in loaded if module or at.startswith(_PACKAGE)]
+    found = [*{own, *(_inside(each, name, module) for each in places)} - {None}]
+    if len(found) == 1:
+        return found[0]
+    said, where = str(name)[:60], str(module)[:60]
+    if module is None:
+        raise ValueError(f"the class {said} is not known")
+    raise ValueError(
+        f"the class {said} is not known here: import {where} first, which defined it where the "
+        "model was saved"
+    )
+
+
+def _inside(place: Any, name: str, module: str | None) -> type | None:
+    """Return the class of that name in a module, if it may be restored; imports nothing."""
+    for part in name.split("."):
+        place = getattr(place, "__dict__", {}).get(part)
+    if not isinstance(place, type) or _of_package(place) != (module is None):
+        return None
+    torch = sys.modules.get("torch")
+    cell = torch is not None and issubclass(place, torch.nn.Module) and hasattr(place, "sized")
+    return place if cell or issubclass(place, Forecaster) or is_saved(place) else None
+
+
+def _of_package(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == _PACKAGE
+
+
+def _cell(kind: Any, parts: dict[str, Any]) -> Any:
+    """Return a template of a cell: on the meta device, where weights take no memory."""
+    import torch  # noqa: PLC0415  just what has networks needs it
+
+    for name, part in parts.items():
+        if isinstance(part, int) and abs(part) > LARGEST_NUMBER:
+            raise ValueError(f"{name} must be a whole number up to {LARGEST_NUMBER}, got {part}")
+    try:
+        with torch.device("meta"):
+            return kind(**parts)
+    except RuntimeError:  # a user's cell may need values, which the meta device does not have
+        return kind(**parts)
+
+
+def _fields(kind: Any) -> list[str]:
+    """Return the names of the fields that a class is restored from."""
+    named: tuple[str, ...] | None = getattr(kind, "_fields", None)
+    return [*named] if named else [field.name for field in fields(kind) if field.init]
+
+
+def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
+    """Raise ValueError for a field that must be a number or an array and is neither."""
+    for name, wanted in get_type_hints(kind).items():
+        part = parts.get(name, 0)
+        if wanted is int:
+            whole(name, part, None)
+        elif wanted is float and (isinstance(part, bool) or not isinstance(part, int | float)):
+            raise ValueError(f"{name} must be a number, got {str(part)[:60]!r}")
+        elif get_origin(wanted) is np.ndarray and not isinstance(parts.get(name), np.ndarray):
+            raise ValueError(f"{name} must be an array, got {str(parts.get(name))[:60]!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,14 +12,13 @@ import numpy as np
 from splitband.data import Aligned, Grid, Record, check_alike
 from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.caching import Cached
-from splitband.forecasters.configurable import AsBase
 from splitband.forecasters.fitted import NEAR_ROW, first_only
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import NotSteppedError, Part
 from splitband.forecasters.stepping_simulators import Given, RunAhead
 from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import cached, key_of
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.calibrating import calibrate
@@ -30,8 +28,8 @@ from splitband.simulators.starting import is_driven, matched
 if TYPE_CHECKING:
     from torch import nn
 
-CALIBRATIONS = Cached(calibrate)
-"""Cache of calibrations: forecasters, seeds and trials need the same one, which takes seconds."""
+calibrated = cached(calibrate)
+"""Calibrates once: forecasters, seeds and trials need the same calibration, which takes seconds."""
 LONGEST = 10**8
 """Most samples of a simulator's run, counted from the first training sample: bounds the memory.
 By eye."""
@@ -73,10 +71,7 @@ class _Runs:
 
     def fingerprint(self) -> str:
         """Return a hash of all outputs."""
-        digest = hashlib.sha256()
-        for each in self.runs:
-            digest.update(np.ascontiguousarray(each.y).tobytes())
-        return digest.hexdigest()
+        return key_of(*(each.y for each in self.runs))
 
     def reach(self, grid: Grid, u: Array | None = None) -> int:
         """Return the number of samples that are available from the start of the grid on."""
@@ -95,18 +90,16 @@ class _Runs:
 
 
 def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
-    """Give a trained copy of a method its simulators again, in place of what they were run for."""
-    own = {id(part.simulator): part.simulator for part in simulations(method)}
-    for part in simulations(model):
-        part.simulator = own.get(getattr(part.simulator, "ran", 0), part.simulator)
+    """Give a trained copy of a method its simulators again.
 
-
-def with_own_simulators(model: Forecaster, method: Forecaster) -> None:
-    """Give a loaded copy of a method, which has descriptions instead, its simulators again."""
+    They replace what they were run for and, in a copy that was loaded, what describes them.
+    """
     own = [part.simulator for part in simulations(method) if part.simulator is not None]
+    by_id = {id(simulator): simulator for simulator in own}
     for part in simulations(model):
         if isinstance(part.simulator, Absent) and own:
             part.simulator = own[0]
+        part.simulator = by_id.get(getattr(part.simulator, "ran", 0), part.simulator)
 
 
 def simulations(value: Any) -> Iterator[Any]:
@@ -127,6 +120,7 @@ class SimulatorForecaster(Forecaster):
     affine = True
     applied = Calibration()
     """The calibration of the output."""
+    _slow_label = SLOW
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
@@ -142,7 +136,16 @@ class SimulatorForecaster(Forecaster):
     @property
     def name(self) -> str:
         """Return the given name, or "simulator" with the suffix of its calibration."""
-        return self._name or "simulator" + self.as_base.after
+        return self._name or f"simulator{self._suffix}"
+
+    @property
+    def _suffix(self) -> str:
+        """Return the end of its name and of that of a hybrid: the terms that it fits."""
+        return ""
+
+    def _hybrid_name(self, kind: str, cell: str) -> str:
+        """Return the name of a hybrid of this kind, with the simulator as the slow component."""
+        return f"{kind}-{cell}{self._suffix}"
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for wrong records; only the first one needs a simulator's output."""
@@ -150,7 +153,7 @@ class SimulatorForecaster(Forecaster):
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
 
-    def simulated(self, record: Record, horizon: int, *others: Record) -> Self:
+    def _simulated(self, record: Record, horizon: int, *others: Record) -> Self:
         """Return it with its simulator run over these records."""
         if self.simulator is None or hasattr(self.simulator, "reach"):
             return self
@@ -165,17 +168,17 @@ class SimulatorForecaster(Forecaster):
         runs = [_Run(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
         return self.clone().set_params(simulator=_Runs(runs, self._driven, id(self.simulator)))
 
-    def to_dict(self) -> dict[str, Any]:
+    def _to_dict(self) -> dict[str, Any]:
         """Return what is saved; a simulator that is not recorded output becomes a description."""
-        said = super().to_dict()
+        said = super()._to_dict()
         if self.simulator is not None and not self._at_own_times:
             said["simulator"] = Absent.of(self.simulator)
         return said
 
     @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
+    def _from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for a calibration of other channels."""
-        new = super().from_dict(found)
+        new = super()._from_dict(found)
         if new.fitted is not None:
             new.applied.check(new.fitted.record.ny)
         return new
@@ -274,7 +277,7 @@ class SimulatorForecaster(Forecaster):
         y = self.applied.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
-    def part(self, outside: bool = False) -> Part:
+    def _part(self, outside: bool = False) -> Part:
         """Return the simulator sample by sample: its output is given, or computed ahead."""
         if self._driven and not outside:
             raise NotSteppedError(f"{self.name} has a simulator that its inputs drive")
@@ -381,16 +384,13 @@ class Simulation(SimulatorForecaster):
     name : By default "simulator".
     """
 
-    @property
-    def as_base(self) -> AsBase:
-        """Return its texts as the slow component of a hybrid."""
-        return AsBase(SLOW, words="simulator", described=False)
+    _slow_part = "simulator"
 
-    def calibrated(self) -> Calibrated:
+    def _calibrated(self) -> Calibrated:
         """Return the same simulator with calibration."""
         return Calibrated(self.simulator)
 
-    words = "the simulator as it is"
+    _words = "the simulator as it is"
 
 
 @final
@@ -426,15 +426,15 @@ class Calibrated(SimulatorForecaster):
         self.terms = None if terms is None else tuple(terms)
 
     @property
-    def as_base(self) -> AsBase:
-        """Return its texts as the slow component of a hybrid."""
-        after = "-calibrated"
-        if self.terms is not None:
-            after = "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
-        return AsBase(SLOW, after=after, words="calibrated simulator")
+    def _suffix(self) -> str:
+        """Return the end of its name: the terms that it fits."""
+        if self.terms is None:
+            return "-calibrated"
+        return "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
 
-    calibrates = True
-    fits_simulator = True
+    _slow_part = "calibrated simulator"
+    _calibrates = True
+    _fits_simulator = True
 
     @property
     def calibration(self) -> Calibration | None:
@@ -452,7 +452,7 @@ class Calibrated(SimulatorForecaster):
         super().learn(records, **how)
         self.applied = self._fitted_to(records[0])
 
-    def prepare(self, records: Sequence[Record], *_: Any) -> None:
+    def _prepare(self, records: Sequence[Record], *_: Any) -> None:
         """Fit the terms once for all seeds and trials."""
         self._fitted_to(records[0])
 
@@ -465,4 +465,4 @@ class Calibrated(SimulatorForecaster):
 
     def _fitted_to(self, record: Record) -> Calibration:
         terms = () if self.terms is None else (self.terms,)
-        return CALIBRATIONS(self._output(record), record.seen, record.sampling_time, *terms)
+        return calibrated(self._output(record), record.seen, record.sampling_time, *terms)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import Part, State
 from splitband.runtime.arrays import Array
 

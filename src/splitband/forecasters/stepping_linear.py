@@ -6,7 +6,7 @@ import numpy as np
 
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.states import most_probable
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import DelayLine, Part, State
 from splitband.runtime.arrays import Array
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splitband.forecasters.known import Known
+from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
 from splitband.runtime.arrays import Array
 from splitband.simulators.adjusted import Adjusted

@@ -21,9 +21,8 @@ from splitband.evaluation.run import Run
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.checking import ModelCheck
+from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.prediction import time_header
-from splitband.forecasters.responses import Responses
 from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage

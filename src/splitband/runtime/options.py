@@ -16,18 +16,18 @@ from typing import Any, TypeVar
 UNKNOWN = "..."
 """Stands for a value without a short expression, such as an array."""
 
-
 Kind = TypeVar("Kind", bound=type)
-
-SAVED: dict[str, type] = {}
-"""Classes that are saved with a forecaster, by name."""
 
 
 def saved(kind: Kind) -> Kind:
     """Mark a dataclass or a named tuple as saved with a forecaster, and restored, by its fields."""
-    assert kind.__name__ not in SAVED, kind
-    SAVED[kind.__name__] = kind
+    kind.saved_by_fields = True  # type: ignore[attr-defined]
     return kind
+
+
+def is_saved(kind: type) -> bool:
+    """Return whether a class, and not just one that it is derived from, is marked as `saved`."""
+    return "saved_by_fields" in vars(kind)
 
 
 class WithRepr:
@@ -42,25 +42,32 @@ def options(value: object) -> dict[str, Any]:
 
     Raises TypeError if an argument is not kept as an attribute, or has no name (*args, **kwargs).
     """
-    return {name: getattr(value, attribute) for name, attribute in attributes(value).items()}
-
-
-def attributes(value: object) -> dict[str, str]:
-    """Return the attribute that holds each option of `value`; raises TypeError as `options`."""
-    kind, found = type(value), {}
-    for parameter in _parameters(value):
+    kind: Any = type(value)
+    found = {}
+    for parameter in _parameters(kind):
+        name = parameter.name
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             raise TypeError(
-                f"the constructor of {kind.__name__} must name its arguments, got *{parameter.name}"
+                f"the constructor of {kind.__name__} must name its arguments, got *{name}"
             )
-        derived = isinstance(getattr(kind, parameter.name, None), property)
-        found[parameter.name] = attribute = f"{'_' * derived}{parameter.name}"
+        attribute = f"_{name}" if isinstance(getattr(kind, name, None), property) else name
         if not hasattr(value, attribute):
             raise TypeError(
-                f"{kind.__name__} must keep its constructor's argument {parameter.name} in the "
-                f"attribute {attribute}, it has none"
+                f"{kind.__name__} must keep its constructor's argument {name} in the attribute "
+                f"{attribute}, it has none"
             )
+        found[name] = getattr(value, attribute)
     return found
+
+
+@cache  # a table of methods asks hundreds of times for the same few
+def _parameters(kind: Any) -> tuple[inspect.Parameter, ...]:
+    """Return the constructor's parameters, without fields that a dataclass's `repr` leaves out."""
+    if kind.__init__ is object.__init__:
+        return ()
+    left = {f.name for f in fields(kind) if not f.repr} if is_dataclass(kind) else set()
+    found = inspect.signature(kind).parameters.values()
+    return tuple(each for each in found if each.name not in left)
 
 
 def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
@@ -68,7 +75,8 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
     An ellipsis stands for a value without a short expression; a function is given by its name.
     """
-    if isinstance(value, WithRepr) or _is_own(value):
+    own_cell = callable(getattr(value, "sized", None)) and not isinstance(value, type)
+    if isinstance(value, WithRepr) or own_cell:
         return _call(value)
     if isinstance(value, FunctionType) and value.__name__.isidentifier():
         return value.__name__
@@ -86,39 +94,20 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
 
 def _call(value: object) -> str:
-    kind = type(value)
+    kind: Any = type(value)
     package = "sb." if kind.__module__.startswith("splitband.") else ""
     try:
         given = options(value)
     except TypeError:
         return f"{package}{kind.__name__}({UNKNOWN})"
     shown = []
-    for i, parameter in enumerate(_parameters(value)):
+    for i, parameter in enumerate(_parameters(kind)):
         option, required = given[parameter.name], parameter.default is parameter.empty
         if not required and _same(option, parameter.default):
             continue
         leading = required or (i == 0 and not is_dataclass(value))
         shown.append(f"{'' if leading else f'{parameter.name}='}{expression(option)}")
     return f"{package}{kind.__name__}({', '.join(shown)})"
-
-
-def _parameters(value: object) -> list[inspect.Parameter]:
-    """Return the constructor's parameters, without fields that a dataclass's `repr` leaves out."""
-    left = {f.name for f in fields(value) if not f.repr} if is_dataclass(value) else set()
-    if type(value).__init__ is object.__init__:
-        return []
-    kind: Any = type(value)
-    return [p for p in _constructor(kind) if p.name not in left]
-
-
-@cache  # a table of methods asks hundreds of times for the same few
-def _constructor(kind: type) -> tuple[inspect.Parameter, ...]:
-    return tuple(inspect.signature(kind).parameters.values())
-
-
-def _is_own(value: object) -> bool:
-    """Return whether `value` is a cell, such as a user's own."""
-    return callable(getattr(value, "sized", None)) and not isinstance(value, type)
 
 
 def _same(value: Any, other: Any) -> bool:

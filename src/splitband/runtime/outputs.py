@@ -19,6 +19,8 @@ from splitband.runtime.files import output_folder, write_json
 
 FACTS = "results.json"
 """File that describes a result and lists its files; it is written last, so all of them exist."""
+FORMAT = 2
+"""Version of this file; results of 0.2 have none."""
 TEST_PREDICTIONS = "predictions-test-{}.csv"
 RESULT_FILES = (
     FACTS, "predictions.csv", "rollouts.png", "report.html", "recommended.json", "forecast.csv",
@@ -62,7 +64,7 @@ def staged(folder: str | Path) -> Iterator[Path]:
 def write_facts(new: Path, facts: dict[str, Any]) -> None:
     """Write results.json into the folder that `staged` gave, after all other files."""
     names = sorted(path.name for path in new.iterdir() if path.is_file())
-    write_json(new / FACTS, facts | {"files": names})
+    write_json(new / FACTS, {"format": FORMAT} | facts | {"files": names})
 
 
 def belongs_to_result(name: str) -> bool:

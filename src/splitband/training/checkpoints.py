@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import safetensors
 
+from splitband.runtime.caching import key_of
 from splitband.runtime.files import replacing
-from splitband.runtime.keys import key_of
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -11,8 +11,8 @@ import torch
 
 from splitband.data import Record
 from splitband.models import Model
+from splitband.runtime.caching import key_of
 from splitband.runtime.deadlines import Deadline, current
-from splitband.runtime.keys import key_of
 from splitband.runtime.memory import freed_memory_kept
 from splitband.training.checkpoints import Checkpoint, State, below
 from splitband.training.network import DIVERGED, MOST_RESTARTS, NetworkTraining

@@ -10,10 +10,9 @@ from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.checking import ModelCheck
-from splitband.forecasters.configurable import parts_of
-from splitband.forecasters.residuals import LEVEL, ResidualTests
-from splitband.forecasters.responses import Responses
+from splitband.forecasters.base import parts_of
+from splitband.forecasters.checking import LEVEL, ModelCheck, ResidualTests, Responses
+from splitband.models.labels import SLOW
 from splitband.report import table, words
 from splitband.report.environment import environment
 from splitband.report.numbers import number, percent
@@ -94,7 +93,7 @@ def _linear(result: Comparison) -> list[Section]:
     """Return the section of the linear model, if it is one of the methods."""
     sections = []
     for fitted in (fit.fitted for fits in result.fits.values() for fit in fits):
-        if (model := fitted.linear_model()) is None:
+        if (model := fitted._linear_model()) is None:
             continue
         over_order = plots.orders(model)
         gains = plots.gains(fitted.require_fitted().record, model)
@@ -151,8 +150,8 @@ def _bases(result: Comparison) -> dict[str, Array]:
     for fits in result.fits.values():
         run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
-        slow = [part.as_base for part in parts_of(method).values()]
-        for label in [base.label for base in slow if base.before and base.label in parts]:
+        slow = [part._slow_label for part in parts_of(method)]
+        for label in [each for each in slow if each in parts and each != SLOW]:
             whole = record.y.copy()
             whole[len(whole) - len(parts[label]) :] = parts[label]
             found.setdefault(label, whole[:train])
