@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.modal import Run
-from splitband.baselines.refinement import Solution, by_segment, total
+from splitband.baselines.refinement import Run, Solution, by_segment, total
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 

@@ -17,9 +17,10 @@ import numpy as np
 import scipy
 
 from splitband.baselines.delays import filled
-from splitband.baselines.modal import Run, blocks_of
 from splitband.baselines.refinement import (
+    Run,
     Solution,
+    blocks_of,
     by_segment,
     followed,
     linear_solution,
@@ -27,7 +28,7 @@ from splitband.baselines.refinement import (
     solved,
     total,
 )
-from splitband.baselines.subspace import Subspace, subspace
+from splitband.baselines.subspace import Subspace, stable, subspace
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
@@ -279,18 +280,6 @@ class Search:
 def with_constant(runs: Sequence[Run]) -> list[Run]:
     """Return the records with 1 as a further input."""
     return [run._replace(u=np.vstack([run.u, np.ones((1, run.u.shape[1]))])) for run in runs]
-
-
-def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
-    """Return A with poles outside of the unit circle reflected, and complex ones below `limit`."""
-    poles, vectors = np.linalg.eig(a)
-    size = abs(poles)
-    most = np.where(poles.imag == 0, 1 - 1e-6, limit * (1 - 1e-6))
-    if (size < most).all():
-        return a
-    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
-    moved = poles * inside / np.maximum(size, 1e-300)
-    return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
 
 
 def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:

@@ -118,3 +118,15 @@ def subspace(
         root = (axes * spread) @ axes.T
     outer, values, _ = np.linalg.svd(found, full_matrices=False)
     return Subspace(root @ outer, values, ny, stride)
+
+
+def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
+    """Return A with poles outside of the unit circle reflected, and complex ones below `limit`."""
+    poles, vectors = np.linalg.eig(a)
+    size = abs(poles)
+    most = np.where(poles.imag == 0, 1 - 1e-6, limit * (1 - 1e-6))
+    if (size < most).all():
+        return a
+    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
+    moved = poles * inside / np.maximum(size, 1e-300)
+    return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
