@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -120,12 +121,14 @@ class Blocks:
 
     def moved(self, step: Array) -> Blocks:
         """Return the system with `step` added to `values`."""
-        new, parts = self.values + step, []
-        for part in (self.a, self.b, self.c, self.d, self.offset):
-            parts.append(new[: part.size].reshape(part.shape))
-            new = new[part.size :]
-        a, b, c, d, offset = parts
+        a, b, c, d, offset = self.parts(self.values + step)
         return replace(self, a=a, b=b, c=c, d=d, offset=offset)
+
+    def parts(self, values: Array) -> list[Array]:
+        """Return one number for each of `values` in the shapes of a, b, c, d and offset."""
+        own = self.a, self.b, self.c, self.d, self.offset
+        cuts = np.cumsum([part.size for part in own])[:-1]
+        return [v.reshape(o.shape) for v, o in zip(np.split(values, cuts), own, strict=True)]
 
     def stable(self, limit: float = 1.0) -> bool:
         """Return whether all free poles are stable, and complex ones smaller than `limit`."""
@@ -175,72 +178,27 @@ class Blocks:
         """Return the outputs `(ny, time)` from the initial states `(blocks, 2)` on."""
         return self.outputs(run, self.states(run, first))
 
-    def signals(self, run: Run, states: Array, poles: bool) -> Array:
-        """Return the signals that the outputs' derivatives are made of, `(signals, time)`.
+    def responses(self, run: Run, states: Array) -> Array:
+        """Return the derivatives of both states of each block, `(blocks, 2, 4 + 2 nu, time)`.
 
-        They are, block by block, each input filtered by the block's denominator, one and two
-        samples late; its impulse response, at once and one sample late; with `poles` both states,
-        filtered, one and two samples late. The inputs and the constant follow.
+        They are by a, by b and by the initial states of the block: the filtered states, inputs and
+        impulse, as a force on one of the states acts one and two samples late.
         """
         nu, time = run.u.shape
-        each = 2 * nu + (6 if poles else 2)
-        found = np.zeros((len(self.a) * each + nu + 1, time))
-        driven = np.vstack([run.u, np.zeros((1, time))])
-        driven[-1, 0] = 1.0
-        for i, (first, second) in enumerate(self.a):
-            rows = found[i * each : (i + 1) * each]
-            filtered = scipy.signal.lfilter([1.0], [1.0, -first, -second], driven)
-            rows[:nu, 1:], rows[nu : 2 * nu, 2:] = filtered[:nu, :-1], filtered[:nu, :-2]
-            rows[2 * nu], rows[2 * nu + 1, 1:] = filtered[nu], filtered[nu, :-1]
-            if poles:
-                late = scipy.signal.lfilter([1.0], [1.0, -first, -second], states[i])
-                rows[2 * nu + 2 : 2 * nu + 4, 1:] = late[:, :-1]
-                rows[2 * nu + 4 :, 2:] = late[:, :-2]
-        found[-nu - 1 : -1], found[-1] = run.u, 1.0
+        found = np.zeros((len(self.a), 2, 4 + 2 * nu, time))
+        of_u, of_b = slice(2, 2 + nu), slice(2 + nu, 2 + 2 * nu)
+        impulse = np.zeros((1, time))
+        impulse[0, 0] = 1.0
+        for (one, two), (first, second), x in zip(found, self.a, states, strict=True):
+            forces = np.vstack([x, run.u, impulse])
+            now = scipy.signal.lfilter([1.0], [1.0, -first, -second], forces)
+            late, later = np.zeros_like(now), np.zeros_like(now)
+            late[:, 1:], later[:, 2:] = now[:, :-1], now[:, :-2]
+            one[: 2 + nu], two[: 2 + nu] = late[:-1], later[:-1]
+            one[of_b], two[of_b] = second * later[of_u], late[of_u] - first * later[of_u]
+            one[-2], two[-2] = now[-1], late[-1]
+            one[-1], two[-1] = second * late[-1], now[-1] - first * late[-1]
         return found
-
-    def weights(self, poles: bool) -> list[Array]:
-        """Return for each output the matrix from parameters to weights of `signals`.
-
-        Columns are all `values`, then the initial states.
-        """
-        blocks, ny, nu = len(self.a), len(self.offset), len(self.direct)
-        each = 2 * nu + (6 if poles else 2)
-        size = len(self.values)
-        of_b = self.a.size + np.arange(self.b.size).reshape(self.b.shape)
-        of_c = self.a.size + self.b.size + np.arange(self.c.size).reshape(self.c.shape)
-        of_d = self.a.size + self.b.size + self.c.size + np.arange(self.d.size).reshape(ny, nu)
-        found, inputs = [], np.arange(nu)
-        for k in range(ny):
-            m = np.zeros((blocks * each + nu + 1, size + 2 * blocks))
-            for i, (first, second) in enumerate(self.a):
-                one, two = self.c[i, k]
-                row, (b1, b2) = i * each, self.b[i]
-                late, later, impulse = row, row + nu, row + 2 * nu
-                # x = [F(t-1) b1 + a2 F(t-2) b2, F(t-2) b1 + F(t-1) b2 - a1 F(t-2) b2]
-                m[late + inputs, of_b[i, 0]] = one
-                m[later + inputs, of_b[i, 0]] = two
-                m[late + inputs, of_b[i, 1]] = two
-                m[later + inputs, of_b[i, 1]] = second * one - first * two
-                m[late : late + nu, of_c[i, k, 0]] = b1
-                m[later : later + nu, of_c[i, k, 0]] = second * b2
-                m[late : late + nu, of_c[i, k, 1]] = b2
-                m[later : later + nu, of_c[i, k, 1]] = b1 - first * b2
-                start = size + 2 * i
-                m[impulse, start : start + 2] = one, two
-                m[impulse + 1, start : start + 2] = two, second * one - first * two
-                if poles:
-                    m[row + 2 * nu + 2 : row + each, 2 * i : 2 * i + 2] = [
-                        [one, 0], [0, one], [two, 0], [0, two]]  # fmt: skip
-            m[blocks * each + inputs, of_d[k]] = 1.0
-            m[-1, size - ny + k] = 1.0
-            found.append(m)
-        return found
-
-    def through_states(self, first: Array) -> Array:
-        """Return what `weights` lacks of the derivatives by C, which the initial states add."""
-        x1, x2 = first[:, 0], first[:, 1]
-        return np.stack([x1, self.a[:, 1] * x2, x2, x1 - self.a[:, 0] * x2], axis=1)
 
 
 def _states(a: Array, forced: Array, first: Array) -> Array:
@@ -439,53 +397,54 @@ def total(parts: Sequence[Equations]) -> Equations:
     return first
 
 
+def segments(runs: Sequence[Run], count: int) -> list[tuple[int, int, int]]:
+    """Return record, first and last sample + 1 of about `count` segments with measured samples."""
+    time = sum(run.u.shape[1] for run in runs)
+    found = []
+    for i, run in enumerate(runs):
+        edges = np.linspace(0, run.u.shape[1], max(round(count * run.u.shape[1] / time), 1) + 1)
+        found += [(i, a, b) for a, b in pairwise(edges.astype(int).tolist())
+                  if run.seen[:, a:b].any()]  # fmt: skip
+    return found
+
+
 def by_segment(
     solution: Solution,
     runs: Sequence[Run],
     free: Flags,
-    segments: Sequence[tuple[int, int, int]],
+    cuts: Sequence[tuple[int, int, int]],
 ) -> Iterator[Equations]:
     """Yield the normal equations of each segment: a record, its first and its last sample + 1."""
     blocks = solution.blocks
-    poles = bool(free[: blocks.a.size].any())
-    shared = blocks.weights(poles)
-    size, count, kept = len(blocks.values), 2 * len(blocks.a), int(free.sum())
-    columns = np.concatenate([np.flatnonzero(free), size + np.arange(count)])
+    count, size, kept = 2 * len(blocks.a), len(blocks.values), int(free.sum())
+    # The place of each number in the equations; -1 for one that is not free.
+    place = np.full(size + count, -1)
+    place[:size][free], place[size:] = np.arange(kept), kept + np.arange(count)
+    a, b, c, d, offset = blocks.parts(place[:size])
+    own = np.hstack([a, b.reshape(len(a), -1), place[size:].reshape(-1, 2)]).ravel()
     weight = 1 / np.maximum(solution.scale, _EXACT) ** 2
-    last, signals, through = -1, np.zeros((0, 0)), list[Array]()
-    for record, begin, end in segments:
-        run, x = runs[record], solution.first[record]
-        if record != last:
-            last, states = record, blocks.states(run, x) if poles else x
-            signals = blocks.signals(run, states, poles)
-            through = [m[:, columns] for m in _with_states(blocks, shared, x, poles)]
-        part, seen = signals[:, begin:end], run.seen[:, begin:end]
-        gram = part @ part.T if seen.all() else None
-        towards = part @ solution.errors[record][:, begin:end].T
-        own, slope = np.zeros((kept + count,) * 2), np.zeros(kept + count)
-        for k, m in enumerate(through):
-            square = gram if gram is not None else (part * seen[k]) @ part.T
-            own += weight[k] * (m.T @ (square @ m))
-            slope += weight[k] * (m.T @ towards[:, k])
-        inner = own[kept:, :kept], own[kept:, kept:], slope[kept:]
-        yield Equations(own[:kept, :kept], slope[:kept], {record: inner})
-
-
-def _with_states(blocks: Blocks, shared: Sequence[Array], x: Array, poles: bool) -> list[Array]:
-    """Return the weights of signals, with the derivatives by C through the initial states."""
-    nu, ny = len(blocks.direct), len(blocks.offset)
-    each = 2 * nu + (6 if poles else 2)
-    through = blocks.through_states(x)
-    rows = np.arange(len(blocks.a)) * each + 2 * nu
-    found = []
-    for k, own in enumerate(shared):
-        m = own.copy()
-        begin = blocks.a.size + blocks.b.size
-        of_c = begin + (np.arange(len(blocks.a)) * ny + k) * 2
-        for j in range(4):
-            m[rows + j % 2, of_c + j // 2] += through[:, j]
-        found.append(m)
-    return found
+    for record, of_record in groupby(cuts, lambda cut: cut[0]):
+        run, here = runs[record], [*of_record]
+        states = blocks.states(run, solution.first[record])
+        responses = blocks.responses(run, states)
+        constant = np.ones((1, states.shape[2]))
+        n = np.zeros((len(here), kept + count, kept + count))
+        g = np.zeros((len(here), kept + count))
+        for k, w in enumerate(weight):
+            columns = np.concatenate([own, c[:, k].ravel(), d[k], offset[[k]]])
+            one, two = blocks.c[:, k].T[:, :, None, None]
+            through = one * responses[:, 0] + two * responses[:, 1]
+            rows = np.concatenate([*through, *states, run.u, constant])[columns >= 0]
+            columns = columns[columns >= 0]
+            if not run.seen[k].all():
+                rows *= run.seen[k]
+            for i, (_, begin, end) in enumerate(here):
+                part = rows[:, begin:end]
+                n[i][np.ix_(columns, columns)] += w * (part @ part.T)
+                g[i][columns] += w * (part @ solution.errors[record][k, begin:end])
+        for own_n, own_g in zip(n, g, strict=True):
+            inner = own_n[kept:, :kept], own_n[kept:, kept:], own_g[kept:]
+            yield Equations(own_n[:kept, :kept], own_g[:kept], {record: inner})
 
 
 def solved(

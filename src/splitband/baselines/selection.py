@@ -25,6 +25,7 @@ from splitband.baselines.refinement import (
     followed,
     linear_solution,
     refined,
+    segments,
     solved,
     total,
 )
@@ -292,22 +293,9 @@ def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
             yield np.asarray(own[np.ix_(kept, kept)]), np.asarray(c @ basis[:, kept])
 
 
-def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:
-    """Return record, first and last sample + 1 of each segment."""
-    total = sum(run.u.shape[1] for run in runs)
-    found = []
-    for i, run in enumerate(runs):
-        time = run.u.shape[1]
-        count = max(round(SEGMENTS * time / total), 1)
-        edges = np.linspace(0, time, count + 1).astype(int)
-        found += [(i, int(a), int(b)) for a, b in itertools.pairwise(edges)
-                  if run.seen[:, a:b].any()]  # fmt: skip
-    return found
-
-
 def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
     """Return the mean squared error of each segment that is held out, `(segments, ny)`."""
-    blocks, cut = solution.blocks, segments(runs)
+    blocks, cut = solution.blocks, segments(runs, SEGMENTS)
     each = [*by_segment(solution, runs, blocks.free, cut)]
     whole, found = total(each), []
     for part, (record, begin, end) in zip(each, cut, strict=True):
