@@ -10,8 +10,7 @@ import scipy.signal
 import splitband as sb
 from benchmarks import kinds as records
 from splitband import Record, Settings
-from splitband.baselines.delays import delayed
-from splitband.baselines.identification import input_delays
+from splitband.baselines.delays import delayed, input_delays
 from splitband.metrics import rmse
 
 Array = npt.NDArray[np.float64]

@@ -10,10 +10,9 @@ import scipy.optimize
 import scipy.stats
 
 from splitband import Record
-from splitband.baselines.common import LONGEST, ByTime, recent
-from splitband.baselines.harmonic import HarmonicRegression
-from splitband.baselines.periodic import PeriodicRegression
-from splitband.baselines.seasonal import LastPeriod, _last_period
+from splitband.baselines.seasonal import LastPeriod, _last_period, periodic
+from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, harmonic, recent
+from splitband.forecasters.closed_form import ByTime
 from splitband.forecasters.names import named
 from tests.records import DT, NAN, TRAIN, holed, record, rms, with_gaps
 
@@ -47,13 +46,13 @@ def test_a_sinusoid_comes_to_the_least_squares_of_what_was_measured() -> None:
         options={"xatol": 1e-10},
     ).x
     wanted = on_measured(best, y, measured)[0]
-    found = HarmonicRegression.fit(np.where(measured, y, NAN), sinusoids=1, damped=False)
+    found = harmonic(np.where(measured, y, NAN))
     phase = 2 * np.pi * best * np.arange(400)
     expected = wanted @ np.stack([np.ones(400), np.cos(phase), np.sin(phase)])
     np.testing.assert_allclose(found.predict(0, 400)[:, 0], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("fit", [HarmonicRegression.fit, PeriodicRegression.fit])
+@pytest.mark.parametrize("fit", [harmonic, periodic])
 def test_what_has_no_noise_is_found_around_long_gaps(fit: Callable[[Array], ByTime]) -> None:
     n = np.arange(900)
     y = 0.3 + np.sin(2 * np.pi * n / 50 + 1) + 0.4 * np.cos(4 * np.pi * n / 50)
@@ -86,11 +85,11 @@ def test_of_a_long_record_that_ends_in_a_gap_the_last_measured_samples_are_fitte
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     longest = 400
-    monkeypatch.setattr("splitband.baselines.common.LONGEST", longest)
+    monkeypatch.setattr("splitband.baselines.sinusoids.MAX_FIT_SAMPLES", longest)
     n = np.arange(3 * longest)
     y = np.where(n < longest, 7.0, np.sin(2 * np.pi * n / 100))[:, None]
     y[2 * longest :] = NAN
-    found = HarmonicRegression.fit(y)
+    found = harmonic(y)
     assert found.begin == longest
     expected = np.sin(2 * np.pi * np.arange(200) / 100)
     np.testing.assert_allclose(found.predict(len(n), 200)[:, 0], expected, atol=1e-6)
@@ -111,14 +110,14 @@ def test_a_channel_that_is_measured_now_and_then_has_its_own_frequency(
     noise = 0.05 * np.random.default_rng(seed).standard_normal(1500)
     y = (np.sin(2 * np.pi * np.arange(1500) / 50) + noise)[:, None]
     seen = holed(y[:1000], np.arange(1000) % every > 0)
-    assert rms(HarmonicRegression.fit(seen).predict(1000, 500) - y[1000:]) < 0.2
+    assert rms(harmonic(seen).predict(1000, 500) - y[1000:]) < 0.2
 
 
 def test_a_sparse_channel_does_not_make_the_others_longer() -> None:
-    y = np.random.default_rng(0).standard_normal((5 * LONGEST, 2))
+    y = np.random.default_rng(0).standard_normal((5 * MAX_FIT_SAMPLES, 2))
     begin, end = recent(holed(y, slice(3, None), channel=1))
     assert begin == 0
-    assert (~np.isnan(end)).sum(axis=0).tolist() == [LONGEST, 3]
+    assert (~np.isnan(end)).sum(axis=0).tolist() == [MAX_FIT_SAMPLES, 3]
 
 
 @pytest.mark.parametrize("name", ["mean", "seasonal-naive", "periodic"])

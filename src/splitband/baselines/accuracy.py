@@ -7,7 +7,6 @@ for correlated noise, too (P. J. Huber, 1967; W. K. Newey and K. D. West, 1987).
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.modal import Run
-from splitband.baselines.refinement import Solution, by_segment, total
+from splitband.baselines.refinement import Run, Solution, by_segment, segments, total
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
@@ -107,13 +105,8 @@ class Accuracy:
 
 def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
     """Return a root R of the covariance R R' of the free values, `(free, parts)`."""
-    time = sum(run.u.shape[1] for run in runs)
-    edges = []
-    for i, run in enumerate(runs):
-        count = max(round(_PARTS * run.u.shape[1] / time), 1)
-        cuts = np.linspace(0, run.u.shape[1], count + 1).astype(int)
-        edges += [(i, int(a), int(b)) for a, b in itertools.pairwise(cuts) if b > a]
-    parts = [*by_segment(solution, runs, solution.blocks.free, edges)]
+    cuts = segments(runs, _PARTS)
+    parts = [*by_segment(solution, runs, solution.blocks.free, cuts)]
     whole = total(parts)
     n, through = whole.n.copy(), dict[int, Array]()
     for i, (cross, own, _) in whole.states.items():
@@ -124,7 +117,7 @@ def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
     power, axes = np.linalg.eigh(n / size / size[:, None])
     kept = power > _FREE * power[-1]
     inverse = (axes[:, kept] / power[kept]) @ axes[:, kept].T / size / size[:, None]
-    slopes = [p.g - through[i] @ p.states[i][2] for p, (i, _, _) in zip(parts, edges, strict=True)]
+    slopes = [p.g - through[i] @ p.states[i][2] for p, (i, _, _) in zip(parts, cuts, strict=True)]
     count = len(slopes)
     root = inverse @ np.stack(slopes, axis=1)
     return np.asarray(root * np.sqrt(count / max(count - 1, 1)))

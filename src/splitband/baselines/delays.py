@@ -3,19 +3,23 @@
 The dead time of a held input is one sample less, as it acts one sample late by itself. A delay of
 many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
-cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); the linear
-model then moves it to where its error is least (`baselines.linear`).
+cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); it is then
+moved to where the error of linear models of low order is least.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
+from splitband.baselines.refinement import Run, blocks_of, refined
+from splitband.baselines.subspace import stable, subspace
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
 
 LONGEST_DELAY = 100_000
 """Longest delay in samples that a file may ask for: bounds the memory of a stream."""
@@ -41,6 +45,13 @@ SHORTEST = 2
 """Shortest first estimate, in samples, that is not taken to be 0: many systems answer one sample
 late. By eye."""
 
+_SEARCHED = 20_000
+"""Most samples on which delays are compared. By eye."""
+_ROWS = 10
+"""Block rows of the subspace models that compare delays. By eye."""
+_DELAY_ORDERS = (1, 2, 4)
+"""Orders of the models that compare delays. By eye."""
+
 
 def check_delays(delays: Sequence[int], inputs: int) -> None:
     """Check the number and range of delays, which may come from a file; raises ValueError."""
@@ -56,6 +67,132 @@ def delayed(u: Array, delays: Sequence[int]) -> Array:
         return u
     rows = np.arange(len(u))[:, None] - np.asarray(delays)
     return np.asarray(np.take_along_axis(u, np.maximum(rows, 0), axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Hold mean and standard deviation of the signals in all records."""
+
+    y_mean: Array
+    y_scale: Array
+    u_mean: Array
+    u_scale: Array
+
+    @classmethod
+    def of(cls, records: Sequence[tuple[Array, Array]]) -> Units:
+        """Return those of records; the scale of a constant signal is 1."""
+        y = np.concatenate([y for y, _ in records])
+        u = np.concatenate([u for _, u in records])
+
+        def scale(x: Array) -> Array:
+            flat = np.nanmax(x, axis=0) == np.nanmin(x, axis=0)
+            return np.where(flat, 1.0, np.nanstd(x, axis=0))
+
+        return cls(np.nanmean(y, axis=0), scale(y), np.nanmean(u, axis=0), scale(u))
+
+    def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
+        """Return a record with delayed inputs for a fit."""
+        outputs = ((y - self.y_mean) / self.y_scale).T
+        inputs = (delayed(u, delays) - self.u_mean) / self.u_scale
+        seen = (~np.isnan(outputs)).astype(np.float64)
+        if 0 < (late := max(delays, default=0)) < len(y) // 2:
+            seen[:, :late] = 0.0  # the inputs that act here are not known
+        return Run(np.ascontiguousarray(inputs.T), np.where(seen > 0, outputs, 0.0), seen)
+
+    def outputs(self, some: Sequence[int]) -> Units:
+        """Return the units of some outputs."""
+        return replace(self, y_mean=self.y_mean[[*some]], y_scale=self.y_scale[[*some]])
+
+
+def delays_of(records: Sequence[tuple[Array, Array]], units: Units | None = None) -> Array:
+    """Return the delay of each input at each output in samples, `(ny, nu)`."""
+    units = Units.of(records) if units is None else units
+    found = candidates(records)
+    chosen = np.zeros((len(found), len(found[0])), int)
+    for k, of_inputs in enumerate(found):
+        if any(lags not in ((), (0,)) for lags in of_inputs) and not current().over:
+            chosen[k] = _compared(
+                [(y[:, [k]], u) for y, u in records], units.outputs([k]), of_inputs
+            )
+    acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
+    # Where an input shows no effect, its delay is that at the other outputs.
+    least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)
+    return np.where(acts, chosen, np.where(acts.any(axis=0), least, 0))
+
+
+def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
+    """Return the least delay of each input in samples.
+
+    `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
+    """
+    return tuple(delays_of(records).min(axis=0).tolist())
+
+
+def _compared(
+    records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
+) -> list[int]:
+    """Return the delays of the inputs of one output with which low orders fit best."""
+    records = [(y[:_SEARCHED], u[:_SEARCHED]) for y, u in records]
+    samples = sum(int((~np.isnan(y)).sum()) for y, _ in records)
+    known: dict[tuple[int, ...], float] = {}
+    longest = max(len(y) for y, _ in records) // 2
+
+    def cost(delays: Sequence[int]) -> float:
+        key = tuple(delays)
+        if key not in known:
+            known[key] = _low_order_cost([units.run(y, u, delays) for y, u in records], samples)
+        return known[key]
+
+    best = [of_input[-1] if of_input else 0 for of_input in lags]
+    for j, of_input in enumerate(lags):
+        if of_input not in ((), (0,)):
+            best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
+    return best
+
+
+def _one_delay(
+    begin: list[int],
+    j: int,
+    of_input: Sequence[int],
+    cost: Callable[[Sequence[int]], float],
+    longest: int,
+    little: float,
+) -> list[int]:
+    """Return the delays with that of the input `j` where `cost` is least.
+
+    `of_input` are its first estimates, `longest` is the longest delay, and `little` the difference
+    that does not count.
+    """
+
+    def at(delay: int) -> list[int]:
+        return [*begin[:j], delay, *begin[j + 1 :]]
+
+    best = min((*of_input, 0), key=lambda d: cost(at(d)))
+    for step in (8, 4, 2, 1):
+        while not current().over:
+            near = [d for d in (best - step, best + step) if 0 <= d <= longest]
+            closer = min(near, key=lambda d: cost(at(d)))
+            if cost(at(closer)) >= cost(at(best)):
+                break
+            best = closer
+    # Of delays that explain as much as the best, the longest is where the input acts first.
+    least = cost(at(best))
+    while best < longest and cost(at(best + 1)) < least + little:
+        best += 1
+    # A delay explains more than a further parameter.
+    return at(0) if cost(at(0)) < least + little else at(best)
+
+
+def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
+    """Return the information criterion of the best model of a low order, per sample."""
+    found = subspace([(np.where(r.seen > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
+    costs = []
+    for order in _DELAY_ORDERS if found is not None else ():
+        assert found is not None
+        a, c = found.matrices(order)
+        at = refined(blocks_of(stable(a), c, [True] * len(runs[0].u)), runs, 3)
+        costs.append(at.cost + order * (1 + len(runs[0].u)) * np.log(samples) / (2 * samples))
+    return min(costs, default=np.inf)
 
 
 def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, ...]]]:

@@ -13,36 +13,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from splitband.baselines.accuracy import accuracy_of, silent
-from splitband.baselines.delays import candidates, delayed
-from splitband.baselines.linear import LinearModel, assembled
-from splitband.baselines.modal import Run, blocks_of
-from splitband.baselines.noise import (
-    Predicted,
+from splitband.baselines.delays import Units, delays_of
+from splitband.baselines.kalman import (
+    MAX_OBSERVER_POLE,
     covariance,
-    feedback,
     fitted_gain,
-    prediction_error,
+    root_of,
+    states,
+    whitening,
 )
-from splitband.baselines.refinement import Solution, equations, evaluated, refined, stepped
-from splitband.baselines.selection import ITERATIONS, Search, stable, with_constant
-from splitband.baselines.subspace import subspace
-from splitband.baselines.systems import root_of, states, whitening
+from splitband.baselines.linear import LinearModel, assembled
+from splitband.baselines.refinement import (
+    Run,
+    Solution,
+    blocks_of,
+    equations,
+    evaluated,
+    linear_solution,
+    refined,
+    stepped,
+)
+from splitband.baselines.selection import ITERATIONS, Search, with_constant
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
-_SEARCHED = 20_000
-"""Most samples on which delays are compared. By eye."""
-_ROWS = 10
-"""Block rows of the subspace models that compare delays. By eye."""
-_DELAY_ORDERS = (1, 2, 4)
-"""Orders of the models that compare delays. By eye."""
 _ALIKE = 2
 """Outputs whose estimated delays differ by at most so many samples are modelled together.
 By eye."""
@@ -50,41 +53,16 @@ _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. By eye."""
-
-
-@dataclass(frozen=True, eq=False)
-class Units:
-    """Hold mean and standard deviation of the signals in all records."""
-
-    y_mean: Array
-    y_scale: Array
-    u_mean: Array
-    u_scale: Array
-
-    @classmethod
-    def of(cls, records: Sequence[tuple[Array, Array]]) -> Units:
-        """Return those of records; the scale of a constant signal is 1."""
-        y = np.concatenate([y for y, _ in records])
-        u = np.concatenate([u for _, u in records])
-
-        def scale(x: Array) -> Array:
-            flat = np.nanmax(x, axis=0) == np.nanmin(x, axis=0)
-            return np.where(flat, 1.0, np.nanstd(x, axis=0))
-
-        return cls(np.nanmean(y, axis=0), scale(y), np.nanmean(u, axis=0), scale(u))
-
-    def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
-        """Return a record with delayed inputs for a fit."""
-        outputs = ((y - self.y_mean) / self.y_scale).T
-        inputs = (delayed(u, delays) - self.u_mean) / self.u_scale
-        seen = (~np.isnan(outputs)).astype(np.float64)
-        if 0 < (late := max(delays, default=0)) < len(y) // 2:
-            seen[:, :late] = 0.0  # the inputs that act here are not known
-        return Run(np.ascontiguousarray(inputs.T), np.where(seen > 0, outputs, 0.0), seen)
-
-    def outputs(self, some: Sequence[int]) -> Units:
-        """Return the units of some outputs."""
-        return replace(self, y_mean=self.y_mean[[*some]], y_scale=self.y_scale[[*some]])
+_ITERATIONS = 15
+"""Most iterations of a refinement by prediction error. By eye."""
+_LAGS = 16
+"""Past samples from which an input is predicted. By eye."""
+_ROWS = 20_000
+"""Most samples of a record for this. By eye."""
+_SHARE = 0.02
+"""Share of an input's unpredicted power that past errors explain behind a controller. By eye."""
+_CHANCE = 1e-6
+"""Probability that errors without effect do so. By eye."""
 
 
 def identified(
@@ -115,98 +93,7 @@ def identified(
         model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
         parts.append((model, outputs))
     model, (y, u) = assembled(parts, ny), records[0]
-    return replace(model, last=model.observed(u, y))
-
-
-def delays_of(records: Sequence[tuple[Array, Array]], units: Units | None = None) -> Array:
-    """Return the delay of each input at each output in samples, `(ny, nu)`."""
-    units = Units.of(records) if units is None else units
-    found = candidates(records)
-    chosen = np.zeros((len(found), len(found[0])), int)
-    for k, of_inputs in enumerate(found):
-        if any(lags not in ((), (0,)) for lags in of_inputs) and not current().over:
-            chosen[k] = _compared(
-                [(y[:, [k]], u) for y, u in records], units.outputs([k]), of_inputs
-            )
-    acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
-    # Where an input shows no effect, its delay is that at the other outputs.
-    least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)
-    return np.where(acts, chosen, np.where(acts.any(axis=0), least, 0))
-
-
-def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
-    """Return the least delay of each input in samples.
-
-    `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
-    """
-    return tuple(delays_of(records).min(axis=0).tolist())
-
-
-def _compared(
-    records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
-) -> list[int]:
-    """Return the delays of the inputs of one output with which low orders fit best."""
-    records = [(y[:_SEARCHED], u[:_SEARCHED]) for y, u in records]
-    samples = sum(int((~np.isnan(y)).sum()) for y, _ in records)
-    known: dict[tuple[int, ...], float] = {}
-    longest = max(len(y) for y, _ in records) // 2
-
-    def cost(delays: Sequence[int]) -> float:
-        key = tuple(delays)
-        if key not in known:
-            known[key] = _low_order_cost([units.run(y, u, delays) for y, u in records], samples)
-        return known[key]
-
-    best = [of_input[-1] if of_input else 0 for of_input in lags]
-    for j, of_input in enumerate(lags):
-        if of_input not in ((), (0,)):
-            best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
-    return best
-
-
-def _one_delay(
-    begin: list[int],
-    j: int,
-    of_input: Sequence[int],
-    cost: Callable[[Sequence[int]], float],
-    longest: int,
-    little: float,
-) -> list[int]:
-    """Return the delays with that of the input `j` where `cost` is least.
-
-    `of_input` are its first estimates, `longest` is the longest delay, and `little` the difference
-    that does not count.
-    """
-
-    def at(delay: int) -> list[int]:
-        return [*begin[:j], delay, *begin[j + 1 :]]
-
-    best = min((*of_input, 0), key=lambda d: cost(at(d)))
-    for step in (8, 4, 2, 1):
-        while not current().over:
-            near = [d for d in (best - step, best + step) if 0 <= d <= longest]
-            closer = min(near, key=lambda d: cost(at(d)))
-            if cost(at(closer)) >= cost(at(best)):
-                break
-            best = closer
-    # Of delays that explain as much as the best, the longest is where the input acts first.
-    least = cost(at(best))
-    while best < longest and cost(at(best + 1)) < least + little:
-        best += 1
-    # A delay explains more than a further parameter.
-    return at(0) if cost(at(0)) < least + little else at(best)
-
-
-def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
-    """Return the information criterion of the best model of a low order, per sample."""
-    found = subspace([(np.where(r.seen > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
-    costs = []
-    for order in _DELAY_ORDERS if found is not None else ():
-        assert found is not None
-        a, c = found.matrices(order)
-        at = refined(blocks_of(stable(a), c, [True] * len(runs[0].u)), runs, 3)
-        costs.append(at.cost + order * (1 + len(runs[0].u)) * np.log(samples) / (2 * samples))
-    return min(costs, default=np.inf)
+    return replace(model, last=model.continued(u, y, u[:0])[1])
 
 
 def _groups(delays: Array, alike: int) -> list[list[int]]:
@@ -353,3 +240,84 @@ def _simulating(found: Predicted, runs: Sequence[Run]) -> Solution:
     free = np.zeros(len(blocks.values), bool)
     free[-len(c) :] = True
     return stepped(at, runs, free, equations(at, runs, free), 0.0)
+
+
+class Predicted(NamedTuple):
+    """Hold a system in innovations form that was fitted by prediction error.
+
+    `solution` has the blocks of the predictor, whose inputs are those of the record and its
+    outputs.
+    """
+
+    solution: Solution
+    runs: tuple[Run, ...]
+
+    def matrices(self, step: Array | None = None) -> tuple[Array, Array, Array, Array, Array]:
+        """Return A, B, C, D and K, after a step of the predictor's parameters."""
+        blocks = self.solution.blocks if step is None else self.solution.blocks.moved(step)
+        a, b, c, d = blocks.matrices()
+        nu = b.shape[1] - len(c)
+        gain, d = b[:, nu:], d[:, :nu]
+        return a + gain @ c, b[:, :nu] + gain @ d, c, d, gain
+
+
+def prediction_error(
+    a: Array,
+    c: Array,
+    gain: Array,
+    direct: Sequence[bool],
+    runs: Sequence[Run],
+    simulated: Sequence[Array],
+) -> Predicted:
+    """Return the system of this order with the least one-step prediction error.
+
+    Parameters
+    ----------
+    a, c, gain : From where it starts.
+    direct : Whether each input may act at once.
+    runs : The records.
+    simulated : Outputs in gaps, `(ny, time)` for each record.
+    """
+    filled = []
+    for run, y in zip(runs, simulated, strict=True):
+        whole = np.where(run.seen > 0, run.y, y)
+        filled.append(run._replace(u=np.vstack([run.u, whole])))
+    begin = linear_solution(blocks_of(a - gain @ c, c, [*direct, *[False] * len(c)]), filled)
+    at = refined(begin.blocks, filled, _ITERATIONS, begin.first, MAX_OBSERVER_POLE)
+    return Predicted(at, tuple(filled))
+
+
+def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
+    """Return whether a controller acts on the inputs: past errors of a simulation predict an input.
+
+    Beside its own past and that of the other inputs, that is (C. W. J. Granger, 1969). In an open
+    loop the errors are noise, which no input knows.
+
+    Parameters
+    ----------
+    errors, inputs : Of each record, `(ny, time)` and `(nu, time)`.
+    """
+    rows = [
+        np.vstack([_lagged(u), _lagged(e), u[:, _LAGS:]]).T[:_ROWS]
+        for e, u in zip(errors, inputs, strict=True)
+        if u.shape[1] > 2 * _LAGS
+    ]
+    if not rows:
+        return False
+    data, nu, ny = np.concatenate(rows), len(inputs[0]), len(errors[0])
+    freedom = len(data) - data.shape[1]
+    if freedom < data.shape[1]:
+        return False
+    size = np.linalg.norm(data, axis=0)
+    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
+    own, both = nu * _LAGS, (nu + ny) * _LAGS
+    explained = (r[own:both, both:] ** 2).sum(axis=0)
+    left = (np.triu(r[both:, both:]) ** 2).sum(axis=0) + 1e-18
+    least = max(_SHARE, scipy.stats.f.isf(_CHANCE, both - own, freedom) * (both - own) / freedom)
+    return bool((explained > least * left).any())
+
+
+def _lagged(x: Array) -> Array:
+    """Return the signals 1, 2, ... `_LAGS` samples late, `(signals * _LAGS, time - _LAGS)`."""
+    time = x.shape[1]
+    return np.concatenate([x[:, _LAGS - lag : time - lag] for lag in range(1, _LAGS + 1)])

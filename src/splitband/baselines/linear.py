@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,12 @@ import scipy
 
 from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import check_delays, delayed
-from splitband.baselines.states import EXACT, most_probable, responses
-from splitband.baselines.systems import states
+from splitband.baselines.kalman import EXACT, most_probable, responses, states, whitening
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
+
+_FASTEST, _SLOWEST = 0.5, 0.95
+"""Range of the poles of additional states that the output does not depend on. By eye."""
 
 
 @saved
@@ -183,18 +185,10 @@ class LinearModel:
             accuracy=self.accuracy and self.accuracy.in_units(y_scale, u_scale),
         )  # fmt: skip
 
-    def observed(self, u: Array, y: Array) -> Array:
-        """Return the state after the first training record, by the Kalman filter, `(n,)`."""
-        return self.continued(u, y, u[:0])[1]
-
-    def observer(self, gain: Array, noise: Array) -> LinearModel:
-        """Return the same system with another filter."""
-        return replace(self, gain=gain, noise=noise)
-
     @property
     def without_filter(self) -> LinearModel:
         """Return the same system whose states are those of a simulation, with K = 0."""
-        return self.observer(np.zeros_like(self.gain), self.spread)
+        return replace(self, gain=np.zeros_like(self.gain), noise=self.spread)
 
     def whitener(self) -> Array:
         """Return W with W'W the inverse of the covariance of e, with a lower limit, `(ny, ny)`."""
@@ -369,3 +363,56 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         silent=tuple(angle for m in models for angle in m.silent),
         accuracy=(Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None),
     )
+
+
+class Realisation(NamedTuple):
+    """Hold x_{n+1} = A x_n + B u_n + drift, y_n = C x_n + D u_n + offset, and its states.
+
+    The inputs u_n are in the record's units.
+
+    Attributes
+    ----------
+    a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`.
+    drift, offset : `(states,)` and `(ny,)`.
+    states : State trajectory in each record, `(time, states)`.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    drift: Array
+    offset: Array
+    states: tuple[Array, ...]
+
+
+def realised(
+    model: LinearModel, inputs: Sequence[Array], size: int, rng: np.random.Generator
+) -> Realisation:
+    """Return a state-space model with `size` states, and its states in the records.
+
+    If the model has fewer, states are added that the output does not depend on.
+
+    Parameters
+    ----------
+    model : A model without delays, of at most `states` poles.
+    inputs : Inputs of each training record, `(time, nu)`.
+    size : Number of states.
+    rng : Draws the input matrix of additional states.
+    """
+    more = size - model.order
+    poles = np.linspace(_FASTEST, _SLOWEST, more)
+    a = scipy.linalg.block_diag(model.a, np.diag(poles))
+    drawn = rng.standard_normal((more, model.nu)) * np.sqrt(1 - poles**2)[:, None]
+    scale = np.concatenate(inputs).std(axis=0)
+    b = np.concatenate([model.b, drawn / np.where(scale > 0, scale, 1.0)])
+    c = np.hstack([model.c, np.zeros((model.ny, more))])
+    drift = np.append(model.drift, np.zeros(more)) - b @ model.mean
+    first = np.append(model.first, np.zeros(more))
+    middle = np.append(model.centre, np.zeros(more))
+    starts = [first, *[middle] * (len(inputs) - 1)]
+    runs = [states(a, u @ b.T + drift, x) for x, u in zip(starts, inputs, strict=True)]
+    into, out = whitening(np.concatenate(runs))
+    offset = model.offset - model.d @ model.mean
+    return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset,
+                       tuple(run @ into.T for run in runs))  # fmt: skip

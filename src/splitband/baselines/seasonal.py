@@ -1,6 +1,8 @@
-"""Repeat the last period of a record, on top of a trend if there is one.
+"""Find the period of a record: repeat the last one, or fit a Fourier series to all of them.
 
-The seasonal-naive baseline (see `splitband.baselines.common`).
+The response of a periodically driven system usually becomes periodic once its free vibrations have
+decayed. Seasonal-naive repeats one period with its noise; a Fourier series averages over all of
+them, and its period need not be a whole number of samples.
 """
 
 from __future__ import annotations
@@ -10,11 +12,29 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from splitband.baselines.trend import Trend, described, find, trending
+from splitband.baselines.sinusoids import (
+    FAST_DAMPING,
+    RATE,
+    SinusoidRegression,
+    Sinusoids,
+    bic,
+    known,
+    recent,
+    trend,
+)
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
+MOST_HARMONICS = 30
+"""Largest number of harmonics of a period. By eye."""
+VIBRATIONS = 4
+"""Largest number of decaying sinusoids beside a Fourier series. By eye."""
+LAGS = 4
+"""Number of lags at which a record resembles itself that are tried as periods. By eye."""
+FEWEST_PERIODS = 2.5
+"""Fewest periods that the record of a Fourier series has: two may resemble each other by chance.
+By eye."""
 ENOUGH_PAIRS = 0.25
 """Fewest pairs of measured samples at a lag, as a share of the largest number at any lag. A lag
 with fewer pairs is left out, as they may agree by chance. By eye."""
@@ -23,29 +43,30 @@ with fewer pairs is left out, as they may agree by chance. By eye."""
 @saved
 @dataclass(frozen=True, eq=False)
 class LastPeriod:
-    """Repeat the last period of the training samples; use `LastPeriod.fit`.
+    """Repeat the last period of the training samples on a trend; use `LastPeriod.fit`.
 
     Attributes
     ----------
     period : The samples that are repeated, without the trend, `(lag, ny)`.
     end : Index after the last of them.
-    trends : Trend of each channel; None without one.
+    trend : Of each channel.
     """
 
     period: Array
     end: int
-    trends: tuple[Trend | None, ...]
+    trend: SinusoidRegression
 
     @classmethod
     def fit(cls, y: Array) -> LastPeriod:
         """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
 
-        A trend, if there is one (`trend.find`), is removed first. Gaps (NaN) are filled from the
-        period before. The candidates are the lags, up to half the record, at which the record
+        A trend, if there is one (`sinusoids.trend`), is removed first. Gaps (NaN) are filled from
+        the period before. The candidates are the lags, up to half the record, at which the record
         resembles itself: local minima of its mean squared difference at a lag.
         """
-        trends = tuple(find(channel) for channel in y.T)
-        return cls(last_period(y - trending(trends, np.arange(len(y)))), len(y), trends)
+        begin, end = recent(y)
+        trends = SinusoidRegression(tuple(trend(channel) for channel in end.T), begin)
+        return cls(last_period(y - trends.predict(0, len(y))), len(y), trends)
 
     @property
     def lag(self) -> int:
@@ -53,21 +74,80 @@ class LastPeriod:
         return len(self.period)
 
     def predict(self, start: float, steps: int) -> Array:
-        """Return the samples from `start` on, `(steps, ny)`."""
+        """Return the samples from `start` on, `(steps, ny)`; 0 is the first of the record."""
         index = round(start) + np.arange(steps)
-        return self.period[(index - self.end) % self.lag] + self.trend(round(start), steps)
-
-    def trend(self, start: float, steps: int) -> Array:
-        """Return only the trend from sample `start` on, `(steps, ny)`."""
-        return trending(self.trends, start + np.arange(steps))
+        return self.period[(index - self.end) % self.lag] + self.trend.predict(round(start), steps)
 
     def __str__(self) -> str:
-        trends = described([trend and trend.shape for trend in self.trends])
-        return f"the last {self.lag} training samples, repeated{trends}"
+        return f"the last {self.lag} training samples, repeated on {self.trend}"
+
+
+def periodic(y: Array) -> SinusoidRegression:
+    """Fit a Fourier series, and vibrations that decay, to each channel of `y` `(time, ny)`.
+
+    The period is a lag at which the channel resembles itself, or an integer fraction of it.
+    """
+
+    def of_channel(y: Array) -> Sinusoids:
+        slow = trend(y)
+        level = slow.refined(y)
+        if len(known(y)) < 2:
+            return level
+        channel = slow.residual(y)[:, None]
+        # Where multiples of a period tie, seasonal-naive takes the shortest one.
+        lags = {len(last_period(channel)), *self_similar_lags(channel, LAGS)}
+        lags = {lag for lag in lags if FEWEST_PERIODS * lag <= len(y)}
+        tried = [level, *(_series(y, level, lag) for lag in sorted(lags))]
+        best = min(tried, key=lambda fit: fit.bic(y, strict=True))
+        if not best.harmonics:
+            return best
+        moved = best.refined(y).grown(y, FAST_DAMPING / len(y), VIBRATIONS)
+        # The lag of the best series is one of few, and counts as one parameter instead of `RATE`.
+        more = (RATE - 1) * np.log(len(known(y)))
+        return moved if moved.bic(y, strict=True) + more < best.bic(y, strict=True) else best
+
+    return SinusoidRegression.fit(y, of_channel)
+
+
+def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
+    """Return the Fourier series of a period on a `level`, with the harmonics that lower the BIC."""
+    index = known(y)
+    most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)
+    left = level.residual(y)
+    complete = left[len(y) % lag :]
+    if most < 1 or not len(known(complete)):
+        return level
+    by_season = seasons(complete[:, None], lag)
+    with np.errstate(invalid="ignore"):  # 0 / 0 at a phase that was never measured
+        mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
+    mean_period = fill_gaps_periodically(mean_period)[:, 0]
+    strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])
+    strongest = 1 + np.argsort(-strength, kind="stable")[:most]
+    phase = 2 * np.pi * np.outer(index, strongest) / lag
+    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)
+    straight = level.basis(index)
+    straight = straight[:, straight.any(axis=0)]
+    directions = np.linalg.qr(np.hstack([straight, pairs]))[0][:, straight.shape[1] :]
+    criteria = [level.bic(y, strict=True)]
+    for j in range(len(strongest)):
+        pair = directions[:, 2 * j : 2 * j + 2]
+        left[index] -= pair @ (pair.T @ left[index])
+        criteria.append(bic(y, left, straight.shape[1] + RATE + 2 * (j + 1), strict=True))
+    kept = strongest[: int(np.argmin(criteria))]
+    if not len(kept):
+        return level
+    # If all of them are harmonics of a fraction of the lag, that fraction is the period. Weak
+    # harmonics between them are kept too.
+    whole = int(np.gcd.reduce(kept))
+    order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
+    frequencies = np.append(order * whole / lag, level.frequencies)
+    dampings = np.append(np.zeros(len(order)), level.dampings)
+    series = level._replace(frequencies=frequencies, dampings=dampings, harmonics=len(order))
+    return series.solved(y)
 
 
 def last_period(y: Array) -> Array:
-    """Return the last period of `y` `(time, ny)`, `(lag, ny)`, for the best lag, see `fit`."""
+    """Return the last period of `y` `(time, ny)`, `(lag, ny)`, for the best lag."""
     by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
     # A period and its multiples fit equally well up to rounding. The shortest one is taken.
     negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
@@ -125,7 +205,7 @@ def seasons(y: Array, lag: int) -> Array:
     return padded.reshape(count, lag, -1)
 
 
-def all_around(period: Array) -> Array:
+def fill_gaps_periodically(period: Array) -> Array:
     """Fill NaN in a period `(lag, ny)` by periodic linear interpolation."""
     filled, phase = period.copy(), np.arange(len(period))
     for channel in filled.T:
@@ -148,4 +228,4 @@ def _last_period(y: Array, lag: int) -> tuple[Array, Array]:
     compared = (~np.isnan(errors)).sum(axis=(0, 1))
     error = np.nanvar(y, axis=0)
     np.divide(np.nansum(errors**2, axis=(0, 1)), compared, out=error, where=compared > 0)
-    return all_around(period), error
+    return fill_gaps_periodically(period), error

@@ -17,17 +17,19 @@ import numpy as np
 import scipy
 
 from splitband.baselines.delays import filled
-from splitband.baselines.modal import Run, blocks_of
 from splitband.baselines.refinement import (
+    Run,
     Solution,
+    blocks_of,
     by_segment,
     followed,
     linear_solution,
     refined,
+    segments,
     solved,
     total,
 )
-from splitband.baselines.subspace import Subspace, subspace
+from splitband.baselines.subspace import Subspace, stable, subspace
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
@@ -281,18 +283,6 @@ def with_constant(runs: Sequence[Run]) -> list[Run]:
     return [run._replace(u=np.vstack([run.u, np.ones((1, run.u.shape[1]))])) for run in runs]
 
 
-def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
-    """Return A with poles outside of the unit circle reflected, and complex ones below `limit`."""
-    poles, vectors = np.linalg.eig(a)
-    size = abs(poles)
-    most = np.where(poles.imag == 0, 1 - 1e-6, limit * (1 - 1e-6))
-    if (size < most).all():
-        return a
-    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
-    moved = poles * inside / np.maximum(size, 1e-300)
-    return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))
-
-
 def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
     """Yield A and C without each choice of one or two poles; of complex ones both go."""
     poles, vectors = np.linalg.eig(a)
@@ -303,22 +293,9 @@ def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
             yield np.asarray(own[np.ix_(kept, kept)]), np.asarray(c @ basis[:, kept])
 
 
-def segments(runs: Sequence[Run]) -> list[tuple[int, int, int]]:
-    """Return record, first and last sample + 1 of each segment."""
-    total = sum(run.u.shape[1] for run in runs)
-    found = []
-    for i, run in enumerate(runs):
-        time = run.u.shape[1]
-        count = max(round(SEGMENTS * time / total), 1)
-        edges = np.linspace(0, time, count + 1).astype(int)
-        found += [(i, int(a), int(b)) for a, b in itertools.pairwise(edges)
-                  if run.seen[:, a:b].any()]  # fmt: skip
-    return found
-
-
 def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
     """Return the mean squared error of each segment that is held out, `(segments, ny)`."""
-    blocks, cut = solution.blocks, segments(runs)
+    blocks, cut = solution.blocks, segments(runs, SEGMENTS)
     each = [*by_segment(solution, runs, blocks.free, cut)]
     whole, found = total(each), []
     for part, (record, begin, end) in zip(each, cut, strict=True):

@@ -62,17 +62,14 @@ def _root(a: Array, stride: int) -> Array:
     return np.asarray(np.real(vectors @ np.diag(turned) @ np.linalg.pinv(vectors)))
 
 
-def subspace(
-    records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1, weighting: str = "cva"
-) -> Subspace | None:
-    """Return the subspace of records; None where too few windows have no gap.
+def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1) -> Subspace | None:
+    """Return the subspace of records, weighted as in CVA; None where too few windows have no gap.
 
     Parameters
     ----------
     records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each, without an offset.
     rows : Block rows of past and of future.
     stride : Average so many samples each, for slow systems.
-    weighting : "cva", "moesp" or "n4sid".
     """
     ny, nu = records[0][0].shape[1], records[0][1].shape[1]
     width = 2 * rows * (ny + nu)
@@ -103,18 +100,22 @@ def subspace(
     lower = (r * size).T
     i, j = nu * rows, (2 * nu + ny) * rows
     found, noise = lower[j:, i:j], lower[j:, j:]
-    if weighting == "n4sid":
-        past_rows = lower[i:j, :j]
-        outer, values, inner = np.linalg.svd(lower[i:j, i:j])
-        keep = values > _RANK * max(values[0], 1e-300)
-        back = (inner[keep].T / values[keep]) @ outer[:, keep].T
-        found = found @ back @ past_rows
-    root = np.eye(len(found))
-    if weighting == "cva":
-        # The square root of the covariance of future outputs, given future inputs.
-        spread, axes = np.linalg.eigh(found @ found.T + noise @ noise.T)
-        spread = np.sqrt(np.maximum(spread, _RANK**2 * max(spread[-1], 1e-300)))
-        found = (axes / spread) @ axes.T @ found
-        root = (axes * spread) @ axes.T
+    # The square root of the covariance of future outputs, given future inputs.
+    spread, axes = np.linalg.eigh(found @ found.T + noise @ noise.T)
+    spread = np.sqrt(np.maximum(spread, _RANK**2 * max(spread[-1], 1e-300)))
+    found = (axes / spread) @ axes.T @ found
+    root = (axes * spread) @ axes.T
     outer, values, _ = np.linalg.svd(found, full_matrices=False)
     return Subspace(root @ outer, values, ny, stride)
+
+
+def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
+    """Return A with poles outside of the unit circle reflected, and complex ones below `limit`."""
+    poles, vectors = np.linalg.eig(a)
+    size = abs(poles)
+    most = np.where(poles.imag == 0, 1 - 1e-6, limit * (1 - 1e-6))
+    if (size < most).all():
+        return a
+    inside = np.minimum(np.where(size > 1, 1 / np.maximum(size, 1e-12), size), most)
+    moved = poles * inside / np.maximum(size, 1e-300)
+    return np.asarray(np.real(vectors @ np.diag(moved) @ np.linalg.pinv(vectors)))

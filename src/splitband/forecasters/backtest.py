@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from splitband.baselines.origins import origins
 from splitband.data import Record
 from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
@@ -31,6 +30,10 @@ AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
 HELD_OUT_SHARE = 0.25
 """Share of the training part that is held out for a trial, while models are fitted to the rest. A
 convention; longer parts chose no better (docs/results/rules.md)."""
+HELD_OUT_SHARES = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
+"""Shares of a record that methods which are quickly fitted forecast from the samples before them,
+one for each origin: a long share shows how errors grow, a short one is forecast by nearly the final
+fit. By eye."""
 FEWEST_FITTED = 20
 """An earlier origin, for the intervals, needs this many measured samples of each channel before it.
 By eye."""
@@ -280,7 +283,8 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     each of several origins, some of them earlier.
     """
     samples = len(record)
-    fitted, ends = first_held_out(samples), dict.fromkeys(origins(samples))
+    held_out = [max(1, round(share * samples)) for share in HELD_OUT_SHARES]
+    fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
     measured = np.cumsum(~np.isnan(record.seen), axis=0)
     early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
     if not forecaster._refits:

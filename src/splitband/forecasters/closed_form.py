@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, final
+from typing import Any, Protocol, final
 
 import numpy as np
 
-from splitband.baselines.common import ByTime
-from splitband.baselines.harmonic import HarmonicRegression
-from splitband.baselines.periodic import PeriodicRegression
-from splitband.baselines.seasonal import LastPeriod
+from splitband.baselines.seasonal import LastPeriod, periodic
+from splitband.baselines.sinusoids import harmonic
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.prediction import Known
-from splitband.forecasters.stepping import Part
-from splitband.forecasters.stepping_baselines import Constant, Held, InTime, Repeated
+from splitband.forecasters.stepping import Part, State
 from splitband.runtime.arrays import Array
 
 DISAGREEMENT_RATIO = 3.0
@@ -25,6 +23,13 @@ DISAGREEMENT_RATIO = 3.0
 error. By eye."""
 _EXACT = 1e-6
 """Share of a channel's range: a smaller training error is due to rounding. By eye."""
+
+
+class ByTime(Protocol):
+    """Define the interface of functions of the time since the training record began."""
+
+    def predict(self, start: float, steps: int) -> Array:
+        """Return the samples `start`..`start + steps - 1`, `(steps, ny)`; 0 is the first fitted."""
 
 
 @final
@@ -53,6 +58,21 @@ class Mean(Forecaster):
         return "the mean of the training samples"
 
 
+class Constant(Part):
+    """Return the same value for every sample."""
+
+    def __init__(self, level: Array) -> None:
+        self.level = level
+
+    def initial(self, known: Known | None) -> State:
+        """Return an empty state."""
+        return {}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the value."""
+        return state, np.tile(self.level[:, None], (1 + ahead, 1, 1))
+
+
 @final
 class Persistence(Forecaster):
     """Hold the last measured sample, as if nothing changed."""
@@ -79,6 +99,29 @@ class Persistence(Forecaster):
         return "the last measured sample, held"
 
 
+class Held(Part):
+    """Hold the last measured value of each channel."""
+
+    def __init__(self, ny: int) -> None:
+        self.ny = ny
+
+    def initial(self, known: Known | None) -> State:
+        """Return a state without a measured value."""
+        return {"last": np.full(self.ny, np.nan)}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return rows that read the held value: 0, with a derivative of 1 by it."""
+        return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
+
+    def learn(self, state: State, row: Array, y: Array) -> State:
+        """Return the state with the new values of the channels that were measured."""
+        return {"last": np.where(np.isnan(y), state["last"], y)}
+
+    def settle(self, state: State) -> Array:
+        """Return the last measured values."""
+        return state["last"][:, None]
+
+
 class _ByTime(Forecaster):
     """Fit a function of the time since the training record began."""
 
@@ -86,15 +129,17 @@ class _ByTime(Forecaster):
     error: Array
     """RMSE of each channel in training, `(ny,)`."""
 
-    fits: ClassVar[type[ByTime]]
-    """The class of the fitted function."""
     anchored = True
     affine = True
+
+    @abstractmethod
+    def fitted_function(self, y: Array) -> ByTime:
+        """Return the function that fits the samples `(time, ny)`, NaN in gaps."""
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
         seen = records[0].seen
-        self.baseline = self.fits.fit(seen)
+        self.baseline = self.fitted_function(seen)
         self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
 
     def extrapolate(self, known: Known) -> Array:
@@ -107,7 +152,7 @@ class _ByTime(Forecaster):
 
     def _part(self, outside: bool = False) -> Part:
         """Return the function of time."""
-        return InTime(self.baseline.predict)
+        return InTime(self.baseline)
 
     def doubts(self, known: Known) -> list[str]:
         """Return a warning where it disagrees with the history, unless that is `known.own`."""
@@ -129,41 +174,88 @@ class _ByTime(Forecaster):
         return str(self.baseline) + first_only(self.require_fitted())
 
 
+class InTime(Part):
+    """Follow a function of time."""
+
+    def __init__(self, function: ByTime) -> None:
+        self.function = function
+
+    def initial(self, known: Known | None) -> State:
+        """Return the time of the first sample."""
+        begin = 0.0 if known is None or known.begin is None else known.begin
+        return {"time": np.array(float(begin))}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the values of the function at a sample and at `ahead` more."""
+        values = self.function.predict(state["time"], 1 + ahead)
+        return {"time": state["time"] + 1}, values[..., None]
+
+
 @final
 class SeasonalNaive(_ByTime):
-    """Repeat the last period, plus a trend where there is one."""
+    """Repeat the last period, on a trend where there is one."""
 
     name = "seasonal-naive"
     baseline: LastPeriod
 
     _words = "last period, repeated"
-    fits = LastPeriod
+
+    def fitted_function(self, y: Array) -> LastPeriod:
+        """Return the last period and the trend."""
+        return LastPeriod.fit(y)
 
     def _part(self, outside: bool = False) -> Part:
-        """Return the part that repeats the period, plus its trend."""
-        return Repeated(self.baseline.period, self.baseline.end, self.baseline.trend)
+        """Return the part that repeats the period."""
+        return Repeated(self.baseline)
+
+
+class Repeated(Part):
+    """Repeat the last period of a record on its trend."""
+
+    def __init__(self, last: LastPeriod) -> None:
+        self.last = last
+
+    def initial(self, known: Known | None) -> State:
+        """Return the time of the first sample, and the period from there on."""
+        begin = 0 if known is None or known.begin is None else round(known.begin)
+        rolled = np.roll(self.last.period, (self.last.end - begin) % self.last.lag, axis=0)
+        return {"time": np.array(float(begin)), "period": rolled}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the first sample of the period on the trend, and rotate the period by one."""
+        period = state["period"]
+        following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
+        both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
+        values = both + self.last.trend.predict(state["time"], 1 + ahead)
+        return {"time": state["time"] + 1, "period": following}, values[..., None]
 
 
 @final
 class Harmonic(_ByTime):
-    """Fit sinusoids that may decay, and a trend (`baselines.harmonic`)."""
+    """Fit sinusoids that may decay, and a trend (`baselines.sinusoids`)."""
 
     name = "harmonic"
 
     _slow_part = "sinusoids"
     _words = "sinusoids and a trend, fitted"
-    fits = HarmonicRegression
+
+    def fitted_function(self, y: Array) -> ByTime:
+        """Return the sum of sinusoids."""
+        return harmonic(y)
 
 
 @final
 class Periodic(_ByTime):
-    """Fit a Fourier series with the period of the record, and a trend (`baselines.periodic`)."""
+    """Fit a Fourier series with the period of the record, and a trend (`baselines.seasonal`)."""
 
     name = "periodic"
 
     _slow_part = "periodic waveform"
     _words = "periodic waveform, fitted"
-    fits = PeriodicRegression
+
+    def fitted_function(self, y: Array) -> ByTime:
+        """Return the sum of harmonics and vibrations."""
+        return periodic(y)
 
 
 def _rmse_of_channels(errors: Array) -> Array:

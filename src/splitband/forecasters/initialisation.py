@@ -13,14 +13,17 @@ import numpy as np
 
 from splitband import models
 from splitband.baselines.identification import identified
-from splitband.baselines.linear import LinearModel
-from splitband.baselines.realisation import Realisation, realised, state_estimator
+from splitband.baselines.linear import LinearModel, Realisation, realised
 from splitband.data import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached
 
 if TYPE_CHECKING:
     from splitband.models import Model
+
+
+_RIDGE = 1e-6
+"""Ridge penalty of the state estimator, as a share of the regressors' mean square. By eye."""
 
 
 @runtime_checkable
@@ -97,3 +100,38 @@ def _set(
         told[:, :, : cell.ny + 2 * nu] = weight.reshape(cell.states, cell.encoded, -1)
         first = told.reshape(cell.states, -1), bias
     cell.begin_linear(found._replace(b=b, d=d), first)
+
+
+def state_estimator(
+    runs: Sequence[tuple[Array, Array]], states: Sequence[Array], samples: int
+) -> tuple[Array, Array]:
+    """Fit a linear map from a window of `y` and `u` to the state at its first sample.
+
+    Returns the matrix and the constant of the map, by ridge regression over all windows of the
+    records without gaps.
+
+    Parameters
+    ----------
+    runs : `y` `(time, ny)`, NaN in gaps, and the network's inputs `(time, nu)`, of each record.
+    states : States in each record, `(time, states)`.
+    samples : Samples of a window; its values are ordered sample by sample, y before u.
+    """
+    seen, wanted = [], []
+    for (y, u), x in zip(runs, states, strict=True):
+        if len(y) >= samples:
+            both = np.hstack([y, u])
+            views = np.lib.stride_tricks.sliding_window_view(both, samples, axis=0)
+            seen.append(views.transpose(0, 2, 1).reshape(len(views), -1))
+            wanted.append(x[: len(views)])
+    rows, target = np.concatenate(seen), np.concatenate(wanted)
+    whole = ~np.isnan(rows).any(axis=1)
+    rows, target = rows[whole], target[whole]
+    if not len(rows):
+        width = samples * (runs[0][0].shape[1] + runs[0][1].shape[1])
+        return np.zeros((states[0].shape[1], width)), np.zeros(states[0].shape[1])
+    middle, mean = rows.mean(axis=0), target.mean(axis=0)
+    rows, target = rows - middle, target - mean
+    square = rows.T @ rows
+    square += _RIDGE * np.trace(square) / len(square) * np.eye(len(square))
+    weight = np.linalg.solve(square, rows.T @ target).T
+    return weight, mean - weight @ middle

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 import numpy as np
 
 from splitband import models, training
-from splitband.baselines.delays import delayed
-from splitband.baselines.identification import input_delays
+from splitband.baselines.delays import delayed, input_delays
 from splitband.data import Record
 from splitband.data.signals import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands

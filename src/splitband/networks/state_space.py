@@ -16,7 +16,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import WithRepr
 
 if TYPE_CHECKING:
-    from splitband.baselines.realisation import Realisation
+    from splitband.baselines.linear import Realisation
 
 _RADIUS = 0.95
 """Absolute value of the poles of a cell that begins with random weights. By eye."""

@@ -1,0 +1,233 @@
+"""Fit and run the Kalman filter of a linear system: its simulation, gain and initial state.
+
+With the gain K the system is x' = A x + B u + K e, y = C x + D u + offset + e, where e is white.
+For a given initial state its prediction errors follow from the outputs. Their sum of squares, with
+a prior of the state, makes the most probable state a linear least-squares problem; the state at the
+end of the history is then what the Kalman filter with this prior finds. The step-by-step form
+(`forecasters.linear`) uses the same function, which therefore can be traced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import scipy
+
+from splitband.runtime.arrays import Array
+
+_FACTORS = (0.0, *np.geomspace(1e-4, 1.0, 9))
+"""Process noise that is tried, as a share of the states' standard deviations in the record.
+By eye."""
+_FREE = 24
+"""Most entries of the gain that are refined one by one. By eye."""
+MAX_OBSERVER_POLE = 1 - 1e-9
+"""Largest absolute value of an observer's pole."""
+PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
+"""Candidate factors of the prior covariance of an initial state. By eye."""
+SURPRISING = 8.0
+"""Rise of twice the log-likelihood that a factor other than the usual one must bring. By eye."""
+EXACT = 1e-5
+"""Smallest standard deviation of an error, as a share of the output's in training: with smaller
+ones the normal equations would lose the state to rounding."""
+_DECAYED = 1e-12
+"""Responses to the initial state that are smaller than this share of the largest are dropped."""
+
+_LEAST = 1e-12
+"""Least mean square of a direction of the states, as a share of the largest, which is scaled to 1:
+with less of it there is rounding."""
+
+
+def states(a: Array, forced: Array, first: Array) -> Array:
+    """Return x_0, x_1, ... of x_{t+1} = A x_t + f_t, `(time, states)`.
+
+    The record is cut into blocks of about the square root of its length. All blocks advance side by
+    side from a state of zero; a second pass adds the states at their beginnings.
+
+    Parameters
+    ----------
+    a : `(states, states)`.
+    forced : f, `(time, states)`.
+    first : x_0, `(states,)`.
+    """
+    time, n = forced.shape
+    length = max(int(np.sqrt(time)), 1)
+    count = -(-time // length)
+    padded = np.zeros((count * length, n))
+    padded[:time] = forced
+    rows = np.ascontiguousarray(padded.reshape(count, length, n).transpose(1, 0, 2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        ends = np.zeros((count, n))
+        for row in rows:
+            ends = ends @ a.T + row
+        power, begins = np.linalg.matrix_power(a, length), np.empty((count, n))
+        x = first
+        for i, end in enumerate(ends):
+            begins[i] = x
+            x = power @ x + end
+        found, x = np.empty_like(rows), begins
+        for i, row in enumerate(rows):
+            found[i] = x
+            x = x @ a.T + row
+    return np.ascontiguousarray(found.transpose(1, 0, 2)).reshape(-1, n)[:time]
+
+
+def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:
+    """Return the stationary gain K of the filter x' = A x + K e, by the Riccati equation.
+
+    `q` `(states, states)` and `r` `(ny, ny)` are the covariances of the noise of state and output.
+    Raises LinAlgError where there is no stationary filter.
+    """
+    with np.errstate(all="ignore"):
+        p = scipy.linalg.solve_discrete_are(a.T, c.T, q, r)
+    return np.asarray(a @ p @ c.T @ np.linalg.pinv(c @ p @ c.T + r))
+
+
+def root_of(covariance: Array) -> Array:
+    """Return a square root R of a covariance R R', `(n, n)`."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
+
+
+def whitening(visited: Array) -> tuple[Array, Array]:
+    """Return T and its inverse, for which the states T x are uncorrelated, of mean square 1.
+
+    `visited`: states in the records, `(time, states)`; where an unstable model leaves the range of
+    numbers, T is the unit matrix.
+    """
+    unit = np.eye(visited.shape[1])
+    if not np.isfinite(visited).all():
+        return unit, unit
+    power, axes = np.linalg.eigh(visited.T @ visited / len(visited))
+    size = np.sqrt(np.maximum(power, _LEAST * max(power.max(initial=0.0), 1e-300)))
+    return axes.T / size[:, None], axes * size
+
+
+def innovations(a: Array, c: Array, gain: Array, errors: Array) -> Array:
+    """Return the prediction errors `(time, ny)` of simulation errors `(time, ny)`."""
+    x = states(a - gain @ c, errors @ gain.T, np.zeros(len(a)))
+    return errors - x @ c.T
+
+
+@np.errstate(all="ignore")
+def covariance(
+    a: Array, c: Array, gain: Array, errors: Sequence[Array], seen: Sequence[Array]
+) -> Array:
+    """Return the covariance of prediction errors `(ny, ny)`; arguments as of `fitted_gain`."""
+    left = np.concatenate(
+        [innovations(a, c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
+    )
+    return np.asarray(left.T @ left / np.maximum(np.concatenate(seen).sum(axis=0), 1))
+
+
+def fitted_gain(
+    a: Array,
+    c: Array,
+    spread: Array,
+    errors: Sequence[Array],
+    seen: Sequence[Array],
+) -> Array:
+    """Return the gain K `(states, ny)` that predicts best, for the errors of a simulation.
+
+    The gains of a Riccati equation, with process noise in proportion to the states' covariance in
+    the record, are the start; a small gain is then refined entry by entry.
+
+    Parameters
+    ----------
+    a, c : Of the simulated system.
+    spread : Covariance of its states in the record, `(states, states)`.
+    errors, seen : Simulation errors of each record, 0 in gaps, and 1 where outputs were measured,
+        `(time, ny)` each.
+    """
+
+    def cost(gain: Array) -> float:
+        observer = a - gain @ c
+        if len(a) and abs(np.linalg.eigvals(observer)).max() > MAX_OBSERVER_POLE and gain.any():
+            return np.inf
+        power = np.diag(covariance(a, c, gain, errors, seen))
+        return float(np.log(np.maximum(power, 1e-24)).sum()) if np.isfinite(power).all() else np.inf
+
+    together = np.concatenate(errors)
+    r = together.T @ together / len(together) + 1e-18 * np.eye(len(c))
+    gains = [np.zeros((len(a), len(c)))]
+    for factor in _FACTORS[1 :: 1 if len(a) <= 12 else 3]:
+        try:
+            gains.append(kalman_gain(a, c, factor**2 * spread + 1e-18 * np.eye(len(a)), r))
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+    stable = len(a) == 0 or abs(np.linalg.eigvals(a)).max() <= 1
+    best = min(gains if stable else gains[1:] or gains, key=cost)
+    if best.any() and best.size <= _FREE:
+        best = _refined(best, cost)
+    return best
+
+
+def _refined(gain: Array, cost: Callable[[Array], float]) -> Array:
+    """Return the gain after a local search."""
+    scale = float(abs(gain).max())
+
+    def bounded(x: Array) -> float:
+        return min(cost(scale * x.reshape(gain.shape)), 1e6)
+
+    start = gain.ravel() / scale
+    minimum: Any = scipy.optimize.minimize(
+        bounded, start, method="L-BFGS-B", options={"maxiter": 15}
+    )
+    return np.asarray(scale * minimum.x.reshape(gain.shape))
+
+
+def most_probable(information: Array, towards: Array, usual: Array) -> Array:
+    """Return the most probable state, in standard deviations of the prior, `(n,)`.
+
+    The prior has the covariance of the states in training times a factor: the `usual` one, or the
+    most likely one where the history is surprising (empirical Bayes).
+
+    Parameters
+    ----------
+    information : Sum of squares of the responses to each state, in units of the noise, `(n, n)`.
+    towards : Their products with the prediction errors, `(n,)`.
+    usual : The usual factor: 0 for a state that is known, 1 for one that is drawn from the prior.
+    """
+    n = towards.shape[0]
+    factors = np.concatenate([usual[None], np.array(PRIOR_FACTORS)])
+    count = len(PRIOR_FACTORS) + 1
+    unit = np.broadcast_to(np.eye(n)[None], (count, n, n))
+    square = unit + factors[:, None, None] * information[None]
+    left: Any = np.concatenate(
+        [square, np.broadcast_to(towards[None, :, None], (count, n, 1))], axis=2
+    )
+    # Gauss and Jordan's elimination; as the prior adds the unit matrix, no pivot is below 1.
+    size = np.zeros(count)
+    for j in range(n):
+        pivot = np.maximum(left[:, j, j], 1.0)
+        size = size + np.log(pivot)
+        row = left[:, j] / pivot[:, None]
+        rest = left - left[:, :, j][:, :, None] * row[:, None, :]
+        others = (np.arange(n) != j)[None, :, None]
+        left = np.where(others, rest, np.broadcast_to(row[:, None, :], (count, n, n + 1)))
+    found = left[:, :, n] * factors[:, None]
+    unlikely = size - (found * towards[None]).sum(axis=1)
+    least = np.min(unlikely[1:], axis=0)
+    first = np.arange(count) == 0
+    taken = np.where(
+        least + SURPRISING > unlikely[0], first, (unlikely <= least) & np.logical_not(first)
+    )
+    weights = np.where(taken, 1.0, 0.0)
+    taken_state: Array = (weights[:, None] * found).sum(axis=0) / weights.sum()
+    return taken_state
+
+
+def responses(a: Array, c: Array, root: Array, time: int) -> Array:
+    """Return the responses of the outputs to each column of `root`, `(time, ny, columns)`.
+
+    They end early where they have died out.
+    """
+    rows, power = c[None], a
+    while len(rows) < time:
+        later = rows @ power
+        size = abs(later @ root).max(initial=0.0)
+        rows, power = np.concatenate([rows, later]), power @ power
+        if not np.isfinite(size) or size < _DECAYED * abs(rows[0] @ root).max(initial=0.0):
+            break
+    return np.asarray(rows[:time] @ root)
