@@ -4,41 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import WithRepr
-from splitband.simulators.digests import code_digest
-from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
-from splitband.simulators.starting import Start, check_places, check_start, count_arguments
+from splitband.simulators.base import Start, check_start
+from splitband.simulators.code import check_places, code_digest, count_arguments
+from splitband.simulators.parameters import Adjustable, Given, Point, Response, parameters_class
 
 
-class UserCode(WithRepr):
-    """Define the base of dataclasses that hold user code and a field `parameters`."""
-
-    parameters: Given | None
-
-    @cached_property
-    def known(self) -> Parameters:
-        """Return the parameters, checked."""
-        return Parameters(dict(self.parameters or {}))
-
-    def fixed(self, values: Mapping[str, float]) -> Self:
-        """Return a copy with some parameters set to these values."""
-        return self._with(parameters=dict(self.known.fixed(values).given))
+class UserCode(Adjustable):
+    """Define the base of dataclasses that hold user code."""
 
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed fields, which other processes recreate as before."""
         made = replace(self, **changes)  # type: ignore[type-var]
         return made.opened_by(vars(self).get("_opened_by"))
-
-    def precise(self) -> Self:
-        """Return the simulator for derivatives, here itself; see `Adjustable`."""
-        return self
 
     def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
         """Set the function of the parameters by which other processes recreate it; return it.
@@ -76,18 +59,10 @@ class Function(UserCode):
     parameters: Given | None = None
     start: Start | None = None
 
-    states = 0
-    difference = 1e-6
-
     def __post_init__(self) -> None:
         """Check the start and the order of the arguments."""
         check_start(self.start)
         check_places(self.function, "time", "u", "p")
-
-    @property
-    def adjustable(self) -> bool:
-        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
-        return bool(self.known.given) or self.driven
 
     @property
     def driven(self) -> bool:
