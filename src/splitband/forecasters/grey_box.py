@@ -325,12 +325,8 @@ class _Solved(Part):
         """Return the state at the last of some samples, of which the first has the state `x`."""
         if not samples:
             return None
-        if samples == 1:  # `advance` needs two times, even for the first
-            u = None if u is None else np.concatenate([u, u])
-        found = self.adjusted.advance(x, self.model._times(first, max(samples, 2)), u)
-        return self._state(found, samples - 1, first + samples - 1, u) | (
-            {"size": 0.0} if samples == 1 else {}
-        )
+        found = self.adjusted.advance(x, self.model._times(first, samples), u)
+        return self._state(found, first + samples - 1, u)
 
     def moved(self, now: State | None, u: Array | None) -> State:
         """Return the state at the next sample, whose inputs are `u`."""
@@ -341,12 +337,12 @@ class _Solved(Part):
         inputs = None if u is None else np.stack([now["u"], u])
         times = self.model._times(now["at"], 2)
         found = self.adjusted.advance(now["x"], times, inputs, now["size"])
-        return self._state(found, 1, now["at"] + 1, inputs)
+        return self._state(found, now["at"] + 1, inputs)
 
-    def _state(self, found: Any, row: int, at: float, u: Array | None) -> State:
+    def _state(self, found: Any, at: float, u: Array | None) -> State:
         y, x, size = found
-        last = None if u is None else u[row]
-        return {"x": x[row], "y": y[row], "u": last, "at": at, "size": size}
+        last = None if u is None else u[-1]
+        return {"x": x[-1], "y": y[-1], "u": last, "at": at, "size": size}
 
 
 class _FromMemory(Recursion):

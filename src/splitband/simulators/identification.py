@@ -27,7 +27,7 @@ from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
 from splitband.simulators.code import failure
-from splitband.simulators.estimate import Curvature, Estimate, labelled
+from splitband.simulators.estimate import Estimate, labelled, uncertainty
 from splitband.simulators.parameters import Adjustable
 from splitband.simulators.shooting import (
     BAD,
@@ -225,8 +225,7 @@ def _told(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
     measured = np.concatenate([w.part.y for w in shooting.windows])
     by_channel = np.where(np.isnan(measured), np.nan, residuals.reshape(-1, ny))
     known = shooting.simulator.known
-    curvature = Curvature(shooting.names, known, places, by_channel, jacobian)
-    errors, correlations, remarks = curvature.uncertainty()
+    errors, correlations, remarks = uncertainty(shooting.names, known, places, by_channel, jacobian)
     names = [labelled(name) for name in shooting.names]
     values = [known.at(n, float(p)) for (n, _), p in zip(shooting.names, places, strict=True)]
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale

@@ -188,7 +188,7 @@ class Ode(UserCode):
         Parameters
         ----------
         values : Values of the parameters.
-        state : State at the first of at least two times, `(nx,)`.
+        state : State at the first time, `(nx,)`.
         time, u : See `respond`.
         size : Step size in s to go on with; 0 at the beginning.
         """
