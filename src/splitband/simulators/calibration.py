@@ -327,31 +327,18 @@ def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Itera
     yield _STILL
     clocks = np.linspace(1 - most[1], 1 + most[1], 41) if most[1] else np.ones(1)
     shifts = np.arange(-int(most[0]), int(most[0]) + 1)  # in samples of the record
-    correlation = _correlation(y)
+    centred = np.nan_to_num(y - _mean(y, y))
     ranked = []
     for clock in clocks:
-        at_shifts = correlation(at_clock(clock))[shifts]
+        x = at_clock(clock)
+        x = x - x.mean(axis=0)
+        power = (x**2).sum(axis=0)
+        correlation = scipy.signal.fftconvolve(centred, x[::-1], axes=0)
+        # It is squared, as a gain may be negative.
+        squared = (correlation**2 / np.where(power > 0, power, 1.0)).sum(axis=1)
+        at_shifts = squared[shifts + len(y) - 1]
         best = int(np.argmax(at_shifts))
         ranked.append((at_shifts[best], np.array([clock * shifts[best], clock])))
     ranked.sort(key=lambda pair: -pair[0])
     for _, point in ranked[:3]:
         yield point
-
-
-def _correlation(y: Array) -> Callable[[Array], Array]:
-    """Return a function of x: the squared correlation of y with x for every shift of x.
-
-    It is squared as a gain may be negative. Index k is the shift in samples, -(n - 1)..n - 1. The
-    transform of y is computed once for all x.
-    """
-    length = scipy.fft.next_fast_len(2 * len(y) - 1, real=True)
-    spectrum = scipy.fft.rfft(np.nan_to_num(y - _mean(y, y)), length, axis=0)
-
-    def of(x: Array) -> Array:
-        centred = x - x.mean(axis=0)
-        power = (centred**2).sum(axis=0)
-        product = spectrum * np.conj(scipy.fft.rfft(centred, length, axis=0))
-        squared = scipy.fft.irfft(product, length, axis=0) ** 2
-        return np.asarray((squared / np.where(power > 0, power, 1.0)).sum(axis=1))
-
-    return of
