@@ -148,8 +148,11 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     places = np.array(best.found[window][0])
-    shooting = Shooting(simulator.precise(), experiments, scale)
     with within(NEVER):  # the result is evaluated even after the deadline
+        precise = Shooting(simulator.precise(), experiments, scale)
+        unknowns = precise.divide(window, places)
+        rough = not _runs(precise, unknowns)  # as its solver cannot be that precise
+        shooting = shooting if rough else precise
         unknowns = shooting.divide(window, places)
         if not (best.cut or deadline.over):
             unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
@@ -157,6 +160,13 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     places = unknowns[: len(places)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
+    if rough:
+        remarks.append("standard errors are rough, as the solver cannot keep smaller tolerances")
+    lost = [o.failure for o in outcomes if o.failure and not o.found]
+    if lost:
+        remarks.append(
+            f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {lost[0]}"
+        )
     cut = any(o.cut for o in outcomes) or deadline.over
     if cut:
         remarks.append("the time was over before every starting point was tried")
@@ -361,7 +371,7 @@ def _try(
         with within(min(current(), deadline)):
             for length in _lengths(shooting.longest, growing=number % 2 == 1):
                 unknowns = shooting.divide(length, places)
-                if _error(shooting.residuals(unknowns)) < 0.5 * BAD:
+                if _runs(shooting, unknowns):
                     unknowns, error = descend(shooting, unknowns, _ROUNDS)
                     places = unknowns[: len(places)]
                     found[length] = places.tolist(), error
@@ -409,6 +419,11 @@ def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, fl
             raise
     assert best is not None
     return best, least
+
+
+def _runs(shooting: Shooting, unknowns: Array) -> bool:
+    """Return whether most of the records can be simulated."""
+    return _error(shooting.residuals(unknowns)) < 0.5 * BAD
 
 
 def _error(residuals: Array) -> float:
