@@ -152,8 +152,10 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         precise = Shooting(simulator.precise(), experiments, scale)
         unknowns = precise.divide(window, places)
         rough = not _runs(precise, unknowns)  # as its solver cannot be that precise
-        shooting = shooting if rough else precise
-        unknowns = shooting.divide(window, places)
+        if rough:
+            unknowns = shooting.divide(window, places)
+        else:
+            shooting = precise
         if not (best.cut or deadline.over):
             unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
         estimate = _told(shooting, unknowns, window if window < longest else 0)
@@ -162,7 +164,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
     if rough:
         remarks.append("standard errors are rough, as the solver cannot keep smaller tolerances")
-    lost = [o.failure for o in outcomes if o.failure and not o.found]
+    lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
     if lost:
         remarks.append(
             f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {lost[0]}"
