@@ -240,8 +240,8 @@ def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
             same = str(found["content"]) == content_digest(found["files"].tolist())
     except (OSError, ValueError, EOFError, KeyError, TypeError, BadZipFile):
         return None
-    whole = (y.shape, y.dtype) == (shape, np.float64)
-    return y if same and whole and np.isfinite(y).all() else None
+    whole = y.shape == shape and y.dtype == np.float64 and np.isfinite(y).all()
+    return y if same and whole else None
 
 
 def _cache_file(

@@ -237,13 +237,14 @@ def best_state(
     state, `step` that of finite differences, relative to it, and `most` limits the evaluations.
     """
 
+    def residuals(x: Array) -> Array:
+        return errors([size * x])[0]
+
     def jacobian(x: Array) -> Array:
         at, *others = errors([size * x, *(size * (x + unit) for unit in step * np.eye(len(x)))])
         return np.stack([_difference(at, other, step) for other in others], axis=1)
 
-    found = scipy.optimize.least_squares(
-        lambda x: errors([size * x])[0], begin / size, jacobian, max_nfev=most
-    )
+    found = scipy.optimize.least_squares(residuals, begin / size, jacobian, max_nfev=most)
     return np.asarray(size * found.x), float(found.cost)
 
 
