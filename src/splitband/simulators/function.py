@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -17,6 +18,32 @@ from splitband.simulators.parameters import Adjustable, Given, Point, Response, 
 
 class UserCode(Adjustable):
     """Define the base of dataclasses that hold user code."""
+
+    @property
+    @abstractmethod
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        """Return the user's functions, or None, each with the names of its arguments."""
+
+    @property
+    def code(self) -> list[Any]:
+        """Return the user's functions."""
+        return [function for function, _ in self._functions]
+
+    @property
+    def driven(self) -> bool:
+        """Return whether it takes a record's inputs."""
+        return any(count_arguments(each) > names.index("u") for each, names in self._functions)
+
+    @property
+    def needs_inputs(self) -> bool:
+        """Return whether it takes inputs for no other reason than parameters after them."""
+        return any(count_arguments(each) == names.index("p") for each, names in self._functions)
+
+    def _check(self) -> None:
+        """Raise ValueError for a wrong start, or arguments in another order."""
+        check_start(self.start)
+        for function, names in self._functions:
+            check_places(function, *names)
 
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed fields, which other processes recreate as before."""
@@ -61,23 +88,11 @@ class Function(UserCode):
 
     def __post_init__(self) -> None:
         """Check the start and the order of the arguments."""
-        check_start(self.start)
-        check_places(self.function, "time", "u", "p")
+        self._check()
 
     @property
-    def driven(self) -> bool:
-        """Return whether it takes a record's inputs."""
-        return count_arguments(self.function) > 1
-
-    @property
-    def needs_inputs(self) -> bool:
-        """Return whether it takes inputs for no other reason than parameters after them."""
-        return count_arguments(self.function) == 2
-
-    @property
-    def code(self) -> list[Any]:
-        """Return the user's functions."""
-        return [self.function]
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        return [(self.function, ("time", "u", "p"))]
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.

@@ -12,8 +12,8 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array
-from splitband.simulators.base import Start, check_start
-from splitband.simulators.code import check_places, code_digest, count_arguments
+from splitband.simulators.base import Start
+from splitband.simulators.code import code_digest, count_arguments
 from splitband.simulators.function import UserCode
 from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
 
@@ -69,9 +69,7 @@ class Ode(UserCode):
 
     def __post_init__(self) -> None:
         """Check the initial values, and that every one among the parameters names a state."""
-        check_start(self.start)
-        check_places(self.rhs, "t", "x", "u", "p")
-        check_places(self.observe, "x", "u", "p")
+        self._check()
         try:
             x0 = np.atleast_1d(np.asarray(self.x0, float))
         except (TypeError, ValueError):
@@ -108,20 +106,8 @@ class Ode(UserCode):
         )
 
     @property
-    def driven(self) -> bool:
-        """Return whether it takes a record's inputs."""
-        observes = self.observe is not None and count_arguments(self.observe) > 1
-        return count_arguments(self.rhs) > 2 or observes
-
-    @property
-    def needs_inputs(self) -> bool:
-        """Return whether it takes inputs for no other reason than parameters after them."""
-        return count_arguments(self.rhs) == 3 or count_arguments(self.observe) == 2
-
-    @property
-    def code(self) -> list[Any]:
-        """Return the user's functions."""
-        return [self.rhs, self.observe]
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        return [(self.rhs, ("t", "x", "u", "p")), (self.observe, ("x", "u", "p"))]
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the equation with as many of its first states observed as there are channels.

@@ -173,12 +173,14 @@ class Adjustable(WithRepr, ABC):
     Attributes
     ----------
     parameters : By name a number, or a range `(low, high)`.
+    start : Time of a record's first sample in s, "record" for its time stamp, or None.
     states : Number of states that a run can start from; 0 for a black box.
     difference : Finite-difference step, as a share of a parameter's range.
     advances : Whether `advance`, see `Ode`, goes on from a state as one long run does.
     """
 
     parameters: Given | None
+    start: Any
     states = 0
     difference = 1e-6
     advances = False
