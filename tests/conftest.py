@@ -163,7 +163,7 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def compiled_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests that share an equation: it is compiled before many steps are taken without."""
-    monkeypatch.setattr("splitband.simulators.ode.WORTH_COMPILING", 500)
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 500)
 
 
 @pytest.fixture
@@ -174,7 +174,7 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """
     isolation = import_module("splitband.simulators.isolation")
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(isolation.Isolated, "simulate", isolation._simulate)
+    monkeypatch.setattr(isolation.Isolated, "simulate", isolation.simulate)
 
 
 @pytest.fixture(autouse=True)

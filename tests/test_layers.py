@@ -253,8 +253,6 @@ def test_no_dataclass_has_more_fields_than_one_can_keep_in_mind() -> None:
 LOOKED_AT = {
     "Symbol": "a traced number stands beside plain ones, in code that is written for both",
     "Recorded": "a simulator is any object of the user's; what is recorded is aligned, not run",
-    "Isolated": "of the user's simulators, the one that keeps a time limit itself",
-    "UserCode": "a file of the user's defines an `Ode` or the like, or a plain function",
     "Absent": "it stands where a simulator has to be given again",
     "Record": "one record or several",
     "Settings": "of the settings all are given, or some of them by name",

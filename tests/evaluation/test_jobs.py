@@ -11,7 +11,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from splitband import Known, Record, Simulation
+from splitband import GRU, Known, Ode, Record, Residual, Simulation
 from splitband.evaluation.jobs import LATE, Job, Runner
 from splitband.forecasters.backtest import Fit, Origin, Question
 from splitband.forecasters.base import Forecaster
@@ -59,6 +59,17 @@ def test_the_same_job_is_found_with_its_model_and_forecasts(kept: tuple[Path, Fi
     further = SETUP.forecaster("filtered-gru").fit(record()[:TRAIN], start=again.fitted)
     other = SETUP.forecaster("filtered-gru").fit(record()[:TRAIN], start=fit.fitted)
     np.testing.assert_array_equal(further.predict(20).y, other.predict(20).y)
+
+
+def test_a_job_on_an_edited_equation_is_another_one() -> None:
+    """Though it has no key, and the same name, arguments and ranges."""
+    origins = [Origin(TRAIN, TRAIN)]
+    keys = []
+    for rate in (1.0, 2.0, 1.0):
+        lag = Ode(lambda t, x, u, p, k=rate: [-k * p.c * x[0]], [1.0], parameters={"c": (0.1, 1.0)})
+        network = Residual(lag, GRU(3), settings=QUICK)
+        keys.append(Job(network, Question(record(), origins, LENGTH)).key)
+    assert keys[0] == keys[2] != keys[1]
 
 
 def others() -> Iterator[tuple[str, Job]]:

@@ -3,25 +3,29 @@
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import scipy
 
-from splitband.kernels.ode import solver
+from splitband.kernels.ode import Solver
 from splitband.simulators.parameters import parameters_class
 
-TIME = 0.05 * np.arange(200)
+Array = npt.NDArray[np.float64]
+TIME: Array = 0.05 * np.arange(200.0)
 P = parameters_class(("k", "c"))(9.0, 0.3)
 INPUT = np.sin(3 * TIME)[:, None]
+SIDE = np.array([1.0, 0.0])
+NONE, ALONE = np.empty(0), np.empty((200, 0))
+TIGHT = 1e-10, 1e-10
 
 
 def pendulum(t: float, x: Any, u: Any, p: Any) -> list[float]:
     return [x[1], -p.k * np.sin(x[0]) - p.c * x[1] + u[0] + 0.1 * np.cos(t)]
 
 
-def solved(compiled: bool, held: bool = False, tolerance: float = 1e-10) -> Any:
-    steps = np.zeros(len(TIME) - 1, dtype=np.int64)
-    solve = solver(pendulum, 4, compiled)
-    return solve(P, np.array([1.0, 0.0]), TIME, (INPUT, held), (steps, tolerance, tolerance)), steps
+def solved(held: bool = False, tolerance: float = 1e-10) -> Any:
+    solve, x0 = Solver(pendulum, 4), np.array([1.0, 0.0])
+    return solve(P, x0, TIME, (INPUT, held), (NONE, 0.0), (tolerance, tolerance))
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -37,25 +41,85 @@ def test_it_agrees_with_scipy(held: bool) -> None:
 
         span = TIME[n], TIME[n + 1]
         x = scipy.integrate.solve_ivp(rhs, span, x, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
-    found, _ = solved(compiled=False, held=held)
+    found, *_ = solved(held=held)
     np.testing.assert_allclose(found[:-1], expected, atol=1e-7)
 
 
-def test_the_compiled_solver_is_the_plain_one() -> None:
-    (plain, steps), (compiled, fast_steps) = solved(False), solved(True)
-    np.testing.assert_allclose(compiled, plain, atol=1e-12)
-    np.testing.assert_array_equal(fast_steps, steps)
+def test_after_many_steps_it_is_compiled_and_says_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
+    solve, x0 = Solver(pendulum, 4), np.array([1.0, 0.0])
+    plain, compiled = (solve(P, x0, TIME, (INPUT, False), (NONE, 0.0), TIGHT) for _ in range(2))
+    assert "CPUDispatcher" in repr(solve.solve)
+    np.testing.assert_allclose(compiled[0], plain[0], atol=1e-12)
+    np.testing.assert_allclose(compiled[1], plain[1], atol=1e-9)
 
 
-def test_looser_tolerances_take_fewer_steps() -> None:
-    assert solved(False, tolerance=1e-4)[1].sum() < solved(False)[1].sum() / 2
+def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Compiled code does not check indices."""
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 0)
+    table: list[Any] = [1.0, "text"]
+    solve = Solver(lambda t, x: [-float(str(x[0])) * table[0]], 2)
+    for _ in range(2):
+        found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
+        np.testing.assert_allclose(found[:, 0], np.exp(-TIME), atol=1e-8)
 
 
-def test_a_state_that_is_not_finite_ends_the_simulation() -> None:
-    steps = np.zeros(len(TIME) - 1, dtype=np.int64)
-    grows = solver(lambda _, x: [x[0] ** 2], 2, False)
-    with np.errstate(all="ignore"):
-        found = grows((), np.array([1.0]), TIME, (np.empty((200, 0)), False), (steps, 1e-6, 1e-6))
-    exact = 1 / (1 - TIME[:19])  # up to 1 s
-    np.testing.assert_allclose(found[:19, 0], exact, rtol=1e-4)
-    assert np.isnan(found[-1])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7, 1e-10])
+def test_its_error_is_of_the_order_of_its_tolerance(tolerance: float) -> None:
+    solve = Solver(lambda t, x: [x[1], -x[0]], 2)
+    x0, inputs = np.array([1.0, 0.0]), (ALONE, False)
+    found, steps, _ = solve((), x0, 20 * TIME, inputs, (NONE, 0.0), (tolerance, tolerance))
+    assert 1e-3 * tolerance < np.abs(found[:, 0] - np.cos(20 * TIME)).max() < 1e3 * tolerance
+    assert (steps == 1).sum() == len(TIME) - 1  # one ends at each sample
+
+
+def test_neighbours_take_the_same_steps() -> None:
+    found, steps, _ = solved(tolerance=1e-4)
+    solve, x0 = Solver(pendulum, 4), np.array([1.0, 0.0])
+    again, same, _ = solve(P, x0, TIME, (INPUT, False), (steps, 0.0), (1e-4, 1e-4))
+    np.testing.assert_array_equal(again, found)
+    np.testing.assert_array_equal(same, steps)
+    beside, *_ = solve(P, x0 + 1e-7 * SIDE, TIME, (INPUT, False), (steps, 0.0), (1e-4, 1e-4))
+    two, *_ = solve(P, x0 + 2e-7 * SIDE, TIME, (INPUT, False), (steps, 0.0), (1e-4, 1e-4))
+    np.testing.assert_allclose(two - found, 2 * (beside - found), atol=1e-11)
+
+
+def test_one_sample_at_a_time_is_the_same_solution() -> None:
+    whole, *_ = solved()
+    solve, x, size = Solver(pendulum, 4), np.array([1.0, 0.0]), 0.0
+    for n in range(len(TIME) - 1):
+        inputs = INPUT[n : n + 2], False
+        found, _, size = solve(P, x, TIME[n : n + 2], inputs, (NONE, size), TIGHT)
+        x = found[1]
+        np.testing.assert_array_equal(x, whole[n + 1])
+
+
+@pytest.mark.parametrize(
+    ("rhs", "ends"),
+    [
+        (lambda t, x: [x[0] ** 2], 20),  # infinite at 1 s
+        (lambda t, x: [np.sin(t) - 2 * np.sign(x[0])], 0),  # slides: it jumps to and fro
+        (lambda t, x: [-1e7 * (x[0] - np.cos(t))], 0),  # stiff
+        (lambda t, x: [np.nan * x[0]], 0),
+    ],
+    ids=["infinite", "sliding", "stiff", "nan"],
+)
+def test_what_its_tolerances_cannot_reach_is_nan(rhs: Any, ends: int) -> None:
+    solve = Solver(rhs, 2)
+    found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), (1e-8, 1e-8))
+    good = int(np.isfinite(found[:, 0]).sum())
+    assert ends <= good < len(TIME)
+    assert np.isnan(found[good:]).all()
+    if ends:
+        np.testing.assert_allclose(found[:19, 0], 1 / (1 - TIME[:19]), rtol=1e-4)
+
+
+def test_a_jump_of_the_equation_is_passed_with_small_steps() -> None:
+    solve = Solver(lambda t, x: [1.0 if x[0] < 0.512345 else 0.25], 2)
+    found, *_ = solve((), np.array([0.0]), TIME, (ALONE, False), (NONE, 0.0), (1e-9, 1e-9))
+    exact = np.where(TIME < 0.512345, TIME, 0.512345 + 0.25 * (TIME - 0.512345))
+    np.testing.assert_allclose(found[:, 0], exact, atol=1e-8)

@@ -16,8 +16,13 @@ from splitband.forecasters.names import named
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import ExtrapolationWarning, rmse
 from splitband.simulators import Recorded
-from splitband.simulators.calibrating import affine_fit, calibrate
-from splitband.simulators.calibration import TERMS, Calibration, samples_needed
+from splitband.simulators.calibration import (
+    TERMS,
+    Calibration,
+    affine_fit,
+    calibrate,
+    samples_needed,
+)
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAIN, DT = 800, 400, 0.05

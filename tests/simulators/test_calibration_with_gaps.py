@@ -4,8 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband.simulators.calibrating import calibrate
-from splitband.simulators.calibration import Term
+from splitband.simulators.calibration import Term, calibrate
 from tests.records import DT, holed
 
 Array = npt.NDArray[np.float64]

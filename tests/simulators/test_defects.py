@@ -13,7 +13,7 @@ import pytest
 import splitband as sb
 from splitband.runtime.caching import KEPT
 from splitband.runtime.deadlines import Deadline, within
-from splitband.simulators.digests import code_digest
+from splitband.simulators.code import code_digest
 
 TIME = 0.1 * np.arange(60.0)
 RECORD = sb.Record(np.exp(-TIME), 0.1, u=np.sin(TIME))

@@ -148,21 +148,18 @@ def test_an_fmu_that_stops_early_is_refused(van_der_pol_fmu: Path) -> None:
 
 _FAILING = """
 import sys
-import time
 from splitband.simulators import Fmu, run
 
-for start, timeout in (({"raise_at": 1.0}, None), ({"pause": 0.1}, 0.2)):
-    with Fmu(sys.argv[1], ["x"], start) as fmu:
-        try:
-            run(fmu, 20, 0.1, timeout=timeout)
-        except ValueError as error:
-            print(error)
-    time.sleep(0.5)
+with Fmu(sys.argv[1], ["x"], {"raise_at": 1.0}) as fmu:
+    try:
+        run(fmu, 20, 0.1)
+    except ValueError as error:
+        print(error)
 print("alive")
 """
 
 
-def test_an_fmu_that_raises_or_hangs_does_not_take_the_process_with_it(
+def test_an_fmu_that_raises_does_not_take_the_process_with_it(
     van_der_pol_fmu: Path,
 ) -> None:
     found = subprocess.run(
@@ -170,7 +167,6 @@ def test_an_fmu_that_raises_or_hangs_does_not_take_the_process_with_it(
         capture_output=True, text=True, check=False, timeout=600,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )  # fmt: skip
-    raised, gave_up, alive = found.stdout.splitlines()
+    raised, alive = found.stdout.splitlines()
     assert "DoStep failed" in raised
-    assert "has not returned within 0.2 s" in gave_up
     assert (alive, found.returncode) == ("alive", 0)

@@ -187,6 +187,30 @@ def test_runs_that_fail_are_bad_values_and_no_run_at_all_is_an_error() -> None:
         identify(simulator(7.0, 8.0), record, effort=Effort(2))
 
 
+def test_dry_friction_is_found_with_tolerances_that_its_solver_can_keep() -> None:
+    """At rest the force jumps to and fro; with the default tolerances, that is said."""
+
+    def rubbing(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return [x[1], 4 * (u[0] - x[0]) - p.f * np.sign(x[1])]
+
+    def smooth(t: float, x: Array) -> list[float]:
+        drive = np.interp(t, time, np.sin(0.7 * time))
+        return [x[1], 4 * (drive - x[0]) - 0.8 * np.tanh(1e4 * x[1])]
+
+    time: Array = DT * np.arange(100.0)
+    exact = scipy.integrate.solve_ivp(
+        smooth, (0, time[-1]), [1.0, 0.0], "Radau", time, rtol=1e-8, atol=1e-10, max_step=0.01
+    ).y[0]
+    record = sb.Record(exact, DT, u=np.sin(0.7 * time))
+    ode = sb.Ode(rubbing, [1.0, 0.0], parameters={"f": (0.1, 2.0)}, tolerances=(1e-4, 1e-4))
+    found = identify(ode, record, effort=FEW)
+    assert found.values["f"] == pytest.approx(0.8, rel=0.01)
+    assert "standard errors are rough" in str(found)
+    lost = str(identify(replace(ode, tolerances=(1e-8, 1e-10)), record, effort=FEW))
+    assert "2 of 4 starting points could not be simulated" in lost
+    assert "larger tolerances" in lost
+
+
 def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
     record, calls = measured(noise=0.05), []
 

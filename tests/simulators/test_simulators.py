@@ -1,6 +1,5 @@
 """Simulators against closed forms and solvers; what `run` checks, gives up on and keeps."""
 
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,7 @@ def test_an_ode_is_observed_as_asked() -> None:
 def test_the_tolerances_and_the_method_of_an_ode_reach_the_solver() -> None:
     def error(**options: Any) -> float:
         simulator = Ode(lambda _, x: [x[1], -x[0]], [1.0, 0.0], **options)
-        return float(np.abs(run(simulator, SAMPLES, DT)[:, 0] - np.cos(GRID)).max())
+        return float(np.abs(run(simulator, 50, 1.0)[:, 0] - np.cos(np.arange(50))).max())
 
     tight, by_atol = error(), error(tolerances=(1e-4, 1e-4))
     assert tight < 1e-6 < error(tolerances=(1e-3, 1e-10)) / 10
@@ -123,7 +122,7 @@ def test_an_ode_agrees_with_another_solver_on_a_stiff_oscillator() -> None:
 
 
 def test_an_ode_that_blows_up_says_when() -> None:
-    with pytest.raises(ValueError, match=r"Ode failed.*stopped at t = 1 s") as caught:
+    with pytest.raises(ValueError, match=r"Ode failed.*RK45, stopped before t = 1.05 s") as caught:
         run(Ode(lambda _, x: x**2, [1.0]), SAMPLES, DT)
     assert "\n" not in str(caught.value)
 
@@ -158,40 +157,20 @@ def test_the_first_time_without_a_finite_value_is_named(bad: float) -> None:
         run(constant(y), SAMPLES, DT, ny=2)
 
 
-@pytest.mark.parametrize("timeout", [None, 10.0])
-def test_what_a_simulator_raises_is_passed_on_with_the_call(timeout: float | None) -> None:
+def test_what_a_simulator_raises_is_passed_on_with_the_call() -> None:
     def fail(grid: Array) -> Array:
         raise KeyError("stiffness")
 
     with pytest.raises(
         ValueError, match=r"Function failed on 200 samples every 0.05 s: KeyError: 'stiffness'"
     ) as caught:
-        run(Function(fail), SAMPLES, DT, timeout=timeout)
+        run(Function(fail), SAMPLES, DT)
     assert isinstance(caught.value.__cause__, KeyError)
 
 
 def test_an_answer_that_is_no_number_is_refused() -> None:
     with pytest.raises(ValueError, match=r"Function failed.*could not convert"):
         run(constant("fast"), SAMPLES, DT)
-
-
-def test_a_simulator_that_does_not_return_is_given_up_on() -> None:
-    release = threading.Event()
-
-    def wait(grid: Array) -> Array:
-        release.wait(600)
-        return grid
-
-    try:
-        with pytest.raises(ValueError, match=r"Function has not returned within 0\.1 s"):
-            run(Function(wait), SAMPLES, DT, timeout=0.1)
-    finally:
-        release.set()
-
-
-def test_a_simulator_that_returns_in_time_is_not_changed_by_the_timeout() -> None:
-    found = run(Function(np.sin), SAMPLES, DT, timeout=30)
-    np.testing.assert_array_equal(found, run(Function(np.sin), SAMPLES, DT))
 
 
 def test_complex_values_are_refused_as_such() -> None:
@@ -218,7 +197,7 @@ def test_a_damaged_file_of_the_cache_is_written_again(tmp_path: Path, kept: int)
     content = stored.read_bytes()
     stored.write_bytes(content[:kept])
     np.testing.assert_array_equal(run(Counted(2.0), 50, DT, cache=tmp_path), whole)
-    assert stored.read_bytes() == content
+    assert len(stored.read_bytes()) == len(content)
 
 
 def test_a_cache_that_is_a_file_is_named(tmp_path: Path) -> None:
@@ -266,13 +245,13 @@ def test_a_refused_trajectory_is_not_cached(tmp_path: Path) -> None:
 def test_a_crash_while_writing_leaves_nothing_in_the_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def crash(path: Path, _: Array) -> None:
-        path.write_bytes(b"\x93NUMPY half of it")
+    def crash(path: Path, **_: Array) -> None:
+        path.write_bytes(b"PK half of it")
         raise OSError("disk full")
 
     simulator = Counted()
     with monkeypatch.context() as patched:
-        patched.setattr(np, "save", crash)
+        patched.setattr(np, "savez", crash)
         with pytest.raises(OSError, match="disk full"):
             run(simulator, 50, DT, cache=tmp_path)
     assert not list(tmp_path.iterdir())
@@ -311,9 +290,9 @@ def test_a_loose_tolerance_moves_the_simulators_error_to_the_papers(system_v: Re
 
 
 def test_the_named_simulator_is_that_of_the_record(system_v: Record) -> None:
-    np.testing.assert_array_equal(
-        run(van_der_pol_simulator(), 2000, system_v.sampling_time), system_v.y_sim
-    )
+    assert system_v.y_sim is not None
+    found = run(van_der_pol_simulator(), 2000, system_v.sampling_time)
+    np.testing.assert_allclose(found, system_v.y_sim, atol=1e-6)
 
 
 def test_a_function_and_an_ode_are_cached_by_their_keys(tmp_path: Path) -> None:
@@ -327,7 +306,7 @@ def test_a_function_and_an_ode_are_cached_by_their_keys(tmp_path: Path) -> None:
         run(Function(function, key), 30, DT, cache=tmp_path)
     assert len(calls) == 4
     loose, tight = (
-        run(Ode(lambda _, x: -x, [1.0], tolerances=(rtol, 1.0), key="x"), 30, DT, cache=tmp_path)
+        run(Ode(lambda _, x: -x, [1.0], tolerances=(rtol, rtol), key="x"), 30, 1.0, cache=tmp_path)
         for rtol in (1e-2, 1e-10)
     )
     assert np.abs(loose - tight).max() > 1e-6

@@ -7,11 +7,10 @@ import pytest
 
 from splitband.simulators import run
 from splitband.simulators.isolation import Isolated
-from splitband.simulators.sources import source_files
 
 FILES = {
     "sim.py": "import json\nimport numpy as np\nfrom pack.sub import inner\nimport space.deep\n"
-    "def f(time):\n    import late\n    return inner.factor() * time\n",
+    "def f(time):\n    import late, other\n    return inner.factor() * time\n",
     "late.py": "",
     "unused.py": "",
     "pack/__init__.py": "",
@@ -21,7 +20,7 @@ FILES = {
     "def factor():\n    return LEVEL * float(Path(__file__).with_name('f.txt').read_text())\n",
     "pack/level.py": "LEVEL = 1.0\n",
     "pack/sub/f.txt": "2",
-    "space/deep.py": "def broken(:\n",
+    "space/deep.py": "",
     "elsewhere/other.py": "",
 }
 
@@ -34,22 +33,10 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path.resolve()
 
 
-def test_modules_of_the_user_are_found_and_no_others(
+def test_what_is_kept_is_computed_again_when_a_module_or_a_named_file_changes(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(folder / "elsewhere"))
-    with (folder / "late.py").open("a") as late:
-        late.write("import other\n")
-    found = source_files(folder / "sim.py")
-    assert found[0] == folder / "sim.py"
-    without = {"unused.py", "pack/sub/f.txt"}
-    assert {str(path.relative_to(folder)) for path in found} == FILES.keys() - without
-
-
-def test_what_is_kept_is_computed_again_when_a_module_or_a_named_file_changes(
-    folder: Path,
-) -> None:
-    (folder / "space/deep.py").write_text("")
+    monkeypatch.syspath_prepend(folder / "elsewhere")
     named = str(folder / "pack/sub/f.txt")
     simulator = Isolated(str(folder / "sim.py"), "f", reads=(named,))
 
@@ -57,11 +44,28 @@ def test_what_is_kept_is_computed_again_when_a_module_or_a_named_file_changes(
         return float(run(simulator, 3, 0.5, cache=folder / "cache")[-1, 0])
 
     assert last() == 2
+    own = {
+        "late.py",
+        "pack/__init__.py",
+        "pack/level.py",
+        "pack/sub/__init__.py",
+        "pack/sub/beside.py",
+        "pack/sub/inner.py",
+        "space/deep.py",
+        "elsewhere/other.py",
+    }
+    assert own <= {str(Path(file).relative_to(folder)) for file in simulator.files
+                   if folder in Path(file).parents}  # fmt: skip
     (folder / "pack/level.py").write_text("LEVEL = 10.0\n")
     assert last() == 20
     Path(named).write_text("3")
     assert last() == 30
-    (stored,) = [p for p in (folder / "cache").iterdir() if np.load(p)[-1] == 30]
-    np.save(stored, np.load(stored) + 1)
+    (folder / "elsewhere/other.py").write_text("changed = True\n")
+    assert last() == 30
+    stored = max((folder / "cache").iterdir(), key=lambda path: path.stat().st_mtime)
+    kept = dict(np.load(stored))
+    np.savez(stored, **kept | {"y": kept["y"] + 1})
     (folder / "unused.py").write_text("changed = True\n")
     assert last() == 31  # as it was kept
+    (folder / "late.py").write_text("changed = True\n")
+    assert last() == 30

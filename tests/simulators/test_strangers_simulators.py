@@ -15,7 +15,7 @@ import scipy
 
 import splitband as sb
 from splitband.cli import main
-from splitband.simulators.digests import code_digest
+from splitband.simulators.code import code_digest
 from tests.simulators.fmus import COMPILES, built
 
 Array = npt.NDArray[np.float64]

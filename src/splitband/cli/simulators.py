@@ -17,28 +17,17 @@ from splitband.cli.options.simulators import SimulatorOptions, parts_of
 from splitband.cli.options.values import names
 from splitband.cli.records import announce, read_companion, sampled_like
 from splitband.data import Grid, Record
-from splitband.data.signals import bare_name
 from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
+from splitband.simulators.base import check_start, is_driven, matched, origin
 from splitband.simulators.calibration import samples_needed
-from splitband.simulators.function import Function
-from splitband.simulators.isolation import Isolated, named_in
+from splitband.simulators.code import check_open, count_arguments, outline
+from splitband.simulators.isolation import Isolated, named_in, opened
 from splitband.simulators.named import SIMULATORS
-from splitband.simulators.opening import opened
-from splitband.simulators.parameters import Parameters
-from splitband.simulators.shooting import Adjustable
-from splitband.simulators.sources import arguments_of, check_open, open_arguments_in
-from splitband.simulators.starting import (
-    check_start,
-    check_undriven,
-    count_arguments,
-    is_driven,
-    matched,
-    origin,
-)
+from splitband.simulators.parameters import Adjustable, Parameters
 
 AnyOptions = TypeVar("AnyOptions", bound=SimulatorOptions)
 
@@ -104,9 +93,8 @@ def _simulated(
         if on_grid.note:
             showing.console.print(f"{options.simulator}: {on_grid.note}")
         return on_grid.values
-    within = None if isinstance(opened, Isolated) else options.simulator_timeout
     cache, name = options.simulator_cache, options.simulator
-    return run(opened, grid.samples, grid.step, ny, within, cache, name, grid.start, u)
+    return run(opened, grid.samples, grid.step, ny, cache, name, grid.start, u)
 
 
 def load_further(
@@ -177,9 +165,8 @@ def opened_simulator(
     cache = None if options.simulator_cache is None else str(options.simulator_cache)
     if function or text.lower().endswith(".fmu"):
         outputs = () if function else tuple(columns)
-        driven, start = bool(function) and _takes_inputs(file, function), _start_of(options)
-        if function and not driven and record.u is not None:
-            _check_undriven(file, function, text, record)
+        driven = bool(function) and _takes_inputs(file, function, record)
+        start = _start_of(options)
         start = start if function else start or 0.0
         return Isolated(file, function or None, outputs, timeout, reads, cache,
                         _inputs_of(options), driven, start)  # fmt: skip
@@ -254,36 +241,28 @@ def _start_of(options: SimulatorOptions) -> Any:
         ) from None
 
 
-def _takes_inputs(file: str, name: str) -> bool:
+def _takes_inputs(file: str, name: str, record: Record) -> bool:
     """Return whether a function of a file is one of time and inputs.
 
-    Raises ValueError for a differential equation, whose states have to be named.
+    Raises ValueError for a differential equation, whose states have to be named, and for a function
+    of time alone that may be meant to take the inputs of the record.
     """
-    count = arguments_of(file, name)
-    if count is None:
-        function = named_in(file, name)
-        count = count_arguments(function) if callable(function) else 1
+    function = outline(file, name) or named_in(file, name)
+    count = count_arguments(function) if callable(function) else 1
     if count >= 3:
         raise ValueError(
             f"--parameters must say where the states of {file}:{name} begin, a function of "
             f"(t, x, u, p): x0_1=0,x0_2=-1:1, or set the p of (time, u, p); got {count} arguments"
         )
+    if count < 2 and record.u is not None and callable(function):
+        check_open(function, f"{file}:{name}", record.inputs)
     return count > 1
-
-
-def _check_undriven(file: str, name: str, text: str, record: Record) -> None:
-    """Raise ValueError for a function of time alone that may be meant to take the inputs."""
-    inputs = [bare_name(each) for each in record.inputs]
-    if arguments_of(file, name) is not None:
-        check_open(open_arguments_in(file, name, inputs), text)
-    elif callable(function := named_in(file, name)):
-        check_undriven(Function(function), text, inputs)
 
 
 def with_own_parameters(options: AnyOptions) -> AnyOptions:
     """Set --parameters if FILE.py:NAME is an `sb.Ode` with parameters to fit, or with inputs."""
     file, name = parts_of(options.simulator or "")
-    known = options.parameters is not None or arguments_of(file, name) is not None
+    known = options.parameters is not None or outline(file, name) is not None
     if known or not name or not Path(file).is_file():
         return options
     fitted = getattr(named_in(file, name), "adjustable", False)

@@ -28,6 +28,7 @@ from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.simulators.base import identity
 
 LATE = "left out, as the time was over"
 BATCH = 8
@@ -78,8 +79,7 @@ class Job:
         }  # fmt: skip
         digest.update(json.dumps(plain, sort_keys=True).encode())
         for simulator in (part.simulator for part in simulations(self.forecaster)):
-            # With the ranges of its parameters, which a saved model does not tell apart.
-            digest.update(str(getattr(simulator, "fingerprint", lambda: None)()).encode())
+            digest.update(str(identity(simulator)).encode())
         records = [asked.record, *asked.others, *asked.tests]
         for part in [self.forecaster, *([] if self.start is None else [self.start]), *records]:
             digest.update(packed(part))
@@ -203,7 +203,7 @@ class Runner:
     def _path(self, job: Job) -> Path | None:
         """Return the file of a job; None where it is not kept."""
         own = [part.simulator for part in simulations(job.forecaster)]
-        known = all(each is None or hasattr(each, "fingerprint") for each in own)
+        known = all(each is None or identity(each) is not None for each in own)
         if self.folder is None or not job.forecaster.random or not known:
             return None
         with suppress(ValueError):

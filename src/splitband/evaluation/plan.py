@@ -26,7 +26,7 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
 from splitband.runtime.arguments import whole
 from splitband.simulators.identification import check_runs
-from splitband.simulators.shooting import Adjustable
+from splitband.simulators.parameters import Adjustable
 from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
 

@@ -22,7 +22,7 @@ from splitband import __version__
 from splitband.data.signals import unit_of
 from splitband.export.c import render
 from splitband.export.program import Program
-from splitband.simulators.fmu_variables import OPTIONAL
+from splitband.simulators.fmu_unit import OPTIONAL
 
 COMPILERS = "cc", "gcc", "clang"
 """Compilers to look for if the environment variable CC names none."""

@@ -13,18 +13,18 @@ import numpy as np
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import Known
-from splitband.forecasters.stepping import NotSteppedError, Part, Recursion
-from splitband.forecasters.stepping_simulators import Clock, FromMemory, Given, Integrated
+from splitband.forecasters.simulation import Given
+from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
+from splitband.simulators.base import matched, origin
 from splitband.simulators.estimate import Estimate
-from splitband.simulators.identification import check_runs, identify
-from splitband.simulators.shooting import Adjustable, Experiment, fit_key
-from splitband.simulators.starting import matched, origin
-from splitband.simulators.starts import Effort
+from splitband.simulators.identification import Effort, check_runs, identify
+from splitband.simulators.parameters import Adjustable
+from splitband.simulators.shooting import Experiment, fit_key
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
@@ -185,11 +185,11 @@ class GreyBox(Forecaster):
         state of that sample; else the state at the first sample of the history is estimated.
         """
         adjusted, whole = self._adjusted(), self._experiment(known)
-        if self._clock().reaches(known):
+        if self._anchored(known):
             begin, u = int(known.begin or 0), whole.u
             if u is not None and self.u is not None:
                 u = np.concatenate([self.u[:begin], u])
-            time = self._clock().times(0.0, begin + len(whole.time))
+            time = self._times(0.0, begin + len(whole.time))
             return adjusted.response(time, u)[0][begin:]
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole.time, whole.u, state)[0]
@@ -199,7 +199,7 @@ class GreyBox(Forecaster):
         if outside:
             ny = self.require_fitted().record.ny
             return Given(np.ones(ny), np.zeros(ny), self.trajectory)
-        return self._integrated()
+        return _Solved(self)
 
     def _stepped(self, outside: bool = False) -> Recursion:
         """Return the simulator, with its state estimated from `memory` samples."""
@@ -209,39 +209,42 @@ class GreyBox(Forecaster):
                 "there, with the values that describe() prints, or export a hybrid on it, whose "
                 "network takes what the equation says as y_sim"
             )
-        record = self.require_fitted().record
-        return FromMemory(self._integrated(), self.memory, record.ny, record.nu)
+        return _FromMemory(self)
 
     def describe(self) -> str:
         """Return the values with standard errors, and those that the record does not determine."""
         return str(self.estimate)
 
-    def _integrated(self) -> Integrated:
-        if not getattr(self.simulator, "advances", False):
-            raise NotSteppedError(f"{self.name} has a simulator that does not go on from its state")
-        return Integrated(self.name, self._adjusted(), self._clock())
+    def _anchored(self, known: Known) -> bool:
+        """Return whether all inputs since the first sample of the training record are known."""
+        begin, most = known.begin, np.inf if self.u is None else len(self.u)
+        return begin is not None and begin % 1 == 0 and 0 <= begin <= most
+
+    def _times(self, first: float, samples: int) -> Array:
+        """Return the simulator's times of samples, in s; `first` is counted from training."""
+        fitted = self.require_fitted()
+        places = first + np.arange(samples, dtype=np.float64)
+        start = origin(self.simulator, fitted.start)
+        return np.asarray(start + fitted.record.sampling_time * places)
 
     def _adjusted(self) -> Adjusted:
-        record = self.require_fitted().record
+        """Return the simulator with the fitted values, for the channels of the record."""
         assert self.adjusted is not None
-        return replace(self.adjusted, simulator=self._matched(record))
-
-    def _clock(self) -> Clock:
-        fitted = self.require_fitted()
-        start = origin(self.simulator, fitted.start)
-        return Clock(start, fitted.record.sampling_time, self.u, self.simulator)
+        return replace(self.adjusted, simulator=self._matched(self.require_fitted().record))
 
     def _experiment(self, known: Known) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""
-        fitted = self.require_fitted()
-        step = fitted.record.sampling_time
-        if known.begin is None:
-            start = origin(self.simulator, None if known.grid is None else known.grid.start)
-        else:
-            start = origin(self.simulator, fitted.start) + known.begin * step
         ahead = np.full((known.steps, known.y.shape[1]), np.nan)
-        time = start + step * np.arange(len(known.y) + known.steps, dtype=np.float64)
+        time = self._times(self._place(known), len(known.y) + known.steps)
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)
+
+    def _place(self, known: Known) -> float:
+        """Return where a history begins, in samples after the first one of training."""
+        if known.begin is not None:
+            return known.begin
+        start = None if known.grid is None else known.grid.start
+        since = origin(self.simulator, start) - float(self._times(0.0, 1)[0])
+        return since / self.require_fitted().record.sampling_time
 
     def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
         """Return the simulation after `samples`, from a state estimated on the last `memory`."""
@@ -278,3 +281,117 @@ class GreyBox(Forecaster):
                 best, chosen = found, length
             length *= GROWTH
         return chosen
+
+
+class _Solved(Part):
+    """Go on sample by sample by the simulator's own solver, from the first state of training.
+
+    Raises NotSteppedError for a simulator without a method `advance` like that of `Ode`.
+    """
+
+    def __init__(self, model: GreyBox) -> None:
+        if not getattr(model.simulator, "advances", False):
+            raise NotSteppedError(f"{model.name} has a simulator that does not go on from a state")
+        self.model, self.adjusted = model, model._adjusted()
+
+    def initial(self, known: Known | None) -> State:
+        """Return the state at the last sample before the history; None before the first of all.
+
+        Raises NotSteppedError where the inputs before it are not known: the initial state is then
+        estimated from the history, and changes with each sample.
+        """
+        if known is None or not self.model._anchored(known):
+            raise NotSteppedError(f"{self.model.name} begins in a state that its history tells")
+        begin, u = int(known.begin or 0), self.model.u
+        return {"now": self.run(None, 0.0, begin, None if u is None else u[:begin])}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the channels at the sample and, with the same inputs, at `ahead` more."""
+        inputs = u if len(u) else None
+        now = later = self.moved(state["now"], inputs)
+        rows = [now["y"]]
+        for _ in range(ahead):
+            later = self.moved(later, inputs)
+            rows.append(later["y"])
+        return {"now": now}, np.stack(rows)[..., None]
+
+    def run(self, x: Array | None, first: float, samples: int, u: Array | None) -> State | None:
+        """Return the state at the last of some samples, of which the first has the state `x`."""
+        if not samples:
+            return None
+        found = self.adjusted.advance(x, self.model._times(first, samples), u)
+        return self._state(found, first + samples - 1, u)
+
+    def moved(self, now: State | None, u: Array | None) -> State:
+        """Return the state at the next sample, whose inputs are `u`."""
+        if now is None:
+            begun = self.run(None, 0.0, 1, None if u is None else u[None])
+            assert begun is not None
+            return begun
+        inputs = None if u is None else np.stack([now["u"], u])
+        times = self.model._times(now["at"], 2)
+        found = self.adjusted.advance(now["x"], times, inputs, now["size"])
+        return self._state(found, now["at"] + 1, inputs)
+
+    def _state(self, found: Any, at: float, u: Array | None) -> State:
+        y, x, size = found
+        last = None if u is None else u[-1]
+        return {"x": x[-1], "y": y[-1], "u": last, "at": at, "size": size}
+
+
+class _FromMemory(Recursion):
+    """Run a grey box alone: a forecast starts from a state estimated on the last samples."""
+
+    def __init__(self, model: GreyBox) -> None:
+        self.model, self.simulator, self.memory = model, _Solved(model), model.memory
+        self.ny, self.nu = model.require_fitted().record.ny, model.require_fitted().record.nu
+
+    def initial(self, known: Known | None = None) -> State:
+        """Return the state before a history.
+
+        Raises NotSteppedError where the state has to be estimated from all samples.
+        """
+        if known is None or not (self.memory or self.model._anchored(known)):
+            raise NotSteppedError(f"{self.model.name} asks for all samples of its history")
+        anchored = self.model._anchored(known)
+        return {
+            "part": self.simulator.initial(known) if anchored else None,
+            "run": None,
+            "rows": 0,
+            "next": self.model._place(known),
+            "y": np.empty((0, self.ny)),
+            "u": np.empty((0, self.nu)),
+        }
+
+    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        """Return the state after a sample, and its forecast if it was not measured."""
+        part, run, rows = state["part"], state["run"], state["rows"]
+        if part is not None:
+            part, _ = self.simulator.row(part, u, y_sim, 0)
+        missing, predicted = np.isnan(y), y
+        if missing.any():
+            inputs = u if self.nu else None
+            if run is None and part is not None:
+                run = part["now"]
+            else:
+                run = self.simulator.moved(run or self._told(state), inputs)
+            predicted = run["y"]
+        begin = max(len(state["y"]) + 1 - self.memory, 0)
+        new = {
+            "part": part if not self.memory or rows < self.memory else None,
+            "run": run if missing.all() else None,
+            "rows": rows + 1,
+            "next": state["next"] + 1,
+            "y": np.concatenate([state["y"], y[None]])[begin:],
+            "u": np.concatenate([state["u"], u[None]])[begin:],
+        }
+        return new, predicted, True
+
+    def _told(self, state: State) -> State:
+        """Return the state at the last sample, estimated on the samples in memory."""
+        y, u = state["y"], state["u"] if self.nu else None
+        first = state["next"] - len(y)
+        history = Experiment(self.model._times(first, len(y)), y, u)
+        now = self.simulator.run(self.simulator.adjusted.beginning(history), first, len(y), u)
+        assert now is not None
+        return now

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self, final
 
@@ -14,16 +14,14 @@ from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import Known
-from splitband.forecasters.stepping import NotSteppedError, Part
-from splitband.forecasters.stepping_simulators import Given, RunAhead
+from splitband.forecasters.stepping import NotSteppedError, Part, State
 from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
-from splitband.simulators.calibrating import calibrate
-from splitband.simulators.calibration import Calibration, Term, samples_needed
-from splitband.simulators.starting import is_driven, matched
+from splitband.simulators.base import is_driven, matched
+from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
 if TYPE_CHECKING:
     from torch import nn
@@ -36,6 +34,8 @@ By eye."""
 NEAR_PLACE = 1e-6
 """Tolerance in samples: the simulator's output this close to a sample is taken at the sample.
 By eye."""
+MARGIN = 30
+"""Unused samples at the end of a run, where splines and solvers depend on its length. By eye."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
@@ -466,3 +466,65 @@ class Calibrated(SimulatorForecaster):
     def _fitted_to(self, record: Record) -> Calibration:
         terms = () if self.terms is None else (self.terms,)
         return calibrated(self._output(record), record.seen, record.sampling_time, *terms)
+
+
+class Given(Part):
+    """Calibrate a simulator's output, which is given with each sample.
+
+    `gain`, `offset`: of the calibration, `(ny,)` each. `trajectory`: see `Forecaster.trajectory`.
+    """
+
+    simulated = True
+
+    def __init__(self, gain: Array, offset: Array, trajectory: Callable[[Known], Array]) -> None:
+        self.gain, self.offset, self.trajectory = gain, offset, trajectory
+
+    def initial(self, known: Known | None) -> State:
+        """Return an empty state."""
+        return {}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the calibrated output."""
+        return state, (y_sim[: 1 + ahead] * self.gain + self.offset)[..., None]
+
+    def simulated_over(self, known: Known, ahead: int) -> Array | None:
+        """Return the output before calibration; its last known sample is held beyond its end."""
+        known = replace(known, steps=0)
+        if ahead and known.y_sim is not None and len(known.y_sim) > len(known.y):
+            known = replace(known, steps=ahead)
+        values = (self.trajectory(known) - self.offset) / np.where(self.gain, self.gain, 1.0)
+        return np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
+
+
+class RunAhead(Part):
+    """Run a simulator ahead, over twice the time whenever its output does not reach far enough.
+
+    Recorded output, which has an end, is read only as far as needed.
+
+    `trajectory`: see `Forecaster.trajectory`.
+    """
+
+    def __init__(self, trajectory: Callable[[Known], Array]) -> None:
+        self.trajectory = trajectory
+
+    def initial(self, known: Known | None) -> State:
+        """Return a sample count of 0, after a run over the history, if there is one."""
+        if known is not None:
+            self.known = known
+            self.output = self._run(len(known.y), 2 * len(known.y) + MARGIN)
+        return {"samples": 0}
+
+    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        """Return the output at the sample and at `ahead` more."""
+        at, end = state["samples"], state["samples"] + 1 + ahead
+        if end + MARGIN > len(self.output):
+            self.output = self._run(end, 2 * end + MARGIN)
+        return {"samples": at + 1}, self.output[at:end, :, None]
+
+    def _run(self, least: int, most: int) -> Array:
+        """Return the output of `most` samples or, if it ends earlier, of `least`."""
+        begun = len(self.known.y)
+        try:
+            return self.trajectory(replace(self.known, steps=most - begun))
+        except ValueError:
+            return self.trajectory(replace(self.known, steps=max(least - begun, 0)))

@@ -1,8 +1,9 @@
 """Solve ordinary differential equations on the time grid of a record, compiled where it can be.
 
-Dormand and Prince's method of order 5 (J. Comp. Appl. Math. 6, 1980) with equal steps between two
-samples, where inputs may have a kink. How many steps an interval takes is found once and used again
-for neighbouring parameters and states, so that finite differences see a smooth function.
+Dormand and Prince's method of order 5 (J. Comp. Appl. Math. 6, 1980), with the step size control of
+Hairer, Nørsett and Wanner (Solving Ordinary Differential Equations I, Sec. II.4). A step ends at
+each sample, where inputs may have a kink. Steps are chosen once and taken again for neighbouring
+parameters and states, so that finite differences see a smooth function.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 
 Rhs = Callable[..., Any]
 
-MOST_STEPS = 512
-"""Steps between two samples; beyond that an interval is taken as it is, as at a discontinuity."""
+MOST_STEPS = 10_000
+"""Most steps between two samples, rejected ones included. By eye."""
+SHORTEST = 1e-12
+"""Shortest step, as a share of the interval between two samples. By eye."""
+WORTH_COMPILING = 30_000
+"""Steps after which an equation is compiled: they take about as long as compiling. By eye."""
 _OPTIONS: Any = {"error_model": "numpy"}
 _NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
 _WEIGHTS = np.zeros((7, 7))
@@ -41,9 +45,13 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     initial: Array,
     time: Array,
     inputs: tuple[Array, bool],
-    control: tuple[NDArray[np.int64], float, float],
-) -> Array:
-    """Return the states at the times `time`, `(time, nx)`; NaN from where they are not finite.
+    steps: tuple[Array, float],
+    tolerances: tuple[float, float],
+) -> tuple[Array, Array, float]:
+    """Return the states at the times `time`, the steps that were taken, and the size of the next.
+
+    The states are `(time, nx)`, NaN from where the tolerances cannot be reached or a state is not
+    finite. A step is given by its end, as a share of the interval between two samples: 1 ends it.
 
     Parameters
     ----------
@@ -53,75 +61,126 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     time : `(time,)`, in s.
     inputs : `(time, nu)`, and whether they are held between samples; otherwise they run along
         straight lines.
-    control : Steps of each interval, `(time - 1,)`, where 0 is found and filled in, and in the
-        first place less than 0 says how many the interval before has taken; the relative and the
-        absolute tolerance of an interval.
+    steps : Steps to take, empty to choose them; and the size in s of the first one that is tried, 0
+        for the first interval.
+    tolerances : Relative and absolute tolerance of a step.
     """
     u, held = inputs
-    steps, rtol, atol = control
+    given, size = steps
+    rtol, atol = tolerances
     nx, nu = initial.shape[0], u.shape[1]
     states = np.full((time.shape[0], nx), np.nan)
-    k = np.empty((7, nx))
-    x, stage, begin = initial.copy(), np.empty(nx), np.empty(nx)
-    now = np.empty(nu)
+    ends, taken = np.empty(max(len(given), 2 * time.shape[0])), 0
+    k, stage, now = np.empty((7, nx)), np.empty(nx), np.empty(nu)
+    x = initial.copy()
     states[0] = x
-    count = max(1, -steps[0]) if len(steps) else 1
     for n in range(time.shape[0] - 1):
         width = time[n + 1] - time[n]
-        given = steps[n] > 0
-        count = steps[n] if given else max(1, count // 2)
-        begin[:] = x
-        while True:
-            x[:] = begin
-            worst = 0.0
-            h = width / count
-            for i in range(count):
-                for s in range(7):
-                    for j in range(nx):
-                        stage[j] = x[j]
-                        for r in range(s):
-                            stage[j] += h * _WEIGHTS[s, r] * k[r, j]
-                    share = (i + _NODES[s]) / count
-                    for j in range(nu):
-                        now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
-                    slope = rhs(time[n] + share * width, stage, now, p)
-                    for j in range(nx):
-                        k[s, j] = slope[j]
-                for j in range(nx):  # the last stage is the new state
-                    error = 0.0
-                    for r in range(7):
-                        error += h * _ERRORS[r] * k[r, j]
-                    error = abs(error)
-                    allowed = atol + rtol * max(abs(x[j]), abs(stage[j]))
-                    if not error <= worst * allowed:
-                        worst = error / allowed
-                    x[j] = stage[j]
-            if given or count >= MOST_STEPS or worst <= 1.0:
-                break
-            larger = count * min(8.0, 1.1 * worst**0.2) if np.isfinite(worst) else 8.0 * count
-            count = min(MOST_STEPS, max(count + 1, int(np.ceil(larger))))
-        steps[n] = count
+        size = size if size > 0 else width
+        begin, known, tried = 0.0, 0, 0  # `known`: whether k[0] holds the slope at `begin`
+        while begin < 1.0:
+            if len(given):
+                end = given[taken] if taken < len(given) else begin
+            else:
+                end = begin + size / width
+                end = 1.0 if end > 1.0 - SHORTEST else end
+            tried += 1
+            if not end - begin > SHORTEST or tried > MOST_STEPS:
+                return states, ends[:taken], size
+            h = (end - begin) * width
+            for s in range(known, 7):
+                for j in range(nx):
+                    stage[j] = x[j]
+                    for r in range(s):
+                        stage[j] += h * _WEIGHTS[s, r] * k[r, j]
+                share = begin + _NODES[s] * (end - begin)
+                for j in range(nu):
+                    now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
+                slope = rhs(time[n] + share * width, stage, now, p)
+                for j in range(nx):
+                    k[s, j] = slope[j]
+            known = 1
+            error = 0.0
+            for j in range(nx):  # the last stage is the new state
+                each = 0.0
+                for r in range(7):
+                    each += h * _ERRORS[r] * k[r, j]
+                error += (each / (atol + rtol * max(abs(x[j]), abs(stage[j])))) ** 2
+            error = np.sqrt(error / nx)
+            if not len(given):
+                factor = 0.2 if np.isnan(error) else min(max(0.9 * error**-0.2, 0.2), 10.0)
+                # One that ends at a sample may have been shorter than it could be.
+                size = max(size, h * factor) if error <= 1.0 and end == 1.0 else h * factor
+            if len(given) or error <= 1.0:
+                if taken == len(ends):
+                    ends = np.concatenate((ends, np.empty(len(ends))))
+                ends[taken] = end
+                taken += 1
+                begin = end
+                x[:] = stage
+                k[0] = k[6]
         if not np.isfinite(x).all():
             break
         states[n + 1] = x
-    return states
+    return states, ends[:taken], size
 
 
-_plain = solve
 _compiled = njit(**_OPTIONS)(solve)
 
 
-@cache
-def solver(rhs: Rhs, arguments: int, compiled: bool) -> Rhs:
-    """Return `solve` for a function of the first `arguments` of (t, x, u, p).
+class Solver:
+    """Solve an equation; after many steps it is compiled with Numba, if possible.
 
-    Where it is to be compiled, that is done when it is first called.
+    Parameters
+    ----------
+    rhs : A function of the first `arguments` of (t, x, u, p), see `solve`.
+    arguments : Their number, 2 to 4.
     """
-    if not compiled:
-        return partial(_plain, _prefixed(rhs, arguments))
-    fast = njit(**_OPTIONS)(rhs)
-    wrapped = fast if arguments > 3 else njit(**_OPTIONS)(_prefixed(fast, arguments))
-    return partial(_compiled, wrapped)
+
+    def __init__(self, rhs: Rhs, arguments: int) -> None:
+        self.rhs, self.arguments = rhs, arguments
+        self.solve: Rhs = partial(solve, _prefixed(rhs, arguments))
+        self.taken, self.tried = 0, False
+
+    def __call__(
+        self,
+        p: Any,
+        initial: Array,
+        time: Array,
+        inputs: tuple[Array, bool],
+        steps: tuple[Array, float],
+        tolerances: tuple[float, float],
+    ) -> tuple[Array, Array, float]:
+        """Return what `solve` returns."""
+        with np.errstate(all="ignore"):
+            if self.taken > WORTH_COMPILING and not self.tried:
+                probe = p, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
+                self._compile(*probe, tolerances)
+            found: tuple[Array, Array, float] = self.solve(
+                p, initial, time, inputs, steps, tolerances
+            )
+        self.taken += len(found[1])
+        return found
+
+    def _compile(self, *probe: Any) -> None:
+        """Use compiled code if it agrees on a short simulation: it does not check indices."""
+        self.tried = True
+        fast = njit(**_OPTIONS)(self.rhs)
+        wrapped = fast if self.arguments > 3 else njit(**_OPTIONS)(_prefixed(fast, self.arguments))
+        compiled = partial(_compiled, wrapped)
+        expected = self.solve(*probe)[0]
+        try:
+            found = compiled(*probe)[0]
+        except Exception:  # code that Numba does not support
+            return
+        if np.allclose(found, expected, rtol=1e-6, equal_nan=True):
+            self.solve = compiled
+
+
+@cache
+def solver(rhs: Rhs, arguments: int) -> Solver:
+    """Return the solver of an equation, one for all that solve it."""
+    return Solver(rhs, arguments)
 
 
 def _prefixed(rhs: Rhs, arguments: int) -> Rhs:

@@ -4,10 +4,9 @@ from splitband.simulators.base import Simulator, SimulatorError, SimulatorTimeou
 from splitband.simulators.estimate import Estimate
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.function import Function
-from splitband.simulators.identification import identify
+from splitband.simulators.identification import Effort, identify
 from splitband.simulators.ode import Ode
 from splitband.simulators.recorded import Recorded
-from splitband.simulators.starts import Effort
 
 __all__ = [
     "Effort",

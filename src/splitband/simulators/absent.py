@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import splitband
 from splitband.runtime.options import saved
-from splitband.simulators.starting import Start, check_start
+from splitband.simulators.base import Start, check_start
 
 _SHOWN = 300
 """Most characters of a text from a file in messages. By eye."""

@@ -8,21 +8,22 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError
 from splitband.runtime.options import saved
+from splitband.simulators.code import failure, place
 from splitband.simulators.estimate import Estimate
-from splitband.simulators.parameters import Point, Response
-from splitband.simulators.shooting import BAD, STATE_STEP, Adjustable, Experiment
-from splitband.simulators.sources import failure, place
+from splitband.simulators.parameters import Adjustable, Point, Response
+from splitband.simulators.shooting import BAD, STATE_STEP, Experiment, best_state
 
 MOST_STATES = 500
 """Most training states that are kept, as prior and as starting points of searches. By eye."""
 _TRIED = 3
 """Number of kept states, those with the closest outputs, from which a search for an initial state
 starts. By eye."""
+_MOST_RUNS = 50
+"""Most evaluations in a search for an initial state. By eye."""
 _LEAST_NOISE = 1e-3
 """Smallest assumed error of a simulator, as a share of a channel's deviation. By eye."""
 
@@ -72,20 +73,20 @@ class Adjusted:
         simulator = self._given
         with _running():
             y, x = simulator.respond(time, u, [self._began(state)])[0]
-        return _finite(y, time), x
+        return self._finite(y, time), x
 
     def advance(
-        self, state: Any, time: Array, u: Array | None, taken: int = 0
-    ) -> tuple[Array, Array, int]:
-        """Return channels, states, and the `taken` of the next call; see `Ode.advance`.
+        self, state: Any, time: Array, u: Array | None, size: float = 0.0
+    ) -> tuple[Array, Array, float]:
+        """Return channels, states, and the step size to go on with; see `Ode.advance`.
 
         Raises ValueError if the run fails.
         """
         simulator = self._given
         state = simulator.initial(self.values) if state is None else state
         with _running():
-            y, x, taken = simulator.advance(self.values, state, time, u, taken)
-        return _finite(y, time), x, taken
+            y, x, size = simulator.advance(self.values, state, time, u, size)
+        return self._finite(y, time), x, size
 
     def beginning(self, history: Experiment) -> Array | None:
         """Estimate the initial state of a history; None for a simulator without one.
@@ -112,6 +113,13 @@ class Adjusted:
             self.simulator.simulate(None)
         return self.simulator
 
+    def _finite(self, y: Array, time: Array) -> Array:
+        """Return the channels; raises ValueError for values that are not finite."""
+        good = np.isfinite(y).all(axis=1)
+        if not good.all():
+            raise ValueError(self._given.unfinished(float(time[np.argmin(good)])))
+        return y
+
     def _began(self, state: Any) -> Point:
         """Return parameters and initial state as `Adjustable.respond` takes them."""
         if state is None or self.simulator.states:
@@ -136,20 +144,9 @@ class Adjusted:
             return [np.concatenate([self._errors(history.y, y), (state - mean) / spread])
                     for (y, _), state in zip(found, states, strict=True)]  # fmt: skip
 
-        def residuals(state: Array) -> Array:
-            return errors([state])[0]
-
-        def jacobian(state: Array) -> Array:
-            steps = max(STATE_STEP, self.simulator.difference) * spread
-            moved = [state + step for step in np.diag(steps)]
-            at, *others = errors([state, *moved])
-            return np.stack([(e - at) / s for e, s in zip(others, steps, strict=True)], axis=1)
-
-        results = [
-            scipy.optimize.least_squares(residuals, state, jacobian, x_scale=spread, max_nfev=50)
-            for state in begin
-        ]
-        return np.asarray(min(results, key=lambda result: float(result.cost)).x)
+        step = max(STATE_STEP, self.simulator.difference)
+        found = [best_state(errors, state, spread, step, _MOST_RUNS) for state in begin]
+        return min(found, key=lambda each: each[1])[0]
 
     def _errors(self, measured: Array, y: Array) -> Array:
         """Return the errors of a simulation divided by the noise, `(samples * ny,)`, 0 in gaps."""
@@ -168,13 +165,3 @@ def _running() -> Iterator[None]:
         if isinstance(error, ValueError) and not place(error):
             raise  # raised by this package
         raise ValueError(f"the simulator failed: {failure(error)}") from error
-
-
-def _finite(y: Array, time: Array) -> Array:
-    """Return the channels; raises ValueError for values that are not finite."""
-    if not np.isfinite(y).all():
-        bad = int(np.argmin(np.isfinite(y).all(axis=1)))
-        raise ValueError(
-            f"the simulator must return finite values, got others from {time[bad]:g} s on"
-        )
-    return y

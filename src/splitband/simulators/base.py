@@ -7,19 +7,25 @@ simulator and checks its output.
 from __future__ import annotations
 
 import hashlib
-import threading
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Grid, Stamp
+from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.files import output_folder, replacing
+from splitband.simulators.code import check_open, content_digest, count_arguments
 from splitband.simulators.recorded import Recorded
-from splitband.simulators.starting import check_undriven, is_driven, origin
+
+Start = float | Literal["record"]
+"""Time of a record's first sample in s, or "record" for its time stamp."""
+Any_simulator = TypeVar("Any_simulator")
 
 
 class SimulatorError(RuntimeError):
@@ -43,12 +49,93 @@ class Simulator(Protocol):
         """
 
 
+def check_start(start: Any) -> Any:
+    """Return a simulator's `start` if it is one; raises ValueError otherwise."""
+    if start is None or start == "record":
+        return start
+    try:
+        seconds = math.nan if isinstance(start, bool) else float(start)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise ValueError(f'start must be a number of seconds or "record", got {start!r}')
+    return seconds
+
+
+def is_driven(simulator: Any) -> bool:
+    """Return whether a simulator takes a record's inputs: its own word, or `simulate(time, u)`."""
+    driven = getattr(simulator, "driven", None)
+    return count_arguments(simulator.simulate) > 1 if driven is None else bool(driven)
+
+
+def matched(
+    simulator: Any_simulator, columns: Sequence[str], inputs: Sequence[str]
+) -> Any_simulator:
+    """Return the simulator for records with these channels and inputs, see `Fmu.matched`.
+
+    Raises ValueError for one that needs inputs, which the records do not have, and for one that may
+    be meant to take those that they have.
+    """
+    match = getattr(simulator, "matched", None)
+    found: Any_simulator = simulator if match is None else match(columns, inputs)
+    driven, name = is_driven(found), getattr(found, "name", "") or type(found).__name__
+    if not inputs and getattr(found, "needs_inputs", driven):
+        raise ValueError(
+            f"simulator {name} takes inputs, of which the record has none: name them (--inputs), "
+            "or leave the argument out"
+        )
+    if inputs and not driven:
+        check_undriven(found, name, inputs)
+    return found
+
+
+def identity(simulator: Any) -> str | None:
+    """Return what tells a simulator, with the ranges of its parameters, from all others.
+
+    It is equal in every process; None for a simulator that nothing is known of.
+    """
+    if hasattr(simulator, "digest"):
+        return f"{simulator.digest()} {simulator.known}"
+    said = getattr(simulator, "fingerprint", lambda: None)()
+    return None if said is None else str(said)
+
+
+def check_undriven(simulator: Any, name: str, inputs: Sequence[str] = ()) -> None:
+    """Raise ValueError for a simulator that is not driven, but may be meant to take the inputs."""
+    own = [] if hasattr(simulator, "driven") else [getattr(simulator, "simulate", None)]
+    for function in getattr(simulator, "code", own):
+        check_open(function, name, inputs)
+
+
+def origin(simulator: Any, stamp: Stamp | None) -> float:
+    """Return the time in s at which a simulator runs at a record's first sample.
+
+    Raises ValueError where that can be two things: for a function of time alone that does not say
+    whether it means the record's clock.
+    """
+    start, begin = check_start(getattr(simulator, "start", None)), seconds_of(stamp)
+    if start == "record":
+        if stamp is not None and not isinstance(stamp, float):
+            raise ValueError(
+                'start (--simulator-start) must be a number of seconds, not "record", for a record '
+                f"whose clock shows dates: it begins at {in_words(stamp)}"
+            )
+        return begin
+    if start is None and begin and not is_driven(simulator):
+        assert stamp is not None
+        raise ValueError(
+            f'start must be given (--simulator-start) for a function of time: "record" if it means '
+            f"the record's clock, which begins at {in_words(stamp)}, 0 if its time begins at the "
+            "first sample"
+        )
+    return float(start or 0.0)
+
+
 def run(
     simulator: Simulator,
     samples: int,
     sampling_time: float,
     ny: int = 1,
-    timeout: float | None = None,
     cache: str | Path | None = None,
     name: str | None = None,
     start: Stamp | None = None,
@@ -61,10 +148,10 @@ def run(
     simulator : Anything with a `simulate(time)`, or with a `simulate(time, u)`.
     samples, sampling_time : Number of samples, and the time between two of them in s.
     ny : Number of channels of the record.
-    timeout : Seconds to wait; after that, the call goes on in a background thread.
     cache : Folder to store outputs in, for a simulator whose `fingerprint()` returns a string that
         changes with everything its output depends on, such as the content of an FMU. By default
-        the simulator's own `cache`, if it has one.
+        the simulator's own `cache`, if it has one. An attribute `files`, read after a run, names
+        files on which the output depends, too.
     name : Name of the simulator in messages, by default its `name`, or its class.
     start : The record's first time stamp, by which an exported output is aligned. Other simulators
         are called with the times t, t + dt, t + 2 dt, ... for t = 0, or as they say themselves, see
@@ -79,7 +166,7 @@ def run(
     Raises
     ------
     ValueError
-        If the simulator raises, exceeds the timeout, or returns a wrong shape or values that are
+        If the simulator raises, exceeds its timeout, or returns a wrong shape or values that are
         not finite. The message names the simulator.
     """
     name = name or getattr(simulator, "name", "") or type(simulator).__name__
@@ -91,23 +178,18 @@ def run(
         return known
     # A grid has two points at least, from which a simulator can derive the step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
-
-    def simulate() -> npt.ArrayLike:
-        if isinstance(simulator, Recorded):  # `time` holds seconds, and its stamps may be dates
-            return simulator.on(Grid(start, sampling_time, len(time))).values
-        if u is None:
-            return simulator.simulate(time)
-        return simulator.simulate(time, np.resize(u, (len(time), u.shape[1])))
-
     try:
-        returned = np.asarray(within(timeout, simulate))
+        if isinstance(simulator, Recorded):  # `time` holds seconds, and its stamps may be dates
+            returned = np.asarray(simulator.on(Grid(start, sampling_time, len(time))).values)
+        elif u is None:
+            returned = np.asarray(simulator.simulate(time))
+        else:
+            returned = np.asarray(simulator.simulate(time, np.resize(u, (len(time), u.shape[1]))))
         if np.iscomplexobj(returned):
             raise TypeError("its values must be real")
         y = np.asarray(returned, float)
     except SimulatorTimeoutError as error:
-        waited = getattr(simulator, "timeout", None) if timeout is None else timeout
-        within_time = "in time" if waited is None else f"within {waited:g} s"
-        raise ValueError(f"simulator {name} has not returned {within_time}") from error
+        raise ValueError(f"simulator {name} has not returned {error}") from error
     except (Exception, SystemExit) as error:
         kind = "" if isinstance(error, SimulatorError) else f"{type(error).__name__}: "
         raise ValueError(
@@ -124,9 +206,10 @@ def run(
             f"the first at {time[:samples][bad][0]:g} s"
         )
     if stored is not None:
+        files = [*getattr(simulator, "files", ())]
         output_folder(stored.parent, "cache")
         with replacing(stored) as temporary:
-            np.save(temporary, y)
+            np.savez(temporary, y=y, files=np.array(files, str), content=content_digest(files))
     return y
 
 
@@ -149,37 +232,16 @@ def _digest(u: Array | None) -> str:
     return "" if u is None else hashlib.sha256(np.ascontiguousarray(u).tobytes()).hexdigest()
 
 
-def within(timeout: float | None, call: Callable[[], Any]) -> Any:
-    """Call a function in a background thread; raises SimulatorTimeoutError after `timeout`."""
-    if timeout is None:
-        return call()
-    outcome: list[Any] = []
-
-    def work() -> None:
-        try:
-            outcome.extend((True, call()))
-        except BaseException as error:  # all are raised again in the caller, Ctrl-C included
-            outcome.extend((False, error))
-
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    thread.join(min(timeout, threading.TIMEOUT_MAX))
-    if not outcome:
-        raise SimulatorTimeoutError
-    returned, value = outcome
-    if not returned:
-        raise value
-    return value
-
-
 def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
-    """Return the stored output; None if there is none, or the file is damaged."""
+    """Return the stored output; None without one, if the file is damaged, or its files changed."""
     try:
-        y = np.load(stored, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+        with stored.open("rb") as file, np.load(file, allow_pickle=False) as found:
+            y: Array = found["y"]
+            same = str(found["content"]) == content_digest(found["files"].tolist())
+    except (OSError, ValueError, EOFError, KeyError, TypeError, BadZipFile):
         return None
-    whole = isinstance(y, np.ndarray) and (y.shape, y.dtype) == (shape, np.float64)
-    return y if whole and np.isfinite(y).all() else None
+    whole = y.shape == shape and y.dtype == np.float64 and np.isfinite(y).all()
+    return y if same and whole else None
 
 
 def _cache_file(
@@ -189,4 +251,4 @@ def _cache_file(
     if cache is None or fingerprint is None:
         return None
     key = hashlib.sha256(f"{fingerprint} {grid}".encode()).hexdigest()
-    return Path(cache) / f"{key[:32]}.npy"
+    return Path(cache) / f"{key[:32]}.npz"

@@ -1,19 +1,21 @@
 """Calibrate a simulator: gain, offset, delay and clock, each kept only if it lowers the error.
 
 Not in the paper. A small clock error or delay makes even a good simulator wrong after a while; the
-training part of the record is enough to estimate them.
+training part of the record is enough to estimate them. Larger sets of terms are compared with
+smaller ones on held-out samples.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
 import scipy
 
-from splitband.runtime.arrays import Array
+from splitband.metrics import rmse, spread
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.options import saved
 
 Term = Literal["gain", "offset", "delay", "clock"]
@@ -22,6 +24,19 @@ MOST_DELAY = 0.1
 """Largest delay or advance of a simulator, as a share of the training part's duration. By eye."""
 MOST_CLOCK = 0.05
 """Largest relative deviation of the simulator's clock from 1. By eye."""
+_MOVING: tuple[Term, ...] = "delay", "clock"
+_STILL = np.array([0.0, 1.0])
+"""Delay in samples and clock factor of an uncalibrated simulator."""
+_WORTH = 0.98
+"""A larger set of terms is used if its error is below this share of a smaller set's. By eye."""
+_SETS: tuple[tuple[Term, ...], ...] = (
+    (),
+    ("offset",),
+    ("gain", "offset"),
+    ("gain", "offset", "delay"),
+    ("gain", "offset", "clock"),
+    ("gain", "offset", "delay", "clock"),
+)
 
 
 @saved
@@ -140,3 +155,190 @@ def spline_of(y: Array) -> Callable[[Array], Array]:
     """Return a function that interpolates between samples; the ends are held."""
     spline = scipy.interpolate.CubicSpline(np.arange(len(y)), y)
     return lambda index: np.asarray(spline(np.clip(index, 0, len(y) - 1)))
+
+
+def calibrate(
+    y_sim: Array,
+    y: Array,
+    sampling_time: float,
+    terms: Iterable[Term] | None = None,
+) -> Calibration:
+    """Calibrate a simulator on the training part of a record.
+
+    Parameters
+    ----------
+    y_sim : `(time, ny)`, aligned with the record, and at least as long. Its samples beyond the
+        record are used where its clock is slow or its output late.
+    y : The training part, `(train, ny)`, NaN in gaps.
+    sampling_time : Sampling time of both, in s.
+    terms : Fit exactly these terms. By default sets of terms are fitted to the beginning of `y` and
+        compared on the rest, for several cuts; a larger set must lower the held-out error.
+
+    Raises
+    ------
+    ValueError
+        For an unknown term, or too few samples.
+    """
+    measured = int((~np.isnan(y)).any(axis=1).sum())
+    if len(y_sim) < len(y) or measured < 2 or y_sim.shape[1] != y.shape[1]:
+        raise ValueError(
+            f"y_sim must cover the record's {len(y)} samples in y's channels, and y have 2 "
+            f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
+        )
+    # Channels are scaled to deviation 1, so that each counts the same whatever its unit.
+    scale = spread(y)
+    y, y_sim = y / scale, y_sim / scale
+    if terms is not None:
+        wanted = tuple(terms)
+        unknown = [term for term in wanted if term not in TERMS]
+        if unknown:
+            raise ValueError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
+        return _fit(y_sim, y, sampling_time, wanted, scale)
+    errors = {kept: _held_out(y_sim, y, sampling_time, kept) for kept in _SETS}
+    best = _SETS[0]
+    for kept in _SETS[1:]:
+        pays = errors[kept].mean() < _WORTH * errors[best].mean()
+        # After one cut, a delay or clock may fit noise by chance, but hardly after all cuts.
+        moves = set(kept) & set(_MOVING)
+        if pays and (not moves or (errors[kept] < errors[best]).all()):
+            best = kept
+    calibration = _fit(y_sim, y, sampling_time, best, scale)
+    means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
+    return replace(calibration, errors=means)
+
+
+def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
+    """Return the gain and offset of each channel, `(ny,)` each, that best fit `y_sim` to `y`.
+
+    Least squares on `(time, ny)`, where y is not NaN; a constant channel of the simulator gets
+    gain 0.
+    """
+    mean_sim, mean = _mean(y_sim, y), _mean(y, y)
+    centred = np.where(np.isnan(y), 0.0, y_sim - mean_sim)
+    gain = _gain(centred, y - mean)
+    return gain, mean - gain * mean_sim
+
+
+def _mean(values: Array, y: Array) -> Array:
+    """Return the mean of each channel where y is not NaN; 0 for a channel that is all NaN."""
+    measured = ~np.isnan(y)
+    means = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+    return np.asarray(means, dtype=np.float64)
+
+
+def _gain(x: Array, y: Array) -> Array:
+    """Return the least-squares gain from x to y where y is not NaN; 0 where x is zero."""
+    power = np.where(np.isnan(y), 0.0, x**2).sum(axis=0)
+    return np.asarray(np.nansum(x * y, axis=0) / np.where(power > 0, power, 1.0))
+
+
+def _name(terms: Sequence[Term]) -> str:
+    return " + ".join(terms) or "none"
+
+
+def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
+    """Return the RMSE after each of several cuts, of a fit to the samples before the cut."""
+    errors, measured = [], ~np.isnan(y)
+    rows = np.flatnonzero(measured.any(axis=1))
+    for share in (0.5, 0.6, 0.7, 0.8):
+        cut = rows[max(int(share * len(rows)), 1)]
+        calibration = _fit(y_sim, y[:cut], sampling_time, terms)
+        left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
+        # A channel counts if it was measured both before the cut and after it.
+        told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
+        if told.any():
+            errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
+    return np.array(errors or [0.0])
+
+
+def _fit(
+    y_sim: Array,
+    y: Array,
+    sampling_time: float,
+    terms: tuple[Term, ...],
+    scale: Array | float = 1.0,
+) -> Calibration:
+    """Fit by least squares over delay and clock; gain and offset are eliminated."""
+    moving = np.array([term in terms for term in _MOVING])
+    index: Array = np.arange(len(y), dtype=np.float64)
+    spline = spline_of(y_sim)
+
+    def moved(warp: Array) -> Array:
+        delay, clock = _warp(warp, moving)
+        return spline(clock * index - delay) if moving.any() else y_sim[: len(y)]
+
+    def within(warp: Array) -> Flags:
+        """Return a mask of the samples that lie between the simulation's first and last one."""
+        delay, clock = _warp(warp, moving)
+        places = clock * index - delay
+        inside = (places >= 0) & (places <= len(y_sim) - 1)
+        return inside if inside.any() else np.ones_like(inside)
+
+    def residual(warp: Array) -> Array:
+        x, seen = moved(warp), within(warp)
+        gain, offset = _affine(x[seen], y[seen], terms)
+        error = (gain * x + offset - y) * seen[:, None] / np.sqrt(seen.mean())
+        return np.nan_to_num(error).ravel()
+
+    warp = np.empty(0)
+    if moving.any():
+        most = np.array([MOST_DELAY * len(y), MOST_CLOCK])
+        low, high = (_STILL - most)[moving], (_STILL + most)[moving]
+        minima = [
+            scipy.optimize.least_squares(
+                residual, np.clip(point[moving], low, high), bounds=(low, high),
+                x_scale=(high - low) / 100,
+            )
+            for point in _guesses(y, lambda clock: spline(clock * index), most * moving)
+        ]  # fmt: skip
+        warp = np.asarray(min(minima, key=lambda result: result.cost).x)
+    delay, clock = _warp(warp, moving)
+    seen = within(warp)
+    gain, offset = _affine(moved(warp)[seen], y[seen], terms)
+    return Calibration(
+        tuple(map(float, gain)) if "gain" in terms else (),
+        tuple(map(float, offset * scale)) if "offset" in terms else (),
+        delay * sampling_time,
+        clock,
+    )
+
+
+def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
+    if "gain" in terms and "offset" in terms:
+        return affine_fit(x, y)
+    if "gain" in terms:
+        return _gain(x, y), np.zeros(y.shape[1])
+    ones = np.ones(y.shape[1])
+    return ones, _mean(y - x, y) if "offset" in terms else 0 * ones
+
+
+def _warp(warp: Array, moving: Flags) -> tuple[float, float]:
+    """Return the delay in samples, and the clock factor."""
+    values = _STILL.copy()
+    values[moving] = warp
+    return float(values[0]), float(values[1])
+
+
+def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Iterator[Array]:
+    """Yield starting points: the identity, and those of highest correlation with the record.
+
+    Each consists of a delay in samples and a clock factor, within `most` of the identity.
+    """
+    yield _STILL
+    clocks = np.linspace(1 - most[1], 1 + most[1], 41) if most[1] else np.ones(1)
+    shifts = np.arange(-int(most[0]), int(most[0]) + 1)  # in samples of the record
+    centred = np.nan_to_num(y - _mean(y, y))
+    ranked = []
+    for clock in clocks:
+        x = at_clock(clock)
+        x = x - x.mean(axis=0)
+        power = (x**2).sum(axis=0)
+        correlation = scipy.signal.fftconvolve(centred, x[::-1], axes=0)
+        # It is squared, as a gain may be negative.
+        squared = (correlation**2 / np.where(power > 0, power, 1.0)).sum(axis=1)
+        at_shifts = squared[shifts + len(y) - 1]
+        best = int(np.argmax(at_shifts))
+        ranked.append((at_shifts[best], np.array([clock * shifts[best], clock])))
+    ranked.sort(key=lambda pair: -pair[0])
+    for _, point in ranked[:3]:
+        yield point

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
@@ -96,109 +95,93 @@ def _rounded(value: float, error: float) -> str:
     return f"{value:.5g} ± {error:.2g}"
 
 
-@dataclass(frozen=True, eq=False)
-class Curvature:
-    """Hold the linearised fit at its minimum.
+def uncertainty(
+    names: Sequence[Name], known: Parameters, places: Array, residuals: Array, jacobian: Array
+) -> tuple[Array, Array, list[str]]:
+    """Return the standard errors of fitted values, their correlations, and remarks.
 
-    Attributes
+    What is at a bound or not identifiable has NaN.
+
+    Parameters
     ----------
     names, known : Names of the fitted parameters, and all parameters.
     places : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
     residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
     jacobian : Derivatives of the residuals with respect to `places`, `(samples * ny, n)`.
     """
-
-    names: Sequence[Name]
-    known: Parameters
-    places: Array
-    residuals: Array
-    jacobian: Array
-
-    def uncertainty(self) -> tuple[Array, Array, list[str]]:
-        """Return standard errors of the values, their correlations, and remarks."""
-        fixed, remarks = self._at_bounds()
-        free = np.flatnonzero(~fixed)
-        covariance = np.full((len(fixed), len(fixed)), np.nan)
-        inner, lost, said = self._covariance(free)
-        covariance[np.ix_(free, free)] = inner
+    at_bound, remarks = np.zeros(len(places), dtype=bool), []
+    for i, (name, place) in enumerate(zip(names, places, strict=True)):
+        if place < AT_BOUND or place > 1 - AT_BOUND:
+            side, end = ("upper", 1) if place > 0.5 else ("lower", 0)
+            at_bound[i] = True
+            remarks.append(
+                f"{labelled(name)} is at its {side} bound, {known.range(name[0])[end]:.4g}"
+            )
+    slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, places, strict=True)])
+    free = np.flatnonzero(~at_bound)
+    noise = _noise(residuals, len(places))
+    kept, weak = _directions(jacobian[:, free], noise)
+    told = (jacobian[:, free] @ kept) * np.tile(noise, len(residuals))[:, None]
+    covariance = np.full((len(places), len(places)), np.nan)
+    # (J'J)^-1 J' W J (J'J)^-1, where W holds the error variance of each channel
+    inner = kept @ (told.T @ told) @ kept.T * _correlated(residuals)
+    covariance[np.ix_(free, free)] = inner
+    values = np.array([known.at(n, p) or 1.0 for (n, _), p in zip(names, places, strict=True)])
+    for direction in weak:
+        involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
+        lost = free[involved]
         covariance[lost] = covariance[:, lost] = np.nan
-        slopes = [self.known.slope(n, p) for (n, _), p in zip(self.names, self.places, strict=True)]
-        deviations = np.sqrt(np.diag(covariance))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            correlations = covariance / np.outer(deviations, deviations)
-        remarks += said + self._linked(correlations)
-        return deviations * np.abs(slopes), correlations, remarks
+        remarks.append(
+            _told([names[i] for i in lost], direction[involved] * slopes[lost] / values[lost])
+        )
+    deviations = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlations = covariance / np.outer(deviations, deviations)
+        pairs = np.argwhere(np.triu(np.abs(correlations) > 0.99, 1))
+    remarks += [
+        f"{labelled(names[i])} and {labelled(names[j])} are correlated by {correlations[i, j]:.3f}"
+        for i, j in pairs
+    ]
+    return deviations * np.abs(slopes), correlations, remarks
 
-    def _covariance(self, free: npt.NDArray[np.int_]) -> tuple[Array, list[int], list[str]]:
-        """Return the covariance of the places `free`, those not identifiable, and remarks.
 
-        Directions that are not identifiable are left out of the covariance.
-        """
-        j = self.jacobian[:, free]
-        if not len(free):
-            return np.empty((0, 0)), [], []
-        _, s, vt = np.linalg.svd(j, full_matrices=False)
-        s = np.concatenate([s, np.zeros(len(vt) - len(s))])
-        noise, (samples, ny) = self._noise(), self.residuals.shape
-        level = float(np.sqrt(np.mean(np.maximum(noise, MIN_NOISE * np.sqrt(ny)) ** 2)))
-        weak = level / np.maximum(s, 1e-300) > MAX_RELATIVE_ERROR
-        lost: list[int] = []
-        said: list[str] = []
-        for direction in vt[weak]:
-            involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
-            lost += [int(free[i]) for i in involved]
-            at = [self.names[i] for i in free[involved]]
-            pairs = [(name, float(place)) for (name, _), place in
-                     zip(at, self.places[free[involved]], strict=True)]  # fmt: skip
-            relative = [self.known.slope(*pair) / (self.known.at(*pair) or 1.0) for pair in pairs]
-            said.append(_told(at, direction[involved] * np.array(relative)))
-        kept = vt[~weak].T / s[~weak]
-        told = (j @ kept) * np.tile(noise, samples)[:, None]
-        # (J'J)^-1 J' W J (J'J)^-1, where W holds the error variance of each channel
-        return kept @ (told.T @ told) @ kept.T * self._correlated(), lost, said
+def _directions(jacobian: Array, noise: Array) -> tuple[Array, Array]:
+    """Return the factor V / S of the identifiable directions, `(n, k)`, and the other directions.
 
-    def _noise(self) -> Array:
-        """Return the RMS error of each channel, corrected for the number of parameters."""
-        measured = np.maximum((~np.isnan(self.residuals)).sum(axis=0), 1)
-        lost = len(self.places) / self.residuals.shape[1]
-        power = np.nansum(self.residuals**2, axis=0) / np.maximum(measured - lost, 1)
-        return np.asarray(np.sqrt(power))
+    A direction is not identifiable if its standard error is a large share of the ranges.
+    """
+    if not jacobian.shape[1]:
+        return np.empty((0, 0)), np.empty((0, 0))
+    _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
+    s = np.concatenate([s, np.zeros(len(vt) - len(s))])
+    least = MIN_NOISE * np.sqrt(len(noise))
+    level = float(np.sqrt(np.mean(np.maximum(noise, least) ** 2)))
+    weak = level / np.maximum(s, 1e-300) > MAX_RELATIVE_ERROR
+    return vt[~weak].T / s[~weak], vt[weak]
 
-    def _correlated(self) -> float:
-        """Return how many residual samples are worth one independent sample, at least 1."""
-        most = 1.0
-        for channel in self.residuals.T:
-            r = channel[~np.isnan(channel)]
-            n = len(r)
-            if n < 20 or not np.any(r):
-                continue
-            lags = max(int(_MOST_LAGS * n), 1)
-            products = scipy.signal.correlate(r, r, method="fft")[n - 1 :]
-            rho = products[1 : lags + 1] / products[0]
-            insignificant = np.flatnonzero(rho < 3 / np.sqrt(n))
-            end = int(insignificant[0]) if len(insignificant) else lags
-            most = max(most, 1 + 2 * float(rho[:end].sum()))
-        return most
 
-    def _at_bounds(self) -> tuple[Flags, list[str]]:
-        low, high = self.places < AT_BOUND, self.places > 1 - AT_BOUND
-        remarks = []
-        for name, at_low, at_high in zip(self.names, low, high, strict=True):
-            if at_low or at_high:
-                end = self.known.range(name[0])[int(at_high)]
-                side = "upper" if at_high else "lower"
-                remarks.append(f"{labelled(name)} is at its {side} bound, {end:.4g}")
-        return low | high, remarks
+def _noise(residuals: Array, fitted: int) -> Array:
+    """Return the RMS error of each channel, corrected for the number of fitted parameters."""
+    measured = np.maximum((~np.isnan(residuals)).sum(axis=0), 1)
+    freedom = np.maximum(measured - fitted / residuals.shape[1], 1)
+    return np.asarray(np.sqrt(np.nansum(residuals**2, axis=0) / freedom))
 
-    def _linked(self, correlations: Array) -> list[str]:
-        """Return a remark for each pair of parameters correlated by more than 0.99."""
-        with np.errstate(invalid="ignore"):
-            pairs = np.argwhere(np.triu(np.abs(correlations) > 0.99, 1))
-        return [
-            f"{labelled(self.names[i])} and {labelled(self.names[j])} are correlated by "
-            f"{correlations[i, j]:.3f}"
-            for i, j in pairs
-        ]
+
+def _correlated(residuals: Array) -> float:
+    """Return how many residual samples are worth one independent sample, at least 1."""
+    most = 1.0
+    for channel in residuals.T:
+        r = channel[~np.isnan(channel)]
+        n = len(r)
+        if n < 20 or not np.any(r):
+            continue
+        lags = max(int(_MOST_LAGS * n), 1)
+        products = scipy.signal.correlate(r, r, method="fft")[n - 1 :]
+        rho = products[1 : lags + 1] / products[0]
+        insignificant = np.flatnonzero(rho < 3 / np.sqrt(n))
+        end = int(insignificant[0]) if len(insignificant) else lags
+        most = max(most, 1 + 2 * float(rho[:end].sum()))
+    return most
 
 
 def labelled(name: Name) -> str:

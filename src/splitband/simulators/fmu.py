@@ -12,19 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import WithRepr
+from splitband.simulators.base import Start, check_start
 from splitband.simulators.fmu_reading import SAMPLES, LateError, reading_of
 from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
 from splitband.simulators.fmu_unit import EXCHANGE, Unit
-from splitband.simulators.parameters import Given, Parameters, Point, Response
-from splitband.simulators.starting import Start, check_start
+from splitband.simulators.parameters import Adjustable, Given, Point, Response
 
 PROBED = 0.45, 0.55
 """Places in the ranges of parameters at which it is also found out how outputs are read: near the
 middle, as elsewhere an FMU may end its process. By eye."""
 
 
-class Fmu(WithRepr):
+class Fmu(Adjustable):
     """Run a functional mock-up unit with FMPy (the extra `splitband[fmu]`).
 
     The unpacked files are removed by `close`, at the end of a `with` block, when the object is
@@ -45,7 +44,6 @@ class Fmu(WithRepr):
         default it interpolates them.
     """
 
-    states = 0
     difference = 1e-4
 
     def __init__(
@@ -59,7 +57,6 @@ class Fmu(WithRepr):
     ) -> None:
         self.path = Path(path)
         self.parameters = None if parameters is None else dict(parameters)
-        self.known = Parameters(dict(parameters or {}))
         self.inputs = None if inputs is None else [*inputs]
         self.start, self.held = check_start(start), held
         self._unit, self._named = Unit(self.path), bool(outputs)
@@ -69,11 +66,6 @@ class Fmu(WithRepr):
         except ValueError:
             self.close()
             raise
-
-    @property
-    def adjustable(self) -> bool:
-        """Return whether it needs fitting or inputs, and so a `GreyBox` to run it."""
-        return bool(self.known.free) or self.driven
 
     @property
     def driven(self) -> bool:
@@ -91,15 +83,6 @@ class Fmu(WithRepr):
             _named=True,
             inputs=variables.inputs_for(inputs, self.inputs),
         )
-
-    def precise(self) -> Fmu:
-        """Return the FMU itself: its tolerances cannot be tightened here."""
-        return self
-
-    def fixed(self, values: Mapping[str, float]) -> Fmu:
-        """Return the FMU with some parameters set to these values."""
-        known = self.known.fixed(values)
-        return self._with(parameters=dict(known.given), known=known)
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.
@@ -173,6 +156,7 @@ class Fmu(WithRepr):
         """Return a copy that shares the unpacked files."""
         made = type(self).__new__(type(self))
         vars(made).update(vars(self) | changes)
+        vars(made).pop("known", None)
         return made
 
     def digest(self) -> str:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
-from splitband.simulators.fmu_unit import COSIMULATION, Unit
-from splitband.simulators.fmu_variables import WHOLE
+from splitband.simulators.fmu_unit import COSIMULATION, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
 """Of the solver for model exchange, relative to the nominal values of the states. By eye."""

@@ -1,19 +1,161 @@
-"""Unpack a functional mock-up unit, and lend its instances."""
+"""Unpack a functional mock-up unit, lend its instances, and match its variables to a record's."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
-from splitband.simulators.fmu_variables import Variables
+from splitband.data.signals import bare_name
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"
 """Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs can be read at once."""
+
+
+WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",\
+    "UInt64"  # fmt: skip
+"""Types whose values are whole numbers."""
+NUMERIC = "Real", "Float32", "Float64", "Boolean", *WHOLE
+"""Types of variables that can be a channel or an input."""
+OPTIONAL = "OptionalInputs"
+"""Name of the element that lists inputs of our own exported FMUs that need not be driven."""
+_MOST = 12
+"""Most names in a message. By eye."""
+
+
+@dataclass(frozen=True)
+class Variables:
+    """Hold the names of an FMU's variables.
+
+    Attributes
+    ----------
+    file : Path of the FMU, for messages.
+    names : All variables that can be a channel, an input or a start value.
+    outputs, inputs : Its outputs, and the inputs that must be driven.
+    optional : Inputs that may keep their start value: those of an FMU of this package that take
+        measured samples.
+    tunable : Other variables that can be set while it runs.
+    others : Other variables that can be read.
+    arrays : Inputs that are arrays, which cannot be driven.
+    """
+
+    file: str
+    names: tuple[str, ...]
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    tunable: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+    arrays: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, path: Path, description: Any, folder: Path) -> Variables:
+        """Return the variables of a description by FMPy; `folder` holds its XML file."""
+        usable = [v for v in description.modelVariables
+                  if v.type in NUMERIC and not (v.shape or v.dimensions)]  # fmt: skip
+        optional = {*_optional(folder / "modelDescription.xml")}
+        inputs = [v.name for v in usable if v.causality == "input"]
+        outputs = [v.name for v in usable if v.causality == "output"]
+        return cls(
+            str(path),
+            tuple(v.name for v in description.modelVariables),
+            tuple(outputs),
+            tuple(name for name in inputs if name not in optional),
+            tuple(name for name in inputs if name in optional),
+            tuple(v.name for v in usable if v.causality != "input" and v.variability == "tunable"),
+            tuple(v.name for v in usable if v.name not in {*outputs, *inputs}),
+            tuple(v.name for v in description.modelVariables
+                  if v.causality == "input" and (v.shape or v.dimensions)),
+        )  # fmt: skip
+
+    def check(self, outputs: Iterable[str] | None, inputs: Iterable[str] | None) -> None:
+        """Raise ValueError for names that are no variables, or that cannot be driven."""
+        inputs = [name for name in inputs or () if name]
+        for name in (*(outputs or ()), *inputs):
+            if name not in self.names:
+                known = _listed(self.names)
+                raise ValueError(f"{self.file} has no variable {name}; it has {known}")
+        able = {*self.inputs, *self.optional, *self.tunable}
+        for name in inputs:
+            if name not in able:
+                raise ValueError(
+                    f"inputs must be inputs of {self.file}: {name} is none; it has "
+                    f"{_listed([*self.inputs, *self.optional])}"
+                )
+
+    def outputs_for(self, columns: Sequence[str], given: Sequence[str] | None) -> list[str]:
+        """Return the variable of each channel: the given ones, or those of the same names.
+
+        Raises ValueError, with both lists, where they cannot be told.
+        """
+        if given is not None and len(given) == len(columns):
+            return [*given]
+        found = [""] if given is not None else _by_name(columns, (*self.outputs, *self.others))
+        if not all(found) and given is None and len(columns) == len(self.outputs) == 1:
+            return [*self.outputs]
+        if not all(found):
+            raise ValueError(
+                f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
+                f"the record's channels, {_listed(columns)}, in their order: "
+                + (f"got {_listed(given)}" if given else f"it has {_listed(self.outputs)}")
+            )
+        return found
+
+    def inputs_for(self, inputs: Sequence[str], given: Sequence[str] | None) -> list[str]:
+        """Return the variable of each input: the given ones, or those of the same names.
+
+        An input that the FMU does not take has "". Raises ValueError, with both lists, where they
+        cannot be told, or where an input of the FMU would not be driven.
+        """
+        if given is not None and len(given) in (0, len(inputs)):
+            return [*given]
+        if given is None and self.arrays:
+            raise ValueError(
+                f"inputs (--simulator-inputs) must name the inputs of {self.file} that are driven: "
+                f"{_listed(self.arrays)} is an array, which cannot be; it keeps its start values"
+            )
+        if given is None:
+            found = _by_name(inputs, (*self.inputs, *self.optional))
+            if {*self.inputs} <= {*found}:
+                return found if any(found) else []
+            if len(inputs) == len(self.inputs) == 1:
+                return [*self.inputs]
+        raise ValueError(
+            f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
+            f"record's inputs, {_listed(inputs) or 'of which it has none'}, in their order: "
+            + (f"got {_listed(given)}" if given else f"it has {_listed(self.inputs)}")
+            + '; "" for one that it does not take; inputs that are not named keep their start '
+            "values, and with an empty list all do"
+        )
+
+
+def _by_name(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Return the known names that equal the wanted ones, if need be without units; else ""."""
+    if {*wanted} <= {*known}:
+        return [*wanted]
+    found = [[k for k in known if bare_name(k) == bare_name(name)] for name in wanted]
+    names = [each[0] if len(each) == 1 else "" for each in found]
+    return [name if names.count(name) == 1 else "" for name in names]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:_MOST]) + (", ..." if len(names) > _MOST else "")
+
+
+def _optional(file: Path) -> list[str]:
+    """Return the inputs that our own annotation in a model description lists."""
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError):
+        return []
+    listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}/Input")
+    return [each.get("name", "") for each in listed]
 
 
 class Unit:
@@ -31,10 +173,7 @@ class Unit:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            import fmpy  # noqa: PLC0415  the optional extra
-        except ImportError:
-            raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+        fmpy = _fmpy()
         self.path = path
         if not path.is_file():
             raise FileNotFoundError(f"no such FMU: {path}")
@@ -98,10 +237,7 @@ class Unit:
 
 def variables_of(path: Path) -> Variables:
     """Return the variables of an FMU, without running its code."""
-    try:
-        import fmpy  # noqa: PLC0415  the optional extra
-    except ImportError:
-        raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+    fmpy = _fmpy()
     with tempfile.TemporaryDirectory(prefix="splitband-fmu-") as folder:
         try:
             fmpy.extract(str(path), folder, include=lambda name: name == "modelDescription.xml")
@@ -109,6 +245,14 @@ def variables_of(path: Path) -> Variables:
         except Exception as error:
             raise ValueError(f"{path} is not an FMU that can be run here: {error}") from error
         return Variables.of(path, description, Path(folder))
+
+
+def _fmpy() -> Any:
+    try:
+        import fmpy  # noqa: PLC0415  the optional extra
+    except ImportError:
+        raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+    return fmpy
 
 
 def _free(idle: list[Any], folder: str) -> None:

@@ -2,43 +2,53 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import WithRepr
-from splitband.simulators.digests import code_digest
-from splitband.simulators.parameters import Given, Parameters, Point, Response, parameters_class
-from splitband.simulators.starting import Start, check_places, check_start, count_arguments
+from splitband.simulators.base import Start, check_start
+from splitband.simulators.code import check_places, code_digest, count_arguments
+from splitband.simulators.parameters import Adjustable, Given, Point, Response, parameters_class
 
 
-class UserCode(WithRepr):
-    """Define the base of dataclasses that hold user code and a field `parameters`."""
+class UserCode(Adjustable):
+    """Define the base of dataclasses that hold user code."""
 
-    parameters: Given | None
+    @property
+    @abstractmethod
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        """Return the user's functions, or None, each with the names of its arguments."""
 
-    @cached_property
-    def known(self) -> Parameters:
-        """Return the parameters, checked."""
-        return Parameters(dict(self.parameters or {}))
+    @property
+    def code(self) -> list[Any]:
+        """Return the user's functions."""
+        return [function for function, _ in self._functions]
 
-    def fixed(self, values: Mapping[str, float]) -> Self:
-        """Return a copy with some parameters set to these values."""
-        return self._with(parameters=dict(self.known.fixed(values).given))
+    @property
+    def driven(self) -> bool:
+        """Return whether it takes a record's inputs."""
+        return any(count_arguments(each) > names.index("u") for each, names in self._functions)
+
+    @property
+    def needs_inputs(self) -> bool:
+        """Return whether it takes inputs for no other reason than parameters after them."""
+        return any(count_arguments(each) == names.index("p") for each, names in self._functions)
+
+    def _check(self) -> None:
+        """Raise ValueError for a wrong start, or arguments in another order."""
+        check_start(self.start)
+        for function, names in self._functions:
+            check_places(function, *names)
 
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed fields, which other processes recreate as before."""
         made = replace(self, **changes)  # type: ignore[type-var]
         return made.opened_by(vars(self).get("_opened_by"))
-
-    def precise(self) -> Self:
-        """Return the simulator for derivatives, here itself; see `Adjustable`."""
-        return self
 
     def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
         """Set the function of the parameters by which other processes recreate it; return it.
@@ -76,33 +86,13 @@ class Function(UserCode):
     parameters: Given | None = None
     start: Start | None = None
 
-    states = 0
-    difference = 1e-6
-
     def __post_init__(self) -> None:
         """Check the start and the order of the arguments."""
-        check_start(self.start)
-        check_places(self.function, "time", "u", "p")
+        self._check()
 
     @property
-    def adjustable(self) -> bool:
-        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
-        return bool(self.known.given) or self.driven
-
-    @property
-    def driven(self) -> bool:
-        """Return whether it takes a record's inputs."""
-        return count_arguments(self.function) > 1
-
-    @property
-    def needs_inputs(self) -> bool:
-        """Return whether it takes inputs for no other reason than parameters after them."""
-        return count_arguments(self.function) == 2
-
-    @property
-    def code(self) -> list[Any]:
-        """Return the user's functions."""
-        return [self.function]
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        return [(self.function, ("time", "u", "p"))]
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.

@@ -1,32 +1,65 @@
-"""Fit the parameters of a simulator to records, and assess their identifiability."""
+"""Fit the parameters of a simulator to records, and assess their identifiability.
+
+`scipy.optimize.least_squares` starts from the middle of the ranges and from points of a Sobol
+sequence. Every other start begins with short windows, see `shooting`, which then grow: a short
+simulation determines parameters even where a long one loses its phase.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from splitband.data import Record, require_records
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, within
-from splitband.simulators.estimate import Curvature, Estimate, labelled
-from splitband.simulators.shooting import Adjustable, Experiment, Shooting
-from splitband.simulators.sources import failure
-from splitband.simulators.starting import matched
-from splitband.simulators.starts import (
-    LAST_ROUNDS,
-    SAME_ERROR,
-    STARTS,
-    Effort,
-    StartOutcome,
-    descend,
-    starting_points,
-    tried,
+from splitband.runtime.files import write_json
+from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.simulators.base import matched
+from splitband.simulators.code import failure
+from splitband.simulators.estimate import Estimate, labelled, uncertainty
+from splitband.simulators.parameters import Adjustable
+from splitband.simulators.shooting import (
+    BAD,
+    Experiment,
+    Shooting,
+    fit_key,
+    projected,
 )
 
+STARTS = 32
+"""Default limit of starting points. By eye."""
+ENOUGH = 4
+"""The search stops after so many starts with the same error. By eye."""
+PATIENCE, _HARDLY_BETTER = 8, 0.02
+"""The search stops if the last `PATIENCE` starts lowered the error by less than this share.
+By eye."""
+_BATCH = 4
+"""Starting points that are tried in parallel. By eye; independent of the number of processes, so
+that the result is too."""
+SAME_ERROR = 1e-3
+"""Relative difference within which errors count as the same. By eye."""
+SHORTEST = 16
+"""Samples of the shortest windows. By eye."""
+_GROWTH = 4
+"""Factor by which windows grow from stage to stage. By eye."""
+_WINDOWS = 32
+"""Windows are not made shorter once the longest record has so many. By eye."""
+_PULL = 1e-6
+"""Residual of an unknown that moves from its start by its unit: those that the records do not tell
+stay where they are. By eye."""
+_ROUNDS, LAST_ROUNDS = 30, 100
+"""Most evaluations in a search, and in the last one from the best places. By eye."""
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
 WINDOWS_FROM_ERROR = 0.6
@@ -34,12 +67,48 @@ WINDOWS_FROM_ERROR = 0.6
 By eye."""
 _WORTH_WINDOWS = 0.3
 """Windows are used if their error is below this share of the error over whole records. By eye."""
-
-
 _FEW = 3
 """Samples for a test run of a simulator's code. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code that do not depend on parameter values."""
+
+
+@dataclass(frozen=True)
+class StartOutcome:
+    """Hold the result of one starting point.
+
+    Attributes
+    ----------
+    number : Number of the start.
+    found : Places and error, in deviations, by length of the windows.
+    failure : Message of the last failed run.
+    cut : Whether the deadline passed before the search was done.
+    """
+
+    number: int
+    found: dict[int, tuple[list[float], float]] = field(default_factory=dict)
+    failure: str = ""
+    cut: bool = False
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Limit the effort of a fit.
+
+    Attributes
+    ----------
+    starts : Most starting points.
+    seconds : Time limit, after which the best result so far is used; None for no limit.
+    workers : Number of processes that try starts in parallel, or an executor.
+    folder : Folder of finished starts, from which an interrupted fit resumes; created if missing.
+    progress : Called with the number of finished starts and of all starts.
+    """
+
+    starts: int = STARTS
+    seconds: float | None = None
+    workers: int | Executor = 1
+    folder: Path | None = None
+    progress: Callable[[int, int], None] | None = None
 
 
 def identify(simulator: Adjustable, *records: Record, effort: Effort | None = None) -> Estimate:
@@ -68,8 +137,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
     if not shooting.names:
-        shooting.divide(10**9, np.empty(0))
-        return _told(shooting, np.empty(0), 0)
+        return _told(shooting, shooting.divide(10**9, np.empty(0)), 0)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
@@ -80,14 +148,27 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     places = np.array(best.found[window][0])
-    shooting = Shooting(simulator.precise(), experiments, scale)
     with within(NEVER):  # the result is evaluated even after the deadline
-        shooting.divide(window, places)
+        precise = Shooting(simulator.precise(), experiments, scale)
+        unknowns = precise.divide(window, places)
+        rough = not _runs(precise, unknowns)  # as its solver cannot be that precise
+        if rough:
+            unknowns = shooting.divide(window, places)
+        else:
+            shooting = precise
         if not (best.cut or deadline.over):
-            places, _ = descend(shooting, places, LAST_ROUNDS)
-        estimate = _told(shooting, places, window if window < longest else 0)
+            unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
+        estimate = _told(shooting, unknowns, window if window < longest else 0)
+    places = unknowns[: len(places)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
+    if rough:
+        remarks.append("standard errors are rough, as the solver cannot keep smaller tolerances")
+    lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
+    if lost:
+        remarks.append(
+            f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {lost[0]}"
+        )
     cut = any(o.cut for o in outcomes) or deadline.over
     if cut:
         remarks.append("the time was over before every starting point was tried")
@@ -148,16 +229,15 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
     return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
 
 
-def _told(shooting: Shooting, places: Array, window: int) -> Estimate:
-    """Return the estimate at the best places, with standard errors."""
-    ny = len(shooting.scale)
-    residuals = shooting.residuals(places)
-    jacobian = shooting.jacobian(places)
+def _told(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
+    """Return the estimate at the best unknowns, with standard errors."""
+    ny, places = len(shooting.scale), unknowns[: len(shooting.names)]
+    residuals = shooting.residuals(unknowns)
+    jacobian = projected(shooting.jacobian(unknowns), len(places))
     measured = np.concatenate([w.part.y for w in shooting.windows])
     by_channel = np.where(np.isnan(measured), np.nan, residuals.reshape(-1, ny))
     known = shooting.simulator.known
-    curvature = Curvature(shooting.names, known, places, by_channel, jacobian)
-    errors, correlations, remarks = curvature.uncertainty()
+    errors, correlations, remarks = uncertainty(shooting.names, known, places, by_channel, jacobian)
     names = [labelled(name) for name in shooting.names]
     values = [known.at(n, float(p)) for (n, _), p in zip(shooting.names, places, strict=True)]
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
@@ -197,3 +277,156 @@ def _alternatives(
             )
             remarks.append(f"fits as well with {values}")
     return remarks[:3]
+
+
+def starting_points(count: int, dimensions: int) -> Array:
+    """Return places, `(count, dimensions)`: the middle of the ranges and a Sobol sequence."""
+    sobol = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
+    drawn = sobol.random_base2(max(int(np.ceil(np.log2(max(count, 2)))), 1))
+    return np.concatenate([np.full((1, dimensions), 0.5), drawn])[:count]
+
+
+def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
+    """Try starting points in order until enough of them agree, and return their outcomes."""
+    points = starting_points(effort.starts, len(problem.names))
+    key = fit_key(problem.simulator, problem.experiments, len(points))[:16]
+
+    def file(number: int) -> Path | None:
+        folder = effort.folder
+        return None if folder is None else folder / f"start-{key}-{number}.json"
+
+    done: dict[int, StartOutcome] = {}
+    work = partial(_try, problem, points, deadline)
+    for first in range(0, len(points), _BATCH):
+        batch = [*range(first, min(first + _BATCH, len(points)))]
+        done |= {i: kept for i in batch if (kept := _kept(file(i))) is not None}
+        if done and deadline.over:
+            break
+        for outcome in _side_by_side(work, [i for i in batch if i not in done], effort.workers):
+            done[outcome.number] = outcome
+            _keep(file(outcome.number), outcome)
+            if effort.progress is not None:
+                effort.progress(len(done), len(points))
+        if _settled([done[i] for i in sorted(done)], problem.longest):
+            break
+    return [done[i] for i in sorted(done)]
+
+
+def _kept(path: Path | None) -> StartOutcome | None:
+    """Return the outcome of a start that an earlier command has finished."""
+    if path is not None:
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            facts = json.loads(path.read_text(encoding="utf-8"))
+            found = {int(n): ([*map(float, at)], float(e)) for n, (at, e) in facts["found"].items()}
+            return StartOutcome(int(facts["number"]), found, str(facts["failure"]))
+    return None
+
+
+def _keep(path: Path | None, outcome: StartOutcome) -> None:
+    """Keep a finished start; a full disk only loses the file."""
+    if path is not None and not outcome.cut:
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_json(path, asdict(outcome))
+
+
+def _side_by_side(
+    work: Any, batch: Sequence[int], workers: int | Executor
+) -> Iterator[StartOutcome]:
+    """Yield the outcomes of several starts; a start whose process has ended has failed."""
+    own = Workers(workers) if isinstance(workers, int) and workers > 1 else None
+    executor = workers if isinstance(workers, Executor) else own
+    try:
+        for number, future in run_jobs(work, batch, executor):
+            error = future.exception()
+            if error is None:
+                yield future.result()
+            elif said := ended_from_outside(error):
+                yield StartOutcome(number, failure=said)
+            else:
+                raise error
+    finally:
+        if own is not None:
+            own.shutdown()
+
+
+def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
+    """Return whether enough starts agree on the lowest error, or it has hardly fallen lately."""
+    errors = [o.found[longest][1] for o in outcomes if longest in o.found]
+    if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
+        return True
+    before = [o.found[longest][1] for o in outcomes[:-PATIENCE] if longest in o.found]
+    return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
+
+
+def _try(
+    problem: Shooting,
+    points: Array,
+    deadline: Deadline,
+    number: int,
+) -> StartOutcome:
+    """Fit from one starting point."""
+    shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
+    found: dict[int, tuple[list[float], float]] = {}
+    places, cut = points[number], False
+    try:
+        with within(min(current(), deadline)):
+            for length in _lengths(shooting.longest, growing=number % 2 == 1):
+                unknowns = shooting.divide(length, places)
+                if _runs(shooting, unknowns):
+                    unknowns, error = descend(shooting, unknowns, _ROUNDS)
+                    places = unknowns[: len(places)]
+                    found[length] = places.tolist(), error
+    except DeadlineError:
+        cut = True
+    return StartOutcome(number, found, shooting.failure, cut)
+
+
+def _lengths(longest: int, growing: bool) -> list[int]:
+    """Return the window lengths of all stages, the shortest first."""
+    lengths = [longest]
+    while growing and lengths[0] > max(_GROWTH * SHORTEST, longest // _WINDOWS):
+        lengths.insert(0, -(-lengths[0] // _GROWTH))
+    return lengths
+
+
+def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, float]:
+    """Minimise the error within the ranges; return the best unknowns and their error.
+
+    After the deadline the best ones so far are returned.
+    """
+    least, best = np.inf, None
+
+    def residuals(at: Array) -> Array:
+        nonlocal least, best
+        found = shooting.residuals(at)
+        error = _error(found)
+        if error < least:
+            least, best = error, at.copy()
+        return np.concatenate([found, _PULL * (at - begin)])
+
+    def jacobian(at: Array) -> Array:
+        return np.vstack([shooting.jacobian(at), _PULL * np.eye(len(at))])
+
+    ranged = np.arange(len(unknowns)) < len(shooting.names)  # the states are not
+    bounds = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
+    begin = np.where(ranged, np.clip(unknowns, 1e-6, 1 - 1e-6), unknowns)
+    try:
+        scipy.optimize.least_squares(
+            residuals, begin, jacobian, bounds=bounds, max_nfev=rounds,
+            x_scale=np.where(ranged, 0.1, 1.0), ftol=1e-8, xtol=1e-8, gtol=1e-10,
+        )  # fmt: skip
+    except DeadlineError:
+        if best is None:
+            raise
+    assert best is not None
+    return best, least
+
+
+def _runs(shooting: Shooting, unknowns: Array) -> bool:
+    """Return whether most of the records can be simulated."""
+    return _error(shooting.residuals(unknowns)) < 0.5 * BAD
+
+
+def _error(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(residuals**2)))

@@ -1,49 +1,42 @@
-"""Run a user's simulator in a separate process, which may hang or crash.
+"""Run a simulator of a user's file: in a process of its own, which may hang or crash, or here.
 
-`python -m splitband.simulators.isolation FOLDER` is that process. The folder holds the task and
-the times, and receives the result.
+It runs here where its parameters are fitted, as a fit may itself run in a process of its own.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import os
 import runpy
 import signal
-import subprocess
 import sys
-import tempfile
-import threading
-import time as clock
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pebble import ProcessExpired
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import one_line
-from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, within
+from splitband.runtime.workers import Workers
+from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Start
+from splitband.simulators.code import content_digest, count_arguments, loaded_files
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of
-from splitband.simulators.function import Function
-from splitband.simulators.sources import digest, source_files
-from splitband.simulators.starting import Start
+from splitband.simulators.function import Function, UserCode
+from splitband.simulators.ode import Ode
+from splitband.simulators.parameters import INITIAL, Adjustable, Parameters
 
-_START = 20.0
-"""Seconds for the start of the process, in addition to the simulator's timeout. By eye."""
-_STDERR = 2
-"""File descriptor for everything that the simulator prints, including its C code: stdout is kept
-for results."""
-_TASK, _TIME, _INPUTS = "task.json", "time.npy", "inputs.npy"
-_VALUES, _FAILURE = "values.npy", "failure.json"
+_STDOUT, _STDERR = 1, 2
+"""File descriptors. What a simulator prints, C code included, goes to stderr: stdout is for
+results."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
@@ -59,6 +52,7 @@ class Isolated:
     driven : Whether it takes the record's inputs; set for an FMU by `matched`.
     start : Time of a record's first sample in s, or "record"; None for 0, which a function of time
         alone does not take for granted.
+    files : Files of the modules that it had imported after its last run.
     """
 
     path: str
@@ -70,6 +64,7 @@ class Isolated:
     inputs: tuple[str, ...] | None = None
     driven: bool = False
     start: Start | None = None
+    files: Sequence[str] = field(default=(), init=False)
 
     @property
     def name(self) -> str:
@@ -92,64 +87,69 @@ class Isolated:
         Raises SimulatorTimeoutError after the timeout; the process is then killed. Raises
         SimulatorError if the simulator fails, with its message, or ends its process.
         """
-        with tempfile.TemporaryDirectory(prefix="splitband-") as name:
-            folder = Path(name)
-            (folder / _TASK).write_text(json.dumps(asdict(self)), encoding="utf-8")
-            np.save(folder / _TIME, time)
-            if u is not None:
-                np.save(folder / _INPUTS, u)
-            patience = None if self.timeout is None else self.timeout + _START
-            status = _run_in(folder, patience)
-            if (folder / _VALUES).is_file():
-                return np.asarray(np.load(folder / _VALUES, allow_pickle=False))
-            if not (folder / _FAILURE).is_file():
-                how = f"signal {-status}" if status < 0 else f"exit status {status}"
-                raise SimulatorError(f"it ended its process ({how})")
-            kind, said = json.loads((folder / _FAILURE).read_text(encoding="utf-8"))
-        if kind == "KeyboardInterrupt":
-            raise KeyboardInterrupt
-        if kind == SimulatorTimeoutError.__name__:
-            raise SimulatorTimeoutError
-        raise SimulatorError(said)
+        workers, group = Workers(1), None
+        try:
+            group = workers.submit(_own_group).result()
+            values, self.files = workers.submit(_simulated, self, time, u).result(self.timeout)
+        except TimeoutError:
+            raise SimulatorTimeoutError(f"within {self.timeout:g} s") from None
+        except ProcessExpired as error:
+            code = error.exitcode
+            how = f"signal {-code}" if code < 0 else f"exit status {code}"
+            raise SimulatorError(f"it ended its process ({how})") from None
+        finally:
+            if group is not None:  # with the processes that it has started
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(group, signal.SIGKILL)
+            workers.shutdown()
+        return values
 
     def fingerprint(self) -> str:
         """Return an identifier of everything the output depends on except the time grid.
 
-        It covers the content of the file, of the modules that it imports and of the files `reads`.
+        It covers the content of the file and of those it `reads`; a cached output also depends on
+        the `files` of the run.
         """
+        content = content_digest([self.path, *self.reads])
         if self.function is not None:
-            return f"{digest([*source_files(self.path), *self.reads])} {self.function}"
-        content = hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
-        outputs = [*self.outputs]
+            return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
-        # In the format of an `Fmu` without parameters.
-        alone = f"{content} {outputs} {inputs} {self.start or 0.0} False []"
-        return f"{alone} {digest(self.reads)}" if self.reads else alone
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0}"
 
 
-def _run_in(folder: Path, patience: float | None) -> int:
-    """Run the process that the folder describes and return its exit status."""
-    # Behind the user's own, whose modules may have the names of ours.
-    package = str(Path(__file__).resolve().parents[2])
-    known = os.environ.get("PYTHONPATH")
-    search = os.pathsep.join([known, package] if known else [package])
-    process = subprocess.Popen(
-        # -P keeps Python from importing modules out of the working directory.
-        [sys.executable, "-P", "-m", "splitband.simulators.isolation", str(folder)],
-        env=os.environ | {"PYTHONPATH": search, "TMPDIR": str(folder)},
-        stdout=_STDERR,
-        start_new_session=True,
-    )
+def _own_group() -> int | None:
+    """Make this process the head of a group, which is killed as one, and return the group."""
+    if not hasattr(os, "setsid"):
+        return None
+    os.setsid()
+    return os.getpid()
+
+
+def _simulated(
+    task: Isolated, time: Array, u: Array | None = None
+) -> tuple[npt.NDArray[Any], Sequence[str]]:
+    """Return the output, and the files of the user's modules that were imported for it."""
+    os.dup2(_STDERR, _STDOUT)
     try:
-        return process.wait(patience)
-    except subprocess.TimeoutExpired:
-        raise SimulatorTimeoutError from None
+        values = np.asarray(simulate(task, time, u))
+        values = values.astype(float) if values.dtype == object else values
+    except BaseException as error:
+        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        raise SimulatorError(f"{kind}{one_line(error)}") from None
     finally:
-        if hasattr(os, "killpg"):  # kill its child processes as well
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(process.pid, signal.SIGKILL)
-        process.kill()
-        process.wait()
+        sys.stdout.flush()
+    return values, loaded_files()
+
+
+def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
+    """Run the simulator in this process."""
+    if task.function is not None:
+        function = named_in(task.path, task.function)
+        if not callable(function):
+            raise ValueError(f"{task.path} must define a function {task.function}")
+        return Function(function).simulate(time, u)
+    with Fmu(task.path, task.outputs or None, inputs=task.inputs) as fmu:
+        return fmu.simulate(time, u)
 
 
 def named_in(path: str, name: str) -> Any:
@@ -161,44 +161,68 @@ def named_in(path: str, name: str) -> Any:
         raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
 
 
-def _simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
-    if task.function is not None:
-        function = named_in(task.path, task.function)
-        if not callable(function):
-            raise ValueError(f"{task.path} must define a function {task.function}")
-        return Function(function).simulate(time, u)
-    with Fmu(task.path, task.outputs or None, inputs=task.inputs) as fmu:
-        return fmu.simulate(time, u)
+def opened(
+    file: str,
+    name: str,
+    given: Mapping[str, Any],
+    outputs: Sequence[str] = (),
+    inputs: Sequence[str] | None = None,
+    start: Start | None = None,
+) -> Adjustable:
+    """Return a simulator with these parameters, which runs in this process.
+
+    Raises ValueError for a file that cannot be run, or whose `name` is missing or of another type.
+
+    Parameters
+    ----------
+    file : An .fmu, or a Python file, which is run.
+    name : Name in the Python file; empty for an FMU. It stands for an `Ode`, a `Function`, a
+        function of time as `Function` takes it, or a function `rhs(t, x, u, p)` of four arguments:
+        the right-hand side of an `Ode` whose first state is measured.
+    given : Parameters, which override those of an `Ode` or a `Function` in the file.
+    outputs, inputs : Variables of an FMU.
+    start : Of the simulator; None for its own.
+    """
+    if not name:
+        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0)
+    file = str(Path(file).resolve())
+    _defined(file, name, content_digest([file]))  # which imports what it needs
+    key = f"{content_digest([file, *loaded_files()])} {name}"
+    simulator: Adjustable = _opened(file, name, start, key, given)
+    return simulator
 
 
-def _end_with_parent(parent: int) -> None:
-    """End this process when its parent process has ended."""
-    while os.getppid() == parent:
-        clock.sleep(1)
-    os._exit(1)
+def _opened(file: str, name: str, start: Start | None, key: str, given: Mapping[str, Any]) -> Any:
+    """Return a simulator of a Python file, in any process."""
+    found = _defined(file, name, content_digest([file]))
+    if isinstance(found, UserCode):
+        parameters = {**(found.parameters or {}), **given}
+        simulator: Any = replace(found, parameters=parameters, key=key)  # type: ignore[type-var]
+    elif not callable(found):
+        raise ValueError(f"{file} must define a function, an Ode or a Function {name}")
+    elif count_arguments(found) == 4:
+        simulator = Ode(found, _initial(given), parameters=dict(given), key=key)
+    else:
+        simulator = Function(found, key, dict(given))
+    if start is not None:
+        simulator = replace(simulator, start=start)
+    return simulator.opened_by(partial(_opened, file, name, start, key))
 
 
-def _main(folder: Path) -> None:
-    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
-    facts = json.loads((folder / _TASK).read_text(encoding="utf-8"))
-    listed = [name for name, value in facts.items() if isinstance(value, list)]
-    task = Isolated(**(facts | {name: tuple(facts[name]) for name in listed}))
-    time = np.load(folder / _TIME, allow_pickle=False)
-    given = (folder / _INPUTS).is_file()
-    u = np.load(folder / _INPUTS, allow_pickle=False) if given else None
-    try:
-        values = np.asarray(within(task.timeout, lambda: _simulate(task, time, u)))
-        if values.dtype == object:
-            values = values.astype(float)
-        np.save(folder / "partial.npy", values, allow_pickle=False)
-        (folder / "partial.npy").rename(folder / _VALUES)
-    except BaseException as error:
-        kind = type(error).__name__
-        said = one_line(error) if isinstance(error, ValueError) else f"{kind}: {one_line(error)}"
-        (folder / _FAILURE).write_text(json.dumps([kind, said]), encoding="utf-8")
-    sys.stdout.flush()
-    os._exit(0)  # ends at once, even if the simulator left threads running
+@lru_cache(maxsize=16)
+def _defined(file: str, name: str, content: str) -> Any:
+    """Return the object of that name; cached, so that a function is compiled once per process."""
+    return named_in(file, name)
 
 
-if __name__ == "__main__":
-    _main(Path(sys.argv[1]))
+def _initial(given: Mapping[str, Any]) -> list[float]:
+    """Return the initial states named by the parameters; states between them begin at 0."""
+    told = Parameters(dict(given)).middle()
+    numbers = [int(n[len(INITIAL) :]) for n in told if n[len(INITIAL) :].isdigit()
+               and n.startswith(INITIAL)]  # fmt: skip
+    if not numbers:
+        raise ValueError(
+            "parameters must say how many states the differential equation has, and where they "
+            f"begin: {INITIAL}1=0,{INITIAL}2=-1:1"
+        )
+    return [told.get(f"{INITIAL}{i + 1}", 0.0) for i in range(max(numbers))]

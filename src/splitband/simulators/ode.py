@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -12,16 +12,15 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array
-from splitband.simulators.digests import code_digest
+from splitband.simulators.base import Start
+from splitband.simulators.code import code_digest, count_arguments
 from splitband.simulators.function import UserCode
 from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
-from splitband.simulators.starting import Start, check_places, check_start, count_arguments
 
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
 times too small."""
-WORTH_COMPILING = 30_000
-"""Steps after which the equation is compiled: they take about as long as compiling. By eye."""
+_NO_STEPS = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,8 +39,9 @@ class Ode(UserCode):
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
         this order. `x0_1`, `x0_2`, ... replace the elements of `x0`.
     held : Whether inputs are held until the next sample. By default they are interpolated.
-    method : SciPy's name of the method. Only RK45 (Dormand-Prince) can be compiled.
-    tolerances : Relative and absolute tolerance.
+    method : "RK45", the method of Dormand and Prince, compiled where it can be; or another one of
+        `scipy.integrate.solve_ivp`, such as "Radau" and "BDF" for stiff equations.
+    tolerances : Relative and absolute tolerance of a step.
     key : Identifier of `rhs` and `observe` in the cache, as for `Function`.
     start : t at a record's first sample in s, or "record" for its time stamp.
 
@@ -69,9 +69,7 @@ class Ode(UserCode):
 
     def __post_init__(self) -> None:
         """Check the initial values, and that every one among the parameters names a state."""
-        check_start(self.start)
-        check_places(self.rhs, "t", "x", "u", "p")
-        check_places(self.observe, "x", "u", "p")
+        self._check()
         try:
             x0 = np.atleast_1d(np.asarray(self.x0, float))
         except (TypeError, ValueError):
@@ -90,35 +88,26 @@ class Ode(UserCode):
             )
 
     @property
-    def states(self) -> int:
+    def states(self) -> int:  # type: ignore[override]
         """Return the number of states."""
         return len(self._states)
 
     @property
-    def difference(self) -> float:
+    def difference(self) -> float:  # type: ignore[override]
         """Return the finite-difference step; it is smaller for RK45, which reuses its steps."""
         return 1e-6 if self.method == "RK45" else 1e-4
 
-    @property
-    def adjustable(self) -> bool:
-        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
-        return bool(self.known.given) or self.driven
+    def unfinished(self, time: float) -> str:
+        """Return what is wrong where the states are NaN from `time` in s on."""
+        return (
+            f"the solver, {self.method}, stopped before t = {time:g} s, where it cannot reach the "
+            f'tolerances {self.tolerances}: for a stiff equation there are method="Radau" and '
+            '"BDF", for one that jumps to and fro larger tolerances'
+        )
 
     @property
-    def driven(self) -> bool:
-        """Return whether it takes a record's inputs."""
-        observes = self.observe is not None and count_arguments(self.observe) > 1
-        return count_arguments(self.rhs) > 2 or observes
-
-    @property
-    def needs_inputs(self) -> bool:
-        """Return whether it takes inputs for no other reason than parameters after them."""
-        return count_arguments(self.rhs) == 3 or count_arguments(self.observe) == 2
-
-    @property
-    def code(self) -> list[Any]:
-        """Return the user's functions."""
-        return [self.rhs, self.observe]
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        return [(self.rhs, ("t", "x", "u", "p")), (self.observe, ("x", "u", "p"))]
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the equation with as many of its first states observed as there are channels.
@@ -133,14 +122,10 @@ class Ode(UserCode):
                 f"{len(columns)} channels, {', '.join(columns)}: by default the first states are "
                 "observed"
             )
-        # Kept, as it also holds compiled code.
-        kept: dict[int, Self] = vars(self).setdefault("_matched", {})
-        if len(columns) not in kept:
-            made = self._with(observe=partial(_first_states, len(columns)))
-            opened = vars(made).get("_opened_by")
-            again: Any = None if opened is None else partial(_matched_again, opened, [*columns])
-            kept[len(columns)] = made.opened_by(again)
-        return kept[len(columns)]
+        made = self._with(observe=partial(_first_states, len(columns)))
+        opened = vars(self).get("_opened_by")
+        again: Any = None if opened is None else partial(_matched_again, opened, [*columns])
+        return made.opened_by(again)
 
     def precise(self) -> Self:
         """Return a copy with tolerances that also make its derivatives accurate.
@@ -153,16 +138,14 @@ class Ode(UserCode):
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Solve at the times `time` in s, with the inputs `(time, nu)`.
 
-        A parameter with a range takes the middle of it. Raises RuntimeError if SciPy's solver
-        fails.
+        A parameter with a range takes the middle of it. Raises RuntimeError for an equation that
+        cannot be solved.
         """
-        if self.driven:
-            y, _ = self.respond(time, u, [(self.known.middle(), None)])[0]
-            return y
-        values, time = self.known.middle(), np.asarray(time, float)
-        # It takes neither inputs nor parameters here.
-        x = self._scipy(lambda t, x: self._plain(t, x, (), ()), time, self.initial(values))
-        return self._observed(x, np.empty((len(time), 0)), values)
+        (y, x), *_ = self.respond(time, u, [(self.known.middle(), None)])
+        if not np.isfinite(x).all():
+            bad = int(np.argmin(np.isfinite(x).all(axis=1)))
+            raise RuntimeError(self.unfinished(float(time[bad])))
+        return y
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """Return the responses at several points; RK45 takes the steps of the first one for all.
@@ -172,43 +155,53 @@ class Ode(UserCode):
         time, u : `(time,)` in s, and the inputs `(time, nu)`.
         points : Parameters and initial state; None is the state at the record's first sample.
         """
-        steps = np.zeros(max(len(time) - 1, 0), dtype=np.int64)
-        return [self._response(values, self.initial(values) if state is None else state,
-                               time, u, steps) for values, state in points]  # fmt: skip
+        steps, found = _NO_STEPS, []
+        for values, state in points:
+            y, x, steps, _ = self._response(values, state, time, u, (steps, 0.0))
+            found.append((y, x))
+        return found
 
     @property
-    def advances(self) -> bool:
+    def advances(self) -> bool:  # type: ignore[override]
         """Return whether successive calls of `advance` equal one long solution, up to rounding."""
         return self.method == "RK45"
 
     def advance(
-        self, values: Mapping[str, float], state: Array, time: Array, u: Array | None, taken: int
-    ) -> tuple[Array, Array, int]:
-        """Return channels and states at `time`, and the solver steps of the last interval.
+        self, values: Mapping[str, float], state: Array, time: Array, u: Array | None, size: float
+    ) -> tuple[Array, Array, float]:
+        """Return channels and states at `time`, and the `size` of the next call.
 
         Parameters
         ----------
         values : Values of the parameters.
-        state : State at the first of at least two times, `(nx,)`.
+        state : State at the first time, `(nx,)`.
         time, u : See `respond`.
-        taken : Solver steps of the interval before; 0 if there is none.
+        size : Step size in s to go on with; 0 at the beginning.
         """
-        steps = np.zeros(len(time) - 1, dtype=np.int64)
-        steps[0] = -taken
-        y, x = self._response(values, state, time, u, steps)
-        return y, x, int(steps[-1])
+        y, x, _, size = self._response(values, state, time, u, (_NO_STEPS, size))
+        return y, x, size
 
     def _response(
         self,
         values: Mapping[str, float],
-        state: npt.ArrayLike,
+        state: npt.ArrayLike | None,
         time: Array,
         u: Array | None,
-        steps: npt.NDArray[np.int64],
-    ) -> Response:
-        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
-        x = self._solved(values, np.array(state, dtype=float), time, inputs, steps)
-        return self._observed(x, inputs, values), x
+        steps: tuple[Array, float],
+    ) -> tuple[Array, Array, Array, float]:
+        """Return channels, states, the solver's steps, and the size of its next one."""
+        time = np.ascontiguousarray(time, dtype=float)
+        u = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
+        begin = np.array(self.initial(values) if state is None else state, dtype=float)
+        if self.method == "RK45":
+            from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
+
+            solve = solver(self.rhs, count_arguments(self.rhs) or 2)
+            p = self._p(values)
+            x, taken, size = solve(p, begin, time, (u, self.held), steps, self.tolerances)
+        else:
+            x, taken, size = self._scipy(values, begin, time, u), _NO_STEPS, 0.0
+        return self._observed(x, u, values), x, taken, size
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
@@ -224,91 +217,44 @@ class Ode(UserCode):
         fixed = {n: x for n, x in zip(self._states, x0, strict=True) if n not in self.known.given}
         return f"{code} {fixed} {self._precision} {self.held}"
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the fields, without compiled code, for other processes."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
-
     @property
     def _precision(self) -> str:
         begins = f" from {self.start}" if self.start else ""
         return f"{self.method} {self.tolerances}{begins}"
 
-    @cached_property
+    @property
     def _states(self) -> list[str]:
-        return [f"{INITIAL}{i + 1}" for i in range(len(np.atleast_1d(np.asarray(self.x0, float))))]
-
-    @cached_property
-    def _named(self) -> Any:
-        names = [name for name in self.known.given if not name.startswith(INITIAL)]
-        return parameters_class(tuple(names))
+        return [f"{INITIAL}{i + 1}" for i in range(np.size(self.x0))]
 
     def _p(self, values: Mapping[str, float]) -> Any:
-        return self._named(*(float(values[name]) for name in self._named._fields))
+        names = tuple(name for name in self.known.given if not name.startswith(INITIAL))
+        return parameters_class(names)(*(float(values[name]) for name in names))
 
     def initial(self, values: Mapping[str, float]) -> Array:
         """Return the state at the record's first sample."""
         x0 = np.atleast_1d(np.array(self.x0, dtype=float))
         return np.array([values.get(name, x) for name, x in zip(self._states, x0, strict=True)])
 
-    def _plain(self, t: float, x: Array, u: Any, p: Any) -> Any:
-        return self.rhs(*(t, x, u, p)[: count_arguments(self.rhs) or 2])
+    def _scipy(self, values: Mapping[str, float], initial: Array, time: Array, u: Array) -> Array:
+        """Return the states at the times by SciPy's solver, `(time, nx)`."""
+        p, count = self._p(values), count_arguments(self.rhs) or 2
+        begin, step = float(time[0]), float(time[1] - time[0])
 
-    def _faster(self, *probe: Any) -> Callable[..., Array]:
-        """Return the compiled solver, or the plain one if Numba cannot compile the equation.
+        def slope(t: float, x: Array) -> Any:
+            place = np.clip(t / step, 0, len(time) - 1)
+            n = min(int(place), len(time) - 2)
+            inputs = u[n] if self.held else u[n] + (place - n) * (u[n + 1] - u[n])
+            return self.rhs(*(begin + t, x, inputs, p)[:count])
 
-        Both must agree on a short simulation, `probe`: compiled code does not check, for instance,
-        indices of the states.
-        """
-        p, initial, time, inputs, tolerances = probe
-        usual, fast = (_solver(self.rhs, compiled) for compiled in (False, True))
-        steps = np.zeros((2, len(time) - 1), dtype=np.int64)
-        expected = usual(p, initial, time, inputs, (steps[0], *tolerances))
-        try:
-            found = fast(p, initial, time, inputs, (steps[1], *tolerances))
-        except Exception:  # code that Numba does not support
-            return usual
-        return fast if np.allclose(found, expected, rtol=1e-6, equal_nan=True) else usual
-
-    def _solved(
-        self,
-        values: Mapping[str, float],
-        initial: Array,
-        time: Array,
-        u: Array,
-        steps: npt.NDArray[np.int64],
-    ) -> Array:
-        p, time = self._p(values), np.ascontiguousarray(time, dtype=float)
-        if self.method != "RK45":
-            return self._scipy(lambda t, x: self._plain(t, x, self._between(t, time, u), p),
-                               time, initial)  # fmt: skip
-        kept = vars(self)
-        solve = kept.get("_solve") or _solver(self.rhs, False)
-        if "_solve" not in kept and kept.get("_taken", 0) > WORTH_COMPILING:
-            inputs = u[:3], self.held
-            solve = kept["_solve"] = self._faster(p, initial, time[:3], inputs, self.tolerances)
-        solved: Array = solve(p, initial, time, (u, self.held), (steps, *self.tolerances))
-        kept["_taken"] = kept.get("_taken", 0) + int(steps.sum())
-        return solved
-
-    def _between(self, t: float, time: Array, u: Array) -> Array:
-        """Return the inputs at time `t`, held or interpolated."""
-        place = np.clip((t - time[0]) / (time[1] - time[0]), 0, len(time) - 1)
-        n = min(int(place), len(time) - 2)
-        return u[n] if self.held else u[n] + (place - n) * (u[n + 1] - u[n])
-
-    def _scipy(self, rhs: Callable[..., Any], time: Array, initial: Array) -> Array:
-        rtol, atol = self.tolerances
-        longest = float(time[1] - time[0]) if self.driven else np.inf
         # Its steps are lost in the rounding of large times: it counts from 0.
-        begin, times = float(time[0]), time - time[0]
+        rtol, atol = self.tolerances
         solution = scipy.integrate.solve_ivp(
-            lambda t, x: rhs(begin + t, x), (0.0, times[-1]), initial, method=self.method,
-            t_eval=times, rtol=rtol, atol=atol, max_step=longest,
+            slope, (0.0, time[-1] - begin), initial, method=self.method, t_eval=time - begin,
+            rtol=rtol, atol=atol, max_step=step if self.driven else np.inf,
         )  # fmt: skip
-        if not solution.success:
-            at = begin + float(solution.t[-1]) if len(solution.t) else begin
-            raise RuntimeError(f"the solver stopped at t = {at:g} s: {solution.message}")
-        return np.asarray(solution.y.T)
+        x = np.full((len(time), len(initial)), np.nan)
+        x[: len(solution.t)] = solution.y.T
+        return x
 
     def _observed(self, x: Array, u: Array, values: Mapping[str, float]) -> Array:
         if self.observe is None:
@@ -326,9 +272,3 @@ def _matched_again(opened: Callable[[Given], Ode], columns: list[str], given: Gi
 def _first_states(count: int, x: Array) -> Array:
     """Return the first states, `(time, count)`."""
     return x[:, :count]
-
-
-def _solver(rhs: Callable[..., Any], compiled: bool) -> Callable[..., Array]:
-    from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
-
-    return solver(rhs, count_arguments(rhs), compiled)

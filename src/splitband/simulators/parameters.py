@@ -1,17 +1,19 @@
-"""Hold a simulator's parameters: fixed numbers, and ranges in which parameters are fitted."""
+"""Define simulators with parameters: fixed numbers, and ranges in which they are fitted."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import namedtuple
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from typing import Any
+from functools import cache, cached_property
+from typing import Any, Self
 
 import numpy as np
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.options import WithRepr
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
@@ -163,3 +165,64 @@ def _ends(name: str, value: Any) -> tuple[float, float]:
     if low == high:
         raise ValueError(f"a range must have two different ends, got {name}={value!r}")
     return low, high
+
+
+class Adjustable(WithRepr, ABC):
+    """Define simulators whose parameters can be fitted.
+
+    Attributes
+    ----------
+    parameters : By name a number, or a range `(low, high)`.
+    start : Time of a record's first sample in s, "record" for its time stamp, or None.
+    states : Number of states that a run can start from; 0 for a black box.
+    difference : Finite-difference step, as a share of a parameter's range.
+    advances : Whether `advance`, see `Ode`, goes on from a state as one long run does.
+    """
+
+    parameters: Given | None
+    start: Any
+    states = 0
+    difference = 1e-6
+    advances = False
+
+    @cached_property
+    def known(self) -> Parameters:
+        """Return the parameters, checked."""
+        return Parameters(dict(self.parameters or {}))
+
+    @property
+    @abstractmethod
+    def driven(self) -> bool:
+        """Return whether it takes a record's inputs."""
+
+    @property
+    def adjustable(self) -> bool:
+        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
+        return bool(self.known.given) or self.driven
+
+    @abstractmethod
+    def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> Sequence[Response]:
+        """Return the responses at several neighbouring points; `u` is `(time, nu)`.
+
+        Values that cannot be computed are NaN.
+        """
+
+    @abstractmethod
+    def digest(self) -> str:
+        """Return an identifier of the response, without the values of parameters."""
+
+    @abstractmethod
+    def _with(self, **changes: Any) -> Self:
+        """Return a copy with changed options."""
+
+    def fixed(self, values: Mapping[str, float]) -> Self:
+        """Return a copy with some parameters set to these values."""
+        return self._with(parameters=dict(self.known.fixed(values).given))
+
+    def precise(self) -> Self:
+        """Return the simulator for the last steps of a fit and for standard errors."""
+        return self
+
+    def unfinished(self, time: float) -> str:
+        """Return what is wrong where values are not finite from `time` in s on."""
+        return f"the simulator must return finite values, got others from {time:g} s on"
