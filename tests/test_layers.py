@@ -25,8 +25,8 @@ LAYERS = (
     "baselines",
     "filters",
     "kernels",
-    "runtime",
     "metrics",
+    "runtime",
 )
 # These import nothing from the package but compiled code, measures of error and deadlines.
 LEAVES = ("filters", "baselines", "runtime", "metrics", "kernels")
@@ -187,6 +187,17 @@ def test_only_the_command_line_prints() -> None:
         and node.func.id == "print"
     ]
     assert not printing
+
+
+def test_errors_about_input_have_a_class_of_their_own() -> None:
+    """The command line tells bad input from a defect by it."""
+    others = [
+        f"{path.relative_to(SOURCE)}:{node.lineno}"
+        for path in FILES
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Raise) and ast.unparse(node).startswith("raise ValueError")
+    ]
+    assert not others
 
 
 MOST_PARAMETERS, MOST_FIELDS = 6, 8

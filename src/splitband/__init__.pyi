@@ -73,6 +73,7 @@ from .networks import (
     StateSpace as StateSpace,
     rollout as rollout,
 )
+from .runtime.errors import InputError as InputError
 from .simulators import (
     Estimate as Estimate,
     Fmu as Fmu,

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.runtime.errors import InputError
+
 Array = npt.NDArray[np.float64]
 
 
@@ -45,7 +47,7 @@ def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
     """Return the RMSE divided by the standard deviation of y; predicting the mean gives 1."""
     error, y = rmse(y, prediction), np.asarray(y, float)
     if not _varies(y).any():
-        raise ValueError("y must not be constant: its standard deviation is 0")
+        raise InputError("y must not be constant: its standard deviation is 0")
     return error / rmse(y, np.broadcast_to(np.nanmean(y, axis=0), y.shape))
 
 
@@ -178,7 +180,7 @@ def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
     """Return the squared errors, `(time, ny)`."""
     y, prediction = np.asarray(y, float), np.asarray(prediction, float)
     if y.shape != prediction.shape or y.ndim not in (1, 2) or not len(y):
-        raise ValueError(
+        raise InputError(
             f"y and prediction must have one shape, (time,) or (time, ny), "
             f"got {y.shape} and {prediction.shape}"
         )

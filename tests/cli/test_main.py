@@ -4,6 +4,7 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from splitband.cli import main
@@ -68,3 +69,10 @@ def test_a_message_shows_file_names_as_they_are(
 ) -> None:
     assert main(["compare", name]) == 2
     assert name in capsys.readouterr().err
+
+
+def test_a_defect_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ValueError that a library raises inside of the package keeps its traceback."""
+    monkeypatch.setattr("splitband.cli.records.load_record", lambda *_: np.reshape([1, 2], 3))
+    with pytest.raises(ValueError, match="cannot reshape"):
+        main(["spectrum", "record.csv", "--out", "out"])

@@ -20,6 +20,7 @@ from splitband.baselines.subspace import stable, subspace
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
+from splitband.runtime.errors import InputError
 
 LONGEST_DELAY = 100_000
 """Longest delay in samples that a file may ask for: bounds the memory of a stream."""
@@ -56,7 +57,7 @@ _DELAY_ORDERS = (1, 2, 4)
 def check_delays(delays: Sequence[int], inputs: int) -> None:
     """Check the number and range of delays, which may come from a file; raises ValueError."""
     if len(delays) != inputs:
-        raise ValueError(f"delays must be those of {inputs} inputs, got {len(delays)}")
+        raise InputError(f"delays must be those of {inputs} inputs, got {len(delays)}")
     for delay in delays:
         whole("delays", delay, 0, LONGEST_DELAY)
 

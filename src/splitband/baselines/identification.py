@@ -45,6 +45,7 @@ from splitband.baselines.refinement import (
 from splitband.baselines.selection import ITERATIONS, Search, with_constant
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
+from splitband.runtime.errors import InputError
 
 _ALIKE = 2
 """Outputs whose estimated delays differ by at most so many samples are modelled together.
@@ -123,7 +124,7 @@ def _of_outputs(
     else:
         given = search.of_order(order)
         if given is None:
-            raise ValueError(
+            raise InputError(
                 f"order must suit the record, got {order}: it has too few samples for so many poles"
             )
         chosen = given if integrators is not None else search.integrating(given, order)

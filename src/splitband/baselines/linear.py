@@ -18,6 +18,7 @@ from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import check_delays, delayed
 from splitband.baselines.kalman import EXACT, most_probable, responses, states, whitening
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 _FASTEST, _SLOWEST = 0.5, 0.95
@@ -94,11 +95,11 @@ class LinearModel:
         }  # fmt: skip
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
-                raise ValueError(f"{name} must be {shape}, got {np.shape(getattr(self, name))}")
+                raise InputError(f"{name} must be {shape}, got {np.shape(getattr(self, name))}")
         check_delays([delay for _, delay in self.taps], taps)
         check_delays(self.late, ny)
         if any(not 0 <= i < len(self.mean) for i, _ in self.taps):
-            raise ValueError(f"taps must name one of {len(self.mean)} inputs, got {self.taps}")
+            raise InputError(f"taps must name one of {len(self.mean)} inputs, got {self.taps}")
 
     @property
     def ny(self) -> int:

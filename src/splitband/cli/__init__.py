@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from splitband import __version__
 from splitband.cli import clock
+from splitband.runtime.errors import InputError
 
 COMMANDS = {
     "demo": "See what the package does, in about a minute.",
@@ -184,8 +185,8 @@ OPTIONS = (
 """Arguments of the library that are options of the same name here."""
 
 
-EXPECTED = (ValueError, OSError, FloatingPointError, MemoryError, OverflowError)
-"""Exceptions that bad input raises; any other is a defect of the package."""
+EXPECTED = (InputError, OSError, FloatingPointError, MemoryError, OverflowError)
+"""Exceptions that bad input raises; any other is a defect of the package, with a traceback."""
 
 
 def in_words(error: Exception) -> str:
@@ -196,4 +197,4 @@ def in_words(error: Exception) -> str:
     said = re.sub(rf"^({'|'.join(OPTIONS)}) (?=must|needs)", r"--\1 ", said)
     if isinstance(error, MemoryError | OverflowError):
         return f"a number is too large for this machine: {said}"
-    return said if isinstance(error, EXPECTED) else f"{type(error).__name__}: {said}"
+    return said

@@ -18,6 +18,7 @@ from splitband.cli.simulators import opened_with_simulator
 from splitband.forecasters import saving as forecasters
 from splitband.report import results
 from splitband.report.page.parts import Usage
+from splitband.runtime.errors import InputError
 
 
 @with_groups
@@ -52,7 +53,7 @@ def check(
     responses = None
     with showing.warnings_as_lines():
         found = model.check_residuals(past)
-        with suppress(ValueError):  # the model has no inputs, or needs a simulator
+        with suppress(InputError):  # the model has no inputs, or needs a simulator
             responses = model.step_responses()
     asked = f"splitband check {model_dir} --record {record}"
     results.save_check(found, out, model.in_words(), responses, Usage(asked=asked))

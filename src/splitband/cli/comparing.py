@@ -37,6 +37,7 @@ from splitband.forecasters.names import (
     with_base,
     with_variants,
 )
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import available_cores
 from splitband.training import Settings
 
@@ -163,7 +164,7 @@ def check_device(name: str) -> None:
         torch.zeros(1, device=name).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = str(error).splitlines()[0]
-        raise ValueError(f"--device must be one that is there, got {name}: {reason}") from None
+        raise InputError(f"--device must be one that is there, got {name}: {reason}") from None
 
 
 def _like(asked: Request) -> Forecaster:
@@ -177,7 +178,7 @@ def _like(asked: Request) -> Forecaster:
                if getattr(asked.model, o) is not None]  # fmt: skip
     if decided:
         option = decided[0].replace("_", "-")
-        raise ValueError(
+        raise InputError(
             f"--{option} must be left out with --like, whose model decides it, got "
             f"{getattr(asked.model, decided[0])}"
         )
@@ -219,7 +220,7 @@ def _further(
     others = load_further("--more", more.more, more.more_simulator, *beside, needed, beyond)
     tests = load_further("--test", testing.test, testing.test_simulator, *beside)
     if testing.initial is not None and not tests:
-        raise ValueError(f"--initial must be used with --test, got {testing.initial}")
+        raise InputError(f"--initial must be used with --test, got {testing.initial}")
     return others, tests
 
 
@@ -228,7 +229,7 @@ def _check_needs(methods: Sequence[Forecaster], record: Record) -> None:
     for need, given in (("simulator", record.y_sim), ("inputs", record.u)):
         lacking = next((m for m in methods if need in m.needs and given is None), None)
         if lacking is not None:
-            raise ValueError(f"--{need} must be given for {lacking.name}, {record.name} has none")
+            raise InputError(f"--{need} must be given for {lacking.name}, {record.name} has none")
 
 
 @contextmanager
@@ -238,18 +239,18 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         yield {"cores": jobs or available_cores()}
         return
     if jobs is not None:
-        raise ValueError(
+        raise InputError(
             f"--jobs must be left out with --cluster, where each thread has one, got {jobs}"
         )
     try:
         from distributed import Client, KilledWorker  # noqa: PLC0415  an extra
         from distributed.client import ClosedClientError  # noqa: PLC0415
     except ImportError:
-        raise ValueError("--cluster needs Dask: pip install 'splitband[cluster]'") from None
+        raise InputError("--cluster needs Dask: pip install 'splitband[cluster]'") from None
     try:
         client = Client(cluster, timeout=5, set_as_default=False)
     except (OSError, TimeoutError, ValueError):
-        raise ValueError(
+        raise InputError(
             "--cluster must be the address of a Dask scheduler that answers, such as "
             f"tcp://10.0.0.5:8786, got {cluster}"
         ) from None
@@ -257,12 +258,15 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         if not client.nthreads():
             showing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
         client.wait_for_workers(1)
-        client.get_versions(check=True)
+        try:
+            client.get_versions(check=True)
+        except ValueError as error:
+            raise InputError(f"--cluster must run the versions that are here: {error}") from None
         cores = sum(client.nthreads().values())
         try:
             yield {"cores": max(cores, 1), "executor": client.get_executor(pure=False)}
         except (KilledWorker, ClosedClientError, CancelledError):
-            raise ValueError(
+            raise InputError(
                 "--cluster must be there until the end (the same command goes on from what is "
                 f"finished), the scheduler or the workers are gone, got {cluster}"
             ) from None

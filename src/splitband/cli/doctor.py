@@ -13,6 +13,7 @@ from splitband.data import PUBLIC, fetch
 from splitband.data.public import data_folder
 from splitband.networks import GRU, rollout
 from splitband.report.environment import environment
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import available_cores
 
 EXTRAS = {"fmu": "fmpy", "onnx": "onnx", "control": "control", "cluster": "distributed"}
@@ -62,7 +63,7 @@ def _state(name: str) -> str:
         return "not there: splitband data fetch"
     try:
         fetch(name, folder)
-    except (ValueError, OSError) as error:
+    except (InputError, OSError) as error:
         return str(error)
     return "there"
 

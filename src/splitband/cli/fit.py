@@ -30,6 +30,7 @@ from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.metrics import rmse
 from splitband.report.environment import environment
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
 from splitband.training import Progress
@@ -158,7 +159,7 @@ def _try_out(forecaster: Forecaster) -> None:
     try:
         with showing.without_warnings():
             forecaster._require_held_out()
-    except (ValueError, FloatingPointError) as error:
+    except (InputError, FloatingPointError) as error:
         showing.warn(f"the model has no intervals: {error}")
 
 

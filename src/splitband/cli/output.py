@@ -11,6 +11,7 @@ from typing import Any
 from splitband.cli.options.simulators import parts_of
 from splitband.forecasters import saving
 from splitband.report.results import MODEL_FOLDER
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import FACTS, belongs_to_result, locked
 
@@ -57,7 +58,7 @@ def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]
     for target in targets:
         for path, option in inputs.items():
             if os.path.isfile(target) and os.path.samefile(target, path):
-                raise ValueError(
+                raise InputError(
                     f"--out must not replace a file that the command reads, got {out}: {target} "
                     f"is read by {option}"
                 )

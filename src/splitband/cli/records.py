@@ -20,6 +20,7 @@ from splitband.data.reading import ColumnError
 from splitband.data.signals import ReadingWarning, described, places, same_names
 from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters.base import Forecaster
+from splitband.runtime.errors import InputError
 
 _OF_TEXT = ("missing", "skip_rows", "header_row")
 """Options for the layout of a file."""
@@ -34,7 +35,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
     if name in RECORDS:
         for option in ("columns", "inputs", "sampling_time", "time_column", *_OF_TEXT):
             if (value := getattr(reading, option)) not in (None, 0):
-                raise ValueError(
+                raise InputError(
                     f"--{option.replace('_', '-')} is for files; {name} is a named record, got "
                     f"{value}"
                 )
@@ -46,7 +47,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
         trained = like.require_fitted().record
         pairs = ((record.columns, trained.columns), (record.inputs, trained.inputs))
         if not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
-            raise ValueError(
+            raise InputError(
                 f"--like must name a model of such a record: it is for "
                 f"{described(trained.columns, trained.inputs)}, the record has "
                 f"{described(record.columns, record.inputs)}"
@@ -177,7 +178,7 @@ def history_of(file: Path, option: str, record: Record, files: FileOptions) -> R
     )
     announce(past, str(file))
     if not near_sampling(past.sampling_time, record.sampling_time):
-        raise ValueError(
+        raise InputError(
             f"{option} must be sampled like the training record, every "
             f"{record.sampling_time:g} s, got every {past.sampling_time:g} s in {file}"
         )
@@ -200,13 +201,13 @@ def inputs_ahead(
     inputs = known.inputs
     if file is None:
         if inputs:
-            raise ValueError(
+            raise InputError(
                 f"this record has known inputs ({', '.join(inputs)}): give their future values "
                 "with --future-inputs FILE"
             )
         return None
     if not inputs:
-        raise ValueError("this record has no known inputs: leave out --future-inputs")
+        raise InputError("this record has no known inputs: leave out --future-inputs")
     ahead = known.grid.after(steps)
     if str(file) in RECORDS:
         named = RECORDS[str(file)].make()

@@ -16,6 +16,7 @@ from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import opened_with_simulator
 from splitband.forecasters import saving as forecasters
 from splitband.metrics import leaves_range
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import output_folder, replacing
 
 
@@ -71,7 +72,7 @@ def simulate(
     and one for each measured channel, with --level followed by the ends of its interval.
     """
     if out.is_dir():
-        raise ValueError(f"--out must be a file, got the folder {out}")
+        raise InputError(f"--out must be a file, got the folder {out}")
     forecaster = forecasters.load(model_dir)
     record = forecaster.require_fitted().record
     past = record

@@ -21,6 +21,7 @@ from splitband.data.timing import in_words
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
+from splitband.runtime.errors import InputError
 from splitband.simulators import Recorded, Simulator, SimulatorTimeoutError, run
 from splitband.simulators.base import check_start, is_driven, matched, origin
 from splitband.simulators.calibration import samples_needed
@@ -72,7 +73,7 @@ def with_simulator(
             )
     try:
         y_sim = _simulated(opened, options, replace(grid, samples=samples), record.ny, u)
-    except ValueError as error:
+    except InputError as error:
         if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
             raise
         y_sim = _simulated(opened, options, replace(grid, samples=least), record.ny, u)
@@ -114,7 +115,7 @@ def load_further(
     """
     files, simulators = files or [], simulators or []
     if (simulators or needed) and len(simulators) != len(files):
-        raise ValueError(
+        raise InputError(
             f"{option}-simulator must be given once for each {option}, got {len(simulators)} for "
             f"{len(files)}"
         )
@@ -145,14 +146,14 @@ def opened_simulator(
     """Return the simulator that --simulator names, with the columns of --simulator-columns."""
     text, timeout = options.simulator or "", options.simulator_timeout
     if not math.isfinite(timeout):
-        raise ValueError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
+        raise InputError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
     columns = names(options.simulator_columns or "")
     file, function = parts_of(text)
     _check_used(options, file, function)
     if text in SIMULATORS:
         return SIMULATORS[text]()
     if text.endswith(".py"):
-        raise ValueError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
+        raise InputError(f"--simulator needs a function of the file, {text}:FUNCTION, got {text}")
     if not Path(file).is_file():
         raise FileNotFoundError(
             f"--simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
@@ -178,7 +179,7 @@ def opened_simulator(
     if not columns and set(record.columns) <= set(exported.columns):
         y = y[:, [exported.columns.index(name) for name in record.columns]]
     if y.shape[1] != record.ny:
-        raise ValueError(
+        raise InputError(
             f"--simulator-columns must choose {record.ny} column(s), as many as the record has, "
             f"out of {', '.join(exported.columns)} in {text}"
         )
@@ -197,7 +198,7 @@ def opened_with_simulator(
     """Return the forecaster with the simulator that the options name."""
     if options.simulator is None:
         if "simulator" in forecaster.needs or forecaster.parameters:
-            raise ValueError(f"--simulator must be given for {forecaster.name}, which runs one")
+            raise InputError(f"--simulator must be given for {forecaster.name}, which runs one")
         return forecaster
     if used := forecaster.parameters.get("used"):
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
@@ -217,9 +218,9 @@ def _check_used(options: SimulatorOptions, file: str, function: str) -> None:
     """Raise ValueError for options that a simulator of this kind does not use."""
     fmu = file.lower().endswith(".fmu")
     if options.simulator_inputs is not None and not fmu:
-        raise ValueError(f"--simulator-inputs is for an .fmu, got --simulator {options.simulator}")
+        raise InputError(f"--simulator-inputs is for an .fmu, got --simulator {options.simulator}")
     if options.simulator_start is not None and not (fmu or function):
-        raise ValueError(
+        raise InputError(
             f"--simulator-start is for an .fmu or a function, got --simulator {options.simulator}"
         )
 
@@ -235,7 +236,7 @@ def _start_of(options: SimulatorOptions) -> Any:
     try:
         return check_start(options.simulator_start)
     except ValueError:
-        raise ValueError(
+        raise InputError(
             f"--simulator-start must be a number of seconds or record, got "
             f"{options.simulator_start}"
         ) from None
@@ -250,7 +251,7 @@ def _takes_inputs(file: str, name: str, record: Record) -> bool:
     function = outline(file, name) or named_in(file, name)
     count = count_arguments(function) if callable(function) else 1
     if count >= 3:
-        raise ValueError(
+        raise InputError(
             f"--parameters must say where the states of {file}:{name} begin, a function of "
             f"(t, x, u, p): x0_1=0,x0_2=-1:1, or set the p of (time, u, p); got {count} arguments"
         )
@@ -276,7 +277,7 @@ def adjustable(options: SimulatorOptions) -> Adjustable | None:
     file, function = parts_of(options.simulator or "")
     _check_used(options, file, function)
     if not function and not file.lower().endswith(".fmu"):
-        raise ValueError(
+        raise InputError(
             "--parameters is for a --simulator that can be run again, FILE.py:FUNCTION or an .fmu, "
             f"got {options.simulator or 'none'}"
         )

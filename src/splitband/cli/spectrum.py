@@ -28,6 +28,7 @@ from splitband.metrics import rmse
 from splitband.report import results
 from splitband.report.table import Column, Table
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 
 @with_groups
@@ -59,7 +60,7 @@ def spectrum(
     record: for its cut-off give --train the number of all samples.
     """
     if simulator.simulator in BASES:
-        raise ValueError(
+        raise InputError(
             f"--simulator must be a simulator for spectrum; got {simulator.simulator}, which is "
             "fitted to the record: for compare, fit and forecast"
         )

@@ -11,6 +11,7 @@ import typer
 
 from splitband.cli import showing
 from splitband.report.table import NOTES, OVER_ALL, Column, Table, Unit
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS, replacing, to_json
 from splitband.runtime.outputs import FACTS, FORMAT
 
@@ -33,7 +34,7 @@ def summary(
     under the headings of `compare`. An unfinished comparison is named, with what it has so far.
     """
     if out is not None and out.suffix not in (".csv", ".json"):
-        raise ValueError(f"--out must end in .csv or .json, got {out}")
+        raise InputError(f"--out must end in .csv or .json, got {out}")
     units: dict[str, Unit] = {_TIME: "seconds"}
     rows = [row for folder in dict.fromkeys(folders) for row in _rows(folder, units)]
     order, said = [*NOTES, _TIME], dict[str, str]()
@@ -66,11 +67,11 @@ def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
         best, written = facts["recommended"], facts.get("format")
         table = facts["table"] if written == FORMAT else []
     except (OSError, ValueError, KeyError, TypeError):
-        raise ValueError(
+        raise InputError(
             f"DIR must be a folder that splitband compare wrote, with {FACTS}, got {folder}"
         ) from None
     if written != FORMAT:
-        raise ValueError(
+        raise InputError(
             f"DIR must hold results of format {FORMAT}, got {written} in {folder}: make them again "
             "with `splitband compare`"
         )

@@ -21,6 +21,7 @@ from splitband.forecasters.checking import ResidualTests, tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction, median_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
+from splitband.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,7 +116,7 @@ class Comparison:
         """
         name = self.recommended if name is None else name
         if name not in self.fits:
-            raise ValueError(f"name must be one of {', '.join(self.fits)}, got {name}")
+            raise InputError(f"name must be one of {', '.join(self.fits)}, got {name}")
         models = [fit.fitted for fit in self.fits[name]]
         return fitted_ensemble(models, self.require_trial().held_out.get(name))
 
@@ -216,7 +217,7 @@ class Comparison:
     def require_trial(self) -> Trial:
         """Return the trial; raises ValueError where none has been made."""
         if self.trial is None:
-            raise ValueError("nothing has been tried on held-out samples in this comparison")
+            raise InputError("nothing has been tried on held-out samples in this comparison")
         return self.trial
 
     def __repr__(self) -> str:

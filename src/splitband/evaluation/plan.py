@@ -25,6 +25,7 @@ from splitband.forecasters.base import Forecaster, parts_of
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
 from splitband.runtime.arguments import whole
+from splitband.runtime.errors import InputError
 from splitband.simulators.identification import check_runs
 from splitband.simulators.parameters import Adjustable
 from splitband.training import Settings, default_warmup
@@ -241,7 +242,7 @@ def plan(
             searched[complete.name] = isinstance(each, str) and sizes is None
         made.append(complete)
     if rounds is not None and not searched:
-        raise ValueError(f"rounds must be left out where no training is searched, got {rounds}")
+        raise InputError(f"rounds must be left out where no training is searched, got {rounds}")
     limit = BUDGET if budget is None and rounds is None and searched else budget
     found = Plan(
         record, train, horizon, tuple(made), decided, chosen, of_names, searched,
@@ -257,9 +258,9 @@ def plan(
 
 def _check_limits(budget: float | None, rounds: int | None, seed: int, seeds: int | None) -> None:
     if budget is not None and not budget > 0:
-        raise ValueError(f"budget must be a positive number of seconds, got {budget}")
+        raise InputError(f"budget must be a positive number of seconds, got {budget}")
     if budget is not None and rounds is not None:
-        raise ValueError(
+        raise InputError(
             f"budget and rounds exclude each other (the one limits the time, the other the work), "
             f"got {budget} and {rounds}"
         )
@@ -281,7 +282,7 @@ def _settings(usual: Settings, changes: Mapping[str, Any]) -> Settings:
         return replace(usual, **said)
     except TypeError:
         known = ", ".join(vars(usual))
-        raise ValueError(f"settings must be out of {known}, got {', '.join(changes)}") from None
+        raise InputError(f"settings must be out of {known}, got {', '.join(changes)}") from None
 
 
 def chosen_bands(
@@ -365,7 +366,7 @@ def _usual(record: Record, bands: Bands, simulator: Adjustable | None) -> list[F
 def check_train(record: Record, train: int, horizon: int = 1) -> None:
     """Check that there is something to train on and `horizon` samples to predict."""
     if not 2 <= whole("train", train, None) <= len(record) - horizon:
-        raise ValueError(
+        raise InputError(
             f"train must be between 2 and {len(record) - horizon} for a record of {len(record)} "
             f"samples, got {train}"
         )
@@ -378,10 +379,10 @@ def check(plan: Plan) -> None:
     raised only if no method can be fitted.
     """
     if not plan.methods:
-        raise ValueError("methods must be one or several, got none")
+        raise InputError("methods must be one or several, got none")
     twice = next((name for name in plan.names if plan.names.count(name) > 1), None)
     if twice:
-        raise ValueError(
+        raise InputError(
             f"methods must have names that differ, two are {twice}; a forecaster takes another "
             "one as `name`"
         )
@@ -412,12 +413,12 @@ def _cut_to_horizon(
         ):
             reach = 0 if coming is None else len(coming)
             if known is not None and reach < horizon:
-                raise ValueError(
+                raise InputError(
                     f"{what} must reach {horizon} samples beyond the record, got {reach}"
                 )
         return record, horizon
     if train + horizon > len(record):
-        raise ValueError(
+        raise InputError(
             f"horizon must end within the record: at most {len(record) - train} samples after the "
             f"{train} of train, got {horizon}"
         )
@@ -431,11 +432,11 @@ def _check_records(plan: Plan) -> None:
     for test in plan.tests:
         _check_test(test, plan)
     if warmup >= train:
-        raise ValueError(f"warmup must be shorter than the {train} training samples, got {warmup}")
+        raise InputError(f"warmup must be shorter than the {train} training samples, got {warmup}")
     for name, part in (("training", slice(train)), ("predicted", slice(train, None))):
         predicted = record.truth[part]
         if len(predicted) and np.isnan(predicted).all(axis=0).any():
-            raise ValueError(f"the {name} part must have a measured sample in every channel")
+            raise InputError(f"the {name} part must have a measured sample in every channel")
 
 
 def _check_test(test: Record, plan: Plan) -> None:
@@ -446,12 +447,12 @@ def _check_test(test: Record, plan: Plan) -> None:
         samples = max(plan.settings.warmup, *(f.warmup for f in plan.methods))
     begin = first_after(test.complete, max(whole(name, samples), 2))
     if begin in (None, len(test)):
-        raise ValueError(
+        raise InputError(
             f"{name} must fit into the test record {test.name} of {len(test)} samples, with "
             f"samples to predict after it, got {samples}"
         )
     if np.isnan(test.truth[begin:]).all(axis=0).any():
-        raise ValueError(
+        raise InputError(
             f"every channel of the test record {test.name} must be measured somewhere after "
             f"its first {begin} samples, on which methods warm up"
         )
@@ -469,7 +470,7 @@ def _check_trial(plan: Plan) -> None:
             )
         )
     except ValueError as error:
-        raise ValueError(
+        raise InputError(
             f"{error} (a method is chosen on the last quarter of the {plan.train} training "
             "samples, trained on the rest)"
         ) from None

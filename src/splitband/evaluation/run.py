@@ -25,6 +25,7 @@ from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.names import BASES, built
 from splitband.forecasters.simulation import with_simulators_of
 from splitband.runtime.deadlines import Deadline, within
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import one_thread
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ def run(
         was measured to compare with.
     """
     if plan.horizon and plan.train == len(plan.record):
-        raise ValueError(
+        raise InputError(
             f"horizon must be left out where train is the whole record of {plan.train} samples, as "
             f"nothing was measured after it to compare with, got {plan.horizon}: "
             "splitband.forecast predicts beyond a record"
@@ -309,7 +310,7 @@ class Run:
                 del self.failed[name]
         if not self.finals:
             reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
-            raise ValueError(f"no method could be fitted; {'; '.join(reasons)}")
+            raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
         methods = {method.name: method for method in self.plan.methods}
         for name, fits in self.finals.items():
             for fit in fits:
@@ -475,7 +476,7 @@ def fit(
         For several methods, and as `Forecaster.fit`.
     """
     if len(plan.methods) != 1:
-        raise ValueError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
+        raise InputError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
     (forecaster,) = plan.methods
     kept = None if folder is None else Path(folder)
     if plan.searched:

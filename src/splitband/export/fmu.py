@@ -22,6 +22,7 @@ from splitband import __version__
 from splitband.data.signals import unit_of
 from splitband.export.c import render
 from splitband.export.program import Program
+from splitband.runtime.errors import InputError
 from splitband.simulators.fmu_unit import OPTIONAL
 
 COMPILERS = "cc", "gcc", "clang"
@@ -58,7 +59,7 @@ def write(program: Program, path: Path) -> None:
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+        raise InputError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
     headers = Path(fmpy.__file__).parent / "c-code"
     numbers = _numbers(program)
     # Its own names, which no file of the FMU and no header of FMI can have.
@@ -100,7 +101,7 @@ def _compile(sources: Path, model: str, library: Path) -> None:
     command = [*_compiler(), *options, f"{model}.c", "fmu.c", "-lm"]
     done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise ValueError(f"the FMU could not be compiled by {command[0]}: {done.stderr[-300:]}")
+        raise InputError(f"the FMU could not be compiled by {command[0]}: {done.stderr[-300:]}")
 
 
 def _compiler() -> list[str]:
@@ -112,7 +113,7 @@ def _compiler() -> list[str]:
     for compiler, *options in commands:
         if found := shutil.which(compiler):
             return [found, *options]
-    raise ValueError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
+    raise InputError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
 
 
 def _numbers(program: Program) -> list[Variable]:

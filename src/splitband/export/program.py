@@ -15,6 +15,7 @@ from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.stepping import program_of
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import named_leaves
 
 
@@ -92,7 +93,7 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
     try:
         block, _ = trace(recursion.tick, cleared, *examples)
     except TypeError as error:
-        raise ValueError(f"{forecaster.name} cannot be exported: {error}") from error
+        raise InputError(f"{forecaster.name} cannot be exported: {error}") from error
     _prune(block)
     leaves = [
         Leaf(f"s_{path}", np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))

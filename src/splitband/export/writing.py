@@ -11,6 +11,7 @@ from splitband.export.c import render
 from splitband.export.c_statements import Precision
 from splitband.export.program import Program, program
 from splitband.forecasters.base import Forecaster
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
 
 Writer = Callable[[Program, Path, Precision], list[Path]]
@@ -26,16 +27,16 @@ def export(
     path = Path(path)
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
-        raise ValueError(f"path must end with one of {', '.join(WRITERS)}, got {path}")
+        raise InputError(f"path must end with one of {', '.join(WRITERS)}, got {path}")
     if precision not in ("double", "float"):
-        raise ValueError(f"precision must be double or float, got {precision!r}")
+        raise InputError(f"precision must be double or float, got {precision!r}")
     return writer(program(forecaster, path.stem, history), path, precision)
 
 
 def _c(made: Program, path: Path, precision: Precision) -> list[Path]:
     header, source = render(made, precision)
     if path.stem != made.name:
-        raise ValueError(
+        raise InputError(
             f"path must be named as functions of C are, such as {made.name}.c, got {path.name}"
         )
     beside = path.with_suffix(".h")
@@ -58,7 +59,7 @@ def _onnx(made: Program, path: Path, precision: Precision) -> list[Path]:
 
 def _fmu(made: Program, path: Path, precision: Precision) -> list[Path]:
     if precision != "double":
-        raise ValueError(f"precision must be double for an FMU, got {precision}")
+        raise InputError(f"precision must be double for an FMU, got {precision}")
     with replacing(path) as temporary:
         fmu.write(made, temporary)
     return [path]

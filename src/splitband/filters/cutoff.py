@@ -19,6 +19,7 @@ from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 ORDERS = (1, 2)
@@ -254,7 +255,7 @@ def _pairs(
     if pairs:
         return pairs
     if not np.ptp(y, axis=0).any():
-        raise ValueError("the training samples are constant: there is no band to split off")
+        raise InputError("the training samples are constant: there is no band to split off")
     highest = _NYQUIST_MARGIN * sampling_rate / 2 / (downsampling or 2)
     lowest = min(3 * sampling_rate / len(y), highest / 2)
     cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]

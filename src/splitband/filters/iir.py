@@ -16,6 +16,7 @@ import scipy
 
 from splitband.filters import arrays
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -54,7 +55,7 @@ def lfilter(
     b, a = normalised(b, a)
     _check_start(start)
     if start == "odd":
-        raise ValueError('start="odd" is for filtering in both directions; use "steady" or "zeros"')
+        raise InputError('start="odd" is for filtering in both directions; use "steady" or "zeros"')
     axis, order, of = time_axis(x.ndim, dim), len(a) - 1, _kind(x)
     rows = of.rows(x, axis)
     if first is None:
@@ -91,7 +92,7 @@ def filtfilt(
     axis, of = time_axis(x.ndim, dim), _kind(x)
     pad, samples = 3 * len(a) if start == "odd" else 0, x.shape[axis]
     if samples <= pad:
-        raise ValueError(
+        raise InputError(
             f"zero-phase filtering of order {len(a) - 1} needs more than {pad} samples, "
             f"got {samples}"
         )
@@ -143,17 +144,17 @@ def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
 
 def _check_start(start: Start) -> None:
     if start not in get_args(Start):
-        raise ValueError(f"start must be one of {get_args(Start)}, got {start!r}")
+        raise InputError(f"start must be one of {get_args(Start)}, got {start!r}")
 
 
 def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axis: int) -> None:
     """Check that `first` has the shape of the signal's first `order` samples."""
     if signal[axis] < order:
-        raise ValueError(f"the signal must have at least {order} samples, got {signal[axis]}")
+        raise InputError(f"the signal must have at least {order} samples, got {signal[axis]}")
     wanted = [*signal]
     wanted[axis] = order
     if tuple(first) != tuple(wanted):
-        raise ValueError(
+        raise InputError(
             f"first must hold the first {order} outputs, shape {tuple(wanted)}, got {tuple(first)}"
         )
 
@@ -163,7 +164,7 @@ def time_axis(ndim: int, dim: int | None) -> int:
     if dim is None:
         return -2 if ndim > 1 else -1
     if not -ndim <= dim < ndim:
-        raise ValueError(f"dim must name one of the {ndim} axes, got {dim}")
+        raise InputError(f"dim must name one of the {ndim} axes, got {dim}")
     return dim
 
 
@@ -171,6 +172,6 @@ def normalised(b: npt.ArrayLike, a: npt.ArrayLike) -> tuple[Array, Array]:
     """Return the coefficients padded to equal length and divided by a_0."""
     b, a = np.atleast_1d(np.asarray(b, float)), np.atleast_1d(np.asarray(a, float))
     if not a[0]:
-        raise ValueError(f"a[0] must not be zero, got {a[0]:g}")
+        raise InputError(f"a[0] must not be zero, got {a[0]:g}")
     width = max(len(a), len(b), 2)
     return tuple(np.pad(c, (0, width - len(c))) / a[0] for c in (b, a))

@@ -19,6 +19,7 @@ from splitband.filters.iir import (
     time_axis,
 )
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 Band = Literal["low", "high"]
 
@@ -40,13 +41,13 @@ def butterworth(
     """
     nyquist = sampling_rate / 2
     if not sampling_rate > 0:
-        raise ValueError(f"sampling_rate must be positive, got {sampling_rate:g} Hz")
+        raise InputError(f"sampling_rate must be positive, got {sampling_rate:g} Hz")
     if not 0 < cutoff < nyquist:
-        raise ValueError(
+        raise InputError(
             f"cutoff must lie between 0 and the Nyquist frequency {nyquist:g} Hz, got {cutoff:g} Hz"
         )
     if order < 1:
-        raise ValueError(f"order must be at least 1, got {order}")
+        raise InputError(f"order must be at least 1, got {order}")
     low, a = scipy.signal.iirfilter(order, cutoff, btype="low", ftype="butter", fs=sampling_rate)
     high, _ = scipy.signal.iirfilter(order, cutoff, btype="high", ftype="butter", fs=sampling_rate)
     # The gain must be 1 at zero frequency (z = 1, low-pass) and at Nyquist (z = -1, high-pass).
@@ -54,7 +55,7 @@ def butterworth(
         rest = np.polyval(a, z)
         gain = float(np.polyval(b, z) / rest) if rest else float("inf")
         if abs(gain - 1) > 1e-6 or _largest_pole(a) >= 1:
-            raise ValueError(
+            raise InputError(
                 f"order {order} is too high for a cut-off of {cutoff:g} Hz at "
                 f"{sampling_rate:g} Hz: its coefficients are lost in rounding (a gain that should "
                 f"be 1 is {gain:.3g}); lower the order or move the cut-off"
@@ -104,11 +105,11 @@ class ComplementaryPair:
         """Check the coefficients."""
         lengths = {len(self.b_low), len(self.b_high), len(self.a)}
         if len(lengths) > 1:
-            raise ValueError(f"b_low, b_high and a must have one length, got {sorted(lengths)}")
+            raise InputError(f"b_low, b_high and a must have one length, got {sorted(lengths)}")
         if self.start == "odd" and not self.zero_phase:
-            raise ValueError('start="odd" needs zero_phase=True; use "steady" or "zeros"')
+            raise InputError('start="odd" needs zero_phase=True; use "steady" or "zeros"')
         if (largest := _largest_pole(self.a)) >= 1:
-            raise ValueError(
+            raise InputError(
                 f"the filter must be stable, its poles inside the unit circle, "
                 f"got one at |z| = {largest:.6g}"
             )
@@ -204,7 +205,7 @@ class ComplementaryPair:
     def highpass_from(self, y: Signal, first: Signal, dim: int | None = None) -> Signal:
         """Return H(y) one way, with its first P outputs given."""
         if self.zero_phase:
-            raise ValueError("first outputs can be given one way only (zero_phase=False)")
+            raise InputError("first outputs can be given one way only (zero_phase=False)")
         return lfilter(self.b_high, self.a, y, first=first, dim=dim)
 
     def response(self, freqs: npt.ArrayLike) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

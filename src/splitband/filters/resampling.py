@@ -11,6 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from splitband.filters.iir import Signal
+from splitband.runtime.errors import InputError
 
 Alignment = Literal["time", "paper"]
 
@@ -22,12 +23,12 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
     after down-sampling.
     """
     if downsampling < 1:
-        raise ValueError(f"downsampling must be at least 1, got {downsampling}")
+        raise InputError(f"downsampling must be at least 1, got {downsampling}")
     nyquist = sampling_rate / downsampling / 2
     if not cutoff < nyquist:
         best = next((k for k in range(downsampling, 0, -1) if cutoff < sampling_rate / k / 2), None)
         advice = f"; at most {best} will do" if best else ""
-        raise ValueError(
+        raise InputError(
             f"downsampling by {downsampling} leaves a Nyquist frequency of {nyquist:g} Hz, which "
             f"must exceed the cut-off of {cutoff:g} Hz{advice}"
         )
@@ -36,9 +37,9 @@ def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -
 def downsample(y: Signal, k: int, offset: int = 0) -> Signal:
     """Return every k-th sample from `offset` on (paper, Eq. 9, down-sampling)."""
     if k < 1:
-        raise ValueError(f"k must be at least 1, got {k}")
+        raise InputError(f"k must be at least 1, got {k}")
     if offset < 0:
-        raise ValueError(f"offset must not be negative, got {offset}")
+        raise InputError(f"offset must not be negative, got {offset}")
     return y[offset::k] if y.ndim == 1 else y[..., offset::k, :]
 
 
@@ -54,9 +55,9 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
         `"paper"` is torch's `align_corners=False`, which shifts time by (k - 1) / 2 samples.
     """
     if k < 1:
-        raise ValueError(f"k must be at least 1, got {k}")
+        raise InputError(f"k must be at least 1, got {k}")
     if align not in get_args(Alignment):
-        raise ValueError(f"align must be one of {get_args(Alignment)}, got {align!r}")
+        raise InputError(f"align must be one of {get_args(Alignment)}, got {align!r}")
     import torch  # noqa: PLC0415  what chooses a factor needs none
 
     from splitband.filters.tensors import floating  # noqa: PLC0415
@@ -65,7 +66,7 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
     n = slow.shape[-2]
     length = k * n if length is None else length
     if not 0 <= length <= k * n:
-        raise ValueError(f"length must be at most k n = {k * n}, got {length}")
+        raise InputError(f"length must be at most k n = {k * n}, got {length}")
     if align == "paper":
         batch = slow.reshape(-1, n, slow.shape[-1]).transpose(1, 2)
         fast = torch.nn.functional.interpolate(batch, scale_factor=float(k), mode="linear")

@@ -22,6 +22,7 @@ from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current, now
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
 
@@ -118,7 +119,7 @@ class Fit:
     def fitted(self) -> Forecaster:
         """Return the model; raises ValueError where the fit failed."""
         if self.model is None:
-            raise ValueError(f"{self.method}: {self.failure}")
+            raise InputError(f"{self.method}: {self.failure}")
         return self.model
 
     @property
@@ -192,7 +193,7 @@ def backtest(
             cut = True
             break
     if last is None:
-        raise ValueError("origins must be one or several, got none")
+        raise InputError("origins must be one or several, got none")
     tests, untested = _tested(last, question)
     cut = cut or last.require_fitted().report.cut
     notes = (untested,) if untested else ()
@@ -248,7 +249,7 @@ def first_origin(record: Record, train: int, warmup: int) -> Origin:
     """
     start = first_after(record.complete, max(warmup, 2))
     if start is None:
-        raise ValueError(f"warmup must fit between the gaps of the record, got {warmup} samples")
+        raise InputError(f"warmup must fit between the gaps of the record, got {warmup} samples")
     return Origin(train, start)
 
 
@@ -262,7 +263,7 @@ def check_held_out(record: Record) -> None:
     held_out = record.seen[first_held_out(len(record)) :]
     for column, channel in zip(record.columns, held_out.T, strict=True):
         if np.isnan(channel).all():
-            raise ValueError(
+            raise InputError(
                 f"{column} must have a measured sample among the last {len(channel)} training "
                 "samples, on which methods are tried out"
             )
@@ -330,7 +331,7 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
     fitted = forecaster.require_fitted()
     record = fitted.record
     if fitted.begin or not fitted.whole:
-        raise ValueError(
+        raise InputError(
             "level must be left out for a model that was saved without held-out errors: request an "
             "interval before it is saved, or fit it with --intervals"
         )

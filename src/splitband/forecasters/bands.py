@@ -8,6 +8,7 @@ from splitband.filters import ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, saved
 
 
@@ -78,7 +79,7 @@ class Bands(WithRepr):
 
     def _known(self) -> tuple[float, int]:
         if self.cutoff is None or self.order is None:
-            raise ValueError("cutoff and order must be given, or chosen first, see Bands.chosen")
+            raise InputError("cutoff and order must be given, or chosen first, see Bands.chosen")
         return self.cutoff, self.order
 
 

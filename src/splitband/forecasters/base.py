@@ -42,6 +42,7 @@ from splitband.metrics import ExtrapolationWarning
 from splitband.networks.cell import Template
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
@@ -178,7 +179,7 @@ class Forecaster(WithRepr, ABC):
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
         if not self.affine:
-            raise ValueError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
+            raise InputError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
         from splitband.forecasters.differentiable import Affine  # noqa: PLC0415  needs torch
 
         return Affine(self, known)
@@ -281,7 +282,7 @@ class Forecaster(WithRepr, ABC):
             require_records("history", history)
         steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
-            raise ValueError(f"level must be between 0 and 1, got {level}")
+            raise InputError(f"level must be between 0 and 1, got {level}")
         if history is not None and history.prepared != fitted.record.prepared:
             prepared, u, y_sim = prepared_like(fitted.record, history, u, y_sim)
             found = self.predict(steps, prepared, u, y_sim, level, other_record)
@@ -385,7 +386,7 @@ class Forecaster(WithRepr, ABC):
         if history is not None:
             require_records("history", history)
         if record.prepared:
-            raise ValueError(
+            raise InputError(
                 f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
                 "was detrended, clipped or resampled"
             )
@@ -451,15 +452,15 @@ class Forecaster(WithRepr, ABC):
     def check(self, *records: Record) -> None:
         """Raise ValueError for unsuitable training records, before anything runs."""
         if not records:
-            raise ValueError("records must be one or several, got none")
+            raise InputError("records must be one or several, got none")
         require_records("records", *records)
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
         for record in records:
             if "inputs" in self.needs and record.u is None:
-                raise ValueError(f"{self.name} needs known inputs, {_named(record)} has none")
+                raise InputError(f"{self.name} needs known inputs, {_named(record)} has none")
             if "simulator" in self.needs and record.y_sim is None:
-                raise ValueError(f"{self.name} needs a simulator, {_named(record)} has none")
+                raise InputError(f"{self.name} needs a simulator, {_named(record)} has none")
         for part in parts_of(self):
             part.check(*records)
 
@@ -491,7 +492,7 @@ class Forecaster(WithRepr, ABC):
     def require_fitted(self) -> Fitted:
         """Return the training records and the report of the fit; raises ValueError before `fit`."""
         if self.fitted is None:
-            raise ValueError(f"{self.name} must be fitted first: call fit(record)")
+            raise InputError(f"{self.name} must be fitted first: call fit(record)")
         return self.fitted
 
     # What follows is for the package alone.

@@ -34,6 +34,7 @@ from splitband.metrics import (
 )
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 
 LEVEL = 0.99
@@ -452,7 +453,7 @@ def _free_run(forecaster: Forecaster, record: Record) -> Prediction:
     """Simulate a record to its end, from a warm-up on its first samples."""
     begin = _begin(forecaster, record)
     if begin is None:
-        raise ValueError(
+        raise InputError(
             f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
             f"got {len(record)}"
         )
@@ -540,16 +541,16 @@ def respond(
     fitted = forecaster.require_fitted()
     record, steps = fitted.record, whole("steps", steps)
     if fitted.u_summary is None:
-        raise ValueError(f"{forecaster.name} must have inputs to respond to, it has none")
+        raise InputError(f"{forecaster.name} must have inputs to respond to, it has none")
     if "simulator" in forecaster.needs:
-        raise ValueError(
+        raise InputError(
             f"{forecaster.name} cannot respond by itself: its simulator stays outside of it"
         )
     low, high, mean = fitted.u_summary
     held = mean if at is None else _each("at", at, record.nu)
     sizes = SHARE * (high - low) if size is None else _each("size", size, record.nu)
     if not sizes.all():
-        raise ValueError(
+        raise InputError(
             "size must not be 0: give one for an input that was constant in training, "
             f"got {sizes.tolist()}"
         )
@@ -570,5 +571,5 @@ def _each(what: str, value: npt.ArrayLike, nu: int) -> Array:
     """Return a number for each input."""
     numbers = np.asarray(value, dtype=np.float64)
     if numbers.shape not in ((), (nu,)) or not np.isfinite(numbers).all():
-        raise ValueError(f"{what} must be a finite number for each of {nu} inputs, got {value!r}")
+        raise InputError(f"{what} must be a finite number for each of {nu} inputs, got {value!r}")
     return np.broadcast_to(numbers, (nu,))

@@ -17,6 +17,7 @@ from splitband.forecasters.fitted import first_only
 from splitband.forecasters.prediction import Known
 from splitband.forecasters.stepping import Part, State
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 DISAGREEMENT_RATIO = 3.0
 """A function of time disagrees with a history if its error exceeds this multiple of the training
@@ -84,7 +85,7 @@ class Persistence(Forecaster):
         """Return the last sample; raises ValueError where a channel has not been measured yet."""
         measured = ~np.isnan(known.y)
         if not measured.any(axis=0).all():
-            raise ValueError("history must have a measured sample in every channel")
+            raise InputError("history must have a measured sample in every channel")
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from splitband.forecasters.prediction import Known, continued, median, total
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from splitband.forecasters.base import Forecaster
@@ -55,7 +56,7 @@ class TorchSimulation(nn.Module):
             For another shape.
         """
         if u.ndim not in (2, 3) or u.shape[-1] != self.nu or not u.shape[-2]:
-            raise ValueError(
+            raise InputError(
                 f"u must be (steps, {self.nu}) or (batch, steps, {self.nu}), got {tuple(u.shape)}"
             )
         y: Tensor = self.simulation(u if u.ndim == 3 else u[None])

@@ -14,6 +14,7 @@ from splitband.forecasters.prediction import Known, median_components, total
 from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.training import Progress
 
 if TYPE_CHECKING:
@@ -56,14 +57,14 @@ class Ensemble(Forecaster):
             member = [*member]
             count = len(member)
             if not count:
-                raise ValueError("member must be a forecaster or several, got none")
+                raise InputError("member must be a forecaster or several, got none")
         if seeds is not None:
             seeds = [whole("seeds", seed, None) for seed in seeds]
             count = len(seeds)
             if count < 1 or min(seeds) < 0 or len(set(seeds)) < count:
-                raise ValueError(f"seeds must be different numbers from 0 on, got {[*seeds]}")
+                raise InputError(f"seeds must be different numbers from 0 on, got {[*seeds]}")
             if isinstance(member, list) and len(member) != count:
-                raise ValueError(
+                raise InputError(
                     f"seeds must be one for each of {len(member)} members, got {seeds}"
                 )
         count = whole("count", count)
@@ -127,7 +128,7 @@ class Ensemble(Forecaster):
         """Return the saved ensemble; raises ValueError where `count` does not match the members."""
         new = super()._from_dict(found)
         if new.fitted is not None and len(new.members) != whole("count", new.count):
-            raise ValueError(f"count must be {len(new.members)}, got {new.count}")
+            raise InputError(f"count must be {len(new.members)}, got {new.count}")
         return new
 
     def untrained(self) -> Forecaster:
@@ -161,7 +162,7 @@ class Ensemble(Forecaster):
         """Return the trained members to go on from; raises ValueError for another forecaster."""
         members: list[Forecaster | None] = [*getattr(start, "members", ())]
         if len(members) != self.count:
-            raise ValueError(f"start must be a trained median of {self.count}, got {start!r}")
+            raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
         return members
 
     def extrapolate(self, known: Known) -> dict[str, Array]:

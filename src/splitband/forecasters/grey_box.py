@@ -18,6 +18,7 @@ from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, Sta
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached
+from splitband.runtime.errors import InputError
 from splitband.simulators.absent import Absent
 from splitband.simulators.adjusted import Adjusted
 from splitband.simulators.base import matched, origin
@@ -123,7 +124,7 @@ class GreyBox(Forecaster):
         """Raise ValueError for unsuitable records, and where it has no simulator."""
         super().check(*records)
         if self.simulator is None:
-            raise ValueError(
+            raise InputError(
                 f"{self.name} needs a simulator with parameters to fit (--simulator and "
                 "--parameters)"
             )

@@ -18,6 +18,7 @@ import scipy
 
 from splitband.forecasters.prediction import Prediction
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 EXPONENTS = np.linspace(0, 1, 11)
@@ -127,7 +128,7 @@ class HeldOut:
         if self.doubt is not None:
             channels.add(np.shape(self.doubt)[1:])
         if len(channels) != 1:
-            raise ValueError("held-out errors must be those of one record's channels")
+            raise InputError("held-out errors must be those of one record's channels")
 
     @classmethod
     def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:
@@ -140,7 +141,7 @@ class HeldOut:
         """
         known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
         if not known.any(axis=0).all():
-            raise ValueError("errors must have a sample at least, in every channel")
+            raise InputError("errors must have a sample at least, in every channel")
         bounded = np.array([_is_bounded(channel) for channel in y.T])
         return cls(tuple(errors), np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0), bounded)
 
@@ -153,7 +154,7 @@ class HeldOut:
 
     def _interval(self, share: float) -> Interval:
         if not 0 < share < 1:
-            raise ValueError(f"share must lie between 0 and 1, got {share}")
+            raise InputError(f"share must lie between 0 and 1, got {share}")
         # Rounding errors remain even where a forecast is exact.
         least = 16 * np.finfo(np.float64).eps * self.largest
         laws = [_law([e[:, i] for e in self.errors], share) for i in range(len(least))]

@@ -14,6 +14,7 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.forecasters.simulation import Simulation
 from splitband.networks.cell import Template, as_template, label_of, words_of
+from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
 from splitband.training import Settings
 
@@ -150,7 +151,7 @@ def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
         adjustable: Any = base if getattr(base, "adjustable", False) else None
         return Simulation(base) if adjustable is None else GreyBox(adjustable)
     if type(base).trajectory is Forecaster.trajectory:
-        raise ValueError(
+        raise InputError(
             f"base must say something about the whole record, as a simulator, Linear, Periodic "
             f"and Harmonic do, got {base.name}"
         )

@@ -23,6 +23,7 @@ from splitband.forecasters.stepping import DelayLine, Part, State
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
+from splitband.runtime.errors import InputError
 
 MOST_POLES = 200
 """Largest order that may be asked for: bounds the time. By eye."""
@@ -130,7 +131,7 @@ class Linear(Forecaster):
         """
         self.require_fitted()
         if self.model.accuracy is None:
-            raise ValueError("accuracy was not computed: the deadline of the fit came first")
+            raise InputError("accuracy was not computed: the deadline of the fit came first")
         return self.model.accuracy
 
     def _part(self, outside: bool = False) -> Part:
@@ -198,7 +199,7 @@ class Linear(Forecaster):
         limit = min(LONGEST_DELAY, len(record) - 1)
         if not (np.isfinite(rows).all() and (found == rows).all() and (found >= 0).all()
                 and (found <= limit).all()):  # fmt: skip
-            raise ValueError(
+            raise InputError(
                 f"delay must be whole numbers of samples from 0 to {limit}: one for all inputs, "
                 f"one for each of {record.nu}, or {record.ny} rows of these, got {self.delay!r}"
             )

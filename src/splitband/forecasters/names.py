@@ -29,6 +29,7 @@ from splitband.forecasters.linear import Linear
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.networks.cell import Cell, Template
 from splitband.runtime.arguments import LARGEST_SIZE, did_you_mean, whole
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import seeded
 
 
@@ -178,7 +179,7 @@ def built(forecaster: Forecaster) -> Forecaster:
 def known(name: str, sizes: Sizes | None = None) -> Forecaster:
     """Return a new forecaster by its name, as `named`, whose cells are not built."""
     if name not in NAMES:
-        raise ValueError(
+        raise InputError(
             "methods must be forecasters or names that `splitband methods` lists, "
             f"got {name!r}{did_you_mean([name], NAMES)}"
         )
@@ -209,7 +210,7 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
         if wanted:
             options = {"calibrate": argument == "calibrate", "conditioned": argument != "calibrate"}
             able = [name for name in NAMES if len(variants(NAMES[name], **options)) > 1]
-            raise ValueError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
+            raise InputError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
     return [*found]
 
 

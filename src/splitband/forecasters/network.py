@@ -29,6 +29,7 @@ from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models.labels import FAST, SLOW
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import UNKNOWN
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
@@ -227,19 +228,19 @@ class Network(Forecaster):
         """Raise ValueError for records that do not fit its warm-up, windows, filters or base."""
         super().check(*records)
         if len(records) > 1 and self.base is not None and self.base.anchored:
-            raise ValueError(
+            raise InputError(
                 f"{self.name} cannot be fitted to several records: its base, {self.base.name}, "
                 "depends on the time since the first one began"
             )
         first, settings = records[0], self._settings_for(records[0], records[1:])
         complete = first.complete
         if not complete.all() and first_after(complete, settings.warmup) is None:
-            raise ValueError(
+            raise InputError(
                 f"warmup must fit between the gaps of the {len(first)} training samples, "
                 f"got {settings.warmup}"
             )
         if settings.window > len(first):
-            raise ValueError(
+            raise InputError(
                 f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
         checked_starts(records, settings.window, settings.warmup)
@@ -247,7 +248,7 @@ class Network(Forecaster):
         if not any(hasattr(cell, "build") for cell in cells_of(self).values()):
             self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
-            raise ValueError(
+            raise InputError(
                 f"warmup must have more than {shortest} samples for filters of order "
                 f"{(self.bands and self.bands.order) or 1}, got {settings.warmup}; a record too "
                 "short for that is one for methods without filters"
@@ -268,7 +269,7 @@ class Network(Forecaster):
             try:
                 self.model.load_state_dict(start._trained().state_dict())
             except RuntimeError:
-                raise ValueError(
+                raise InputError(
                     f"start must have the sizes and channels of {self.name}: "
                     f"{self._training_in_words()}, got {start._training_in_words()}"
                 ) from None
@@ -310,7 +311,7 @@ class Network(Forecaster):
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
         if start is None or not complete[:start].all():
-            raise ValueError(
+            raise InputError(
                 f"history must begin with {self.warmup} measured samples for {self.name}"
             )
         steps = len(known.y) + known.steps - start
@@ -345,7 +346,7 @@ class Network(Forecaster):
 
         model, base = self._trained(), self._fitted_base
         if base is not None and not base.affine:
-            raise ValueError(
+            raise InputError(
                 f"{self.name} cannot be run by torch: its base, {base.name}, is not affine in the "
                 "inputs"
             )
@@ -376,7 +377,7 @@ class Network(Forecaster):
         if start is None:
             return None
         if not isinstance(start, type(self)) or start.model is None:
-            raise ValueError(f"start must be a trained {self.name}, got {start!r}")
+            raise InputError(f"start must be a trained {self.name}, got {start!r}")
         return start
 
     def _seen(self, records: Sequence[Record], seed: int, start: Self | None) -> list[Record]:
@@ -480,7 +481,7 @@ class Network(Forecaster):
         complete = np.asarray(~np.isnan(y).any(axis=1))
         start = last_before(complete, self.warmup, len(y))
         if start is None:
-            raise ValueError(
+            raise InputError(
                 f"history must have {self.warmup} measured samples in a row to warm up on, got "
                 f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
             )

@@ -21,6 +21,7 @@ from splitband.data.preparation import Preparation, seconds
 from splitband.data.timing import same_sampling, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 if TYPE_CHECKING:
@@ -86,12 +87,12 @@ def continued(
         values = values[:, None]
     if values is None or len(values) < steps or values.shape[1] != channels:
         shape = "none" if values is None else values.shape
-        raise ValueError(
+        raise InputError(
             f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
         )
     whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
     if whole and n and np.ptp(past):
-        raise ValueError(
+        raise InputError(
             f"{name} must hold the {steps} samples to come alone, got the {n} of the history first"
         )
     return np.concatenate([past, values if more else values[:steps]])
@@ -259,7 +260,7 @@ def known_of(
     """Return the data for a forecast of `steps` samples, and the history; see `predict`."""
     fitted = forecaster.require_fitted()
     if other_record and forecaster.anchored:
-        raise ValueError(
+        raise InputError(
             f"history must go on from the training record for {forecaster.name}, which depends on "
             "the time since then"
         )
@@ -268,22 +269,22 @@ def known_of(
         check_alike(history, fitted.record, "history")
         step, own = fitted.record.sampling_time, history.sampling_time
         if forecaster.anchored and not same_sampling(step, own, len(history)):
-            raise ValueError(
+            raise InputError(
                 f"history must be sampled like the training record for {forecaster.name}, which "
                 f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
             )
         past, begin = history, None if other_record else fitted.begins(history)
     inputs = None
     if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
-        raise ValueError("u must hold finite numbers, got some that are not")
+        raise InputError("u must hold finite numbers, got some that are not")
     if past.u is not None:
         inputs = continued("u", past.u, past.u_beyond, u, steps)
     elif u is not None:
-        raise ValueError("u must be given exactly for a record with inputs, this has none")
+        raise InputError("u must be given exactly for a record with inputs, this has none")
     simulated = None
     if "simulator" in forecaster.needs:
         if past.y_sim is None:
-            raise ValueError(
+            raise InputError(
                 f"history must bring a simulator's output (y_sim) for {forecaster.name}"
             )
         simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
@@ -308,7 +309,7 @@ def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
     parts = extrapolated if isinstance(extrapolated, dict) else {"": extrapolated}
     y = total([*parts.values()])
     if y.shape != (steps, past.ny):
-        raise ValueError(
+        raise InputError(
             f"{forecaster.name} must extrapolate {steps} samples of {past.ny} channel(s), "
             f"got the shape {y.shape}"
         )

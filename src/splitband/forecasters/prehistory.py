@@ -19,6 +19,7 @@ import scipy
 from splitband import models
 from splitband.data import Record
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 from splitband.training.places import window_starts
 
@@ -58,7 +59,7 @@ class Prehistory:
         """Check what may come from a file."""
         shape = self.mean.shape
         if len(shape) != 2 or self.root.shape[1:] != shape or not self.error > 0:
-            raise ValueError(
+            raise InputError(
                 f"root must be (components, {', '.join(map(str, shape))}) and error positive, got "
                 f"{self.root.shape} and {self.error}"
             )
@@ -67,7 +68,7 @@ class Prehistory:
         """Raise ValueError where it does not match the model and its warm-up."""
         shape = warmup, sum(_widths(model))
         if self.mean.shape != shape:
-            raise ValueError(f"mean of the prehistory must be {shape}, got {self.mean.shape}")
+            raise InputError(f"mean of the prehistory must be {shape}, got {self.mean.shape}")
 
     @classmethod
     def of(

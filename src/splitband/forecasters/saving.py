@@ -37,6 +37,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import simulations
 from splitband.runtime import outputs
 from splitband.runtime.arguments import whole
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing, to_json
 from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
@@ -117,10 +118,10 @@ def unpacked(content: bytes) -> Any:
         header = int.from_bytes(content[:8], "little")
         said = json.loads(json.loads(content[8 : 8 + header])["__metadata__"]["said"])
         if said["format"] != FORMAT:
-            raise ValueError(f"it has format {said['format']}")
+            raise InputError(f"it has format {said['format']}")
         return restored(said["value"], dict(safetensors.numpy.load(content)))
     except _UNFIT as error:
-        raise ValueError(f"the file cannot be read: {error}") from None
+        raise InputError(f"the file cannot be read: {error}") from None
 
 
 def files(folder: Path) -> list[Path]:
@@ -187,9 +188,9 @@ def load_with_facts(
     try:
         facts = _read_description(folder)
     except _UNFIT as error:
-        raise ValueError(f"{folder / FILE} is damaged: {error!r}") from None
+        raise InputError(f"{folder / FILE} is damaged: {error!r}") from None
     if facts.get("format") != FORMAT:
-        raise ValueError(
+        raise InputError(
             f"{folder / FILE} has format {facts.get('format')!r}, this version reads {FORMAT}; "
             + _AGAIN
         )
@@ -197,12 +198,12 @@ def load_with_facts(
     try:
         loaded = restored(facts["forecaster"], tensors)
         if not isinstance(loaded, Forecaster):
-            raise ValueError(f"it is {type(loaded).__name__}")
+            raise InputError(f"it is {type(loaded).__name__}")
         loaded.require_fitted()
     except KeyError as error:
-        raise ValueError(f"{folder / FILE} holds no forecaster: {error} is missing") from None
+        raise InputError(f"{folder / FILE} holds no forecaster: {error} is missing") from None
     except _UNFIT as error:
-        raise ValueError(f"{folder / FILE} holds no forecaster that can be read: {error}") from None
+        raise InputError(f"{folder / FILE} holds no forecaster that can be read: {error}") from None
     if simulator is not None:
         _give(loaded, simulator)
     return loaded, facts
@@ -211,7 +212,7 @@ def load_with_facts(
 def _read_description(folder: Path) -> dict[str, Any]:
     size = (folder / FILE).stat().st_size
     if size > LARGEST_DESCRIPTION:
-        raise ValueError(f"it is larger than {LARGEST_DESCRIPTION} bytes")
+        raise InputError(f"it is larger than {LARGEST_DESCRIPTION} bytes")
     return dict(json.loads((folder / FILE).read_text(encoding="utf-8")).items())
 
 
@@ -219,17 +220,17 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
     """Return the weights and arrays that belong to a description."""
     digest = facts.get("weights_sha256")
     if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
-        raise ValueError(f"{folder / FILE} is damaged: weights_sha256 must be a SHA-256")
+        raise InputError(f"{folder / FILE} is damaged: weights_sha256 must be a SHA-256")
     path = folder / WEIGHTS.format(digest[:_DIGITS])
     if not path.is_file():
         raise FileNotFoundError(f"no model in {folder}: {path.name} is missing")
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != digest:
-        raise ValueError(f"{path} is damaged: its checksum is not that of the model")
+        raise InputError(f"{path} is damaged: its checksum is not that of the model")
     try:
         return dict(safetensors.numpy.load(content))
     except _UNFIT as error:
-        raise ValueError(f"{path} is damaged: {error}") from None
+        raise InputError(f"{path} is damaged: {error}") from None
 
 
 def _give(forecaster: Forecaster, simulator: Simulator) -> None:
@@ -239,7 +240,7 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
     """
     given = [*simulations(forecaster)]
     if not given:
-        raise ValueError(f"simulator must be left out for {forecaster.name}, which asks for none")
+        raise InputError(f"simulator must be left out for {forecaster.name}, which asks for none")
     saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
     for each in saved:
         each.check_start_of(simulator)
@@ -265,7 +266,7 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         return {"date": value.isoformat()}
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biufc":
-            raise ValueError(f"an array of {value.dtype} cannot be saved")
+            raise InputError(f"an array of {value.dtype} cannot be saved")
         tensors[place] = np.array(value, order="C")
         return {"array": place}
     if isinstance(value, Forecaster):
@@ -281,7 +282,7 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         return {type(value).__name__: inner}
     if "torch" in sys.modules:  # otherwise it can be nothing of torch's
         return _of_torch(value, tensors, place)
-    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+    raise InputError(f"{type(value).__name__} cannot be saved with a forecaster")
 
 
 def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
@@ -292,7 +293,7 @@ def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
         try:
             array = value.detach().cpu().numpy()
         except TypeError:
-            raise ValueError(f"a tensor of {value.dtype} cannot be saved") from None
+            raise InputError(f"a tensor of {value.dtype} cannot be saved") from None
         return described(array, tensors, place)
     if isinstance(value, torch.device):
         return {"device": str(value)}
@@ -300,8 +301,8 @@ def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
         try:
             return _named("cell", value, options(value), tensors, place)
         except TypeError as error:
-            raise ValueError(f"{type(value).__name__} cannot be saved: {error}") from None
-    raise ValueError(f"{type(value).__name__} cannot be saved with a forecaster")
+            raise InputError(f"{type(value).__name__} cannot be saved: {error}") from None
+    raise InputError(f"{type(value).__name__} cannot be saved with a forecaster")
 
 
 def _named(
@@ -311,7 +312,7 @@ def _named(
     kind = type(value)
     own = {} if _of_package(kind) else {"module": kind.__module__}
     if own and "<locals>" in kind.__qualname__:
-        raise ValueError(
+        raise InputError(
             f"{kind.__name__} cannot be saved: its class is defined inside of a function, where "
             "loading cannot find it; define it in a module"
         )
@@ -320,7 +321,7 @@ def _named(
 
 def _parts(parts: Mapping[str, Any], tensors: Tensors, place: str) -> dict[str, Any]:
     if not all(isinstance(name, str) for name in parts):
-        raise ValueError("a mapping that is saved with a forecaster must have texts as keys")
+        raise InputError("a mapping that is saved with a forecaster must have texts as keys")
     dot = "." if place else ""
     return {name: described(v, tensors, f"{place}{dot}{name}") for name, v in parts.items()}
 
@@ -372,8 +373,8 @@ def _loaded(name: str, module: str | None) -> Any:
         return found[0]
     said, where = str(name)[:60], str(module)[:60]
     if module is None:
-        raise ValueError(f"the class {said} is not known")
-    raise ValueError(
+        raise InputError(f"the class {said} is not known")
+    raise InputError(
         f"the class {said} is not known here: import {where} first, which defined it where the "
         "model was saved"
     )
@@ -400,7 +401,7 @@ def _cell(kind: Any, parts: dict[str, Any]) -> Any:
 
     for name, part in parts.items():
         if isinstance(part, int) and abs(part) > LARGEST_NUMBER:
-            raise ValueError(f"{name} must be a whole number up to {LARGEST_NUMBER}, got {part}")
+            raise InputError(f"{name} must be a whole number up to {LARGEST_NUMBER}, got {part}")
     try:
         with torch.device("meta"):
             return kind(**parts)
@@ -421,6 +422,6 @@ def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:
         if wanted is int:
             whole(name, part, None)
         elif wanted is float and (isinstance(part, bool) or not isinstance(part, int | float)):
-            raise ValueError(f"{name} must be a number, got {str(part)[:60]!r}")
+            raise InputError(f"{name} must be a number, got {str(part)[:60]!r}")
         elif get_origin(wanted) is np.ndarray and not isinstance(parts.get(name), np.ndarray):
-            raise ValueError(f"{name} must be an array, got {str(parts.get(name))[:60]!r}")
+            raise InputError(f"{name} must be an array, got {str(parts.get(name))[:60]!r}")

@@ -18,6 +18,7 @@ from splitband.forecasters.stepping import NotSteppedError, Part, State
 from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
+from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator, run
 from splitband.simulators.absent import Absent
 from splitband.simulators.base import is_driven, matched
@@ -81,7 +82,7 @@ class _Runs:
         """Return the output at these times; raises ValueError where it is not available."""
         y = self._beginning(grid, u)
         if len(y) < grid.samples:
-            raise ValueError(f"the simulator has not been run for {grid}")
+            raise InputError(f"the simulator has not been run for {grid}")
         return Aligned(y[: grid.samples], "")
 
     def _beginning(self, grid: Grid, u: Array | None) -> Array:
@@ -201,14 +202,14 @@ class SimulatorForecaster(Forecaster):
         record = self.require_fitted().record
         begin = known.begin or 0.0  # for another record the simulator starts with that record
         if begin < 0 and not self.applied.stays:
-            raise ValueError(self._before(known))
+            raise InputError(self._before(known))
         if self._at_own_times:
             return self._recorded(self.simulator, known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             places = self.applied.places(samples, record.sampling_time, begin)
             if not places[-1] < LONGEST:
-                raise ValueError(
+                raise InputError(
                     f"history must lie so that {self.name} is run for at most {LONGEST} samples, "
                     f"got {places[-1]:.3g}; without time stamps it begins with the training record"
                 )
@@ -221,7 +222,7 @@ class SimulatorForecaster(Forecaster):
             needed = needed if u is None else min(needed, len(u))
             y_sim = self._run(replace(times, samples=needed), record, u)
         if y_sim is None:
-            raise ValueError(f"{self.name} needs a simulator's output (y_sim)")
+            raise InputError(f"{self.name} needs a simulator's output (y_sim)")
         return self.applied.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
 
     @property
@@ -247,7 +248,7 @@ class SimulatorForecaster(Forecaster):
         fitted = self.require_fitted()
         past = fitted.record.u if self.u is None and not fitted.begin else self.u
         if past is None or begin % 1 or begin > len(past):
-            raise ValueError(
+            raise InputError(
                 f"history must begin in the training record, or right after it, for {self.name}, "
                 "whose simulator is driven by all inputs since that began; with other_record=True "
                 "(--other-run) the simulator begins with the history"
@@ -346,7 +347,7 @@ class SimulatorForecaster(Forecaster):
                 samples = min(samples, max(len(record), self.simulator.reach(record.grid)))
             return self._run(replace(record.grid, samples=samples), record, u)
         if record.y_sim is None:
-            raise ValueError(f"{self.name} needs a simulator, the record has none")
+            raise InputError(f"{self.name} needs a simulator, the record has none")
         return (
             record.y_sim if record.beyond is None else np.concatenate([record.y_sim, record.beyond])
         )
@@ -370,7 +371,7 @@ class SimulatorForecaster(Forecaster):
     def differentiable(self, known: Known) -> nn.Module:
         """Return the module from inputs to outputs; see `Forecaster.differentiable`."""
         if self._driven:
-            raise ValueError(f"{self.name} cannot be run by torch: its simulator is not")
+            raise InputError(f"{self.name} cannot be run by torch: its simulator is not")
         return super().differentiable(known)
 
 

@@ -22,6 +22,7 @@ from splitband.data.signals import last_before
 from splitband.forecasters.prediction import Known, known_at_origin, known_of, median, predicted
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.runtime.tracing import cond
 
@@ -34,7 +35,7 @@ State = dict[str, Any]
 """The state of a recursion, by name; it is never changed in place."""
 
 
-class NotSteppedError(ValueError):
+class NotSteppedError(InputError):
     """Report that a forecaster cannot run sample by sample; the message gives the reason."""
 
 
@@ -366,7 +367,7 @@ class Stream:
         if not ready:
             self.state = before
             needed = self.recursion.warmup or "one"
-            raise ValueError(
+            raise InputError(
                 f"{needed} measured sample(s) in a row must have been observed before {self.name} "
                 "can predict"
             )
@@ -386,7 +387,7 @@ class Stream:
         inputs = self._given("u", u, recursion.nu > 0, (recursion.nu,))
         shape = (1 + recursion.ahead, recursion.ny)
         if not recursion.simulated and y_sim is not None:
-            raise ValueError(f"y_sim must be left out: {self.name} needs no simulator's output")
+            raise InputError(f"y_sim must be left out: {self.name} needs no simulator's output")
         simulated = self._given("y_sim", y_sim, recursion.simulated, shape)
         self.state, predicted, ready = recursion.tick(self.state, y, inputs, simulated)
         return predicted, bool(ready)
@@ -396,10 +397,10 @@ class Stream:
     ) -> Array:
         if not needed:
             if value is not None:
-                raise ValueError(f"{name} must be left out: {self.name} has no inputs")
+                raise InputError(f"{name} must be left out: {self.name} has no inputs")
             return np.zeros((*shape[:-1], 0))
         if value is None:
-            raise ValueError(f"{name} must be given at every sample for {self.name}, {shape}")
+            raise InputError(f"{name} must be given at every sample for {self.name}, {shape}")
         return self._signal(name, value, shape)
 
     def _signal(
@@ -407,9 +408,9 @@ class Stream:
     ) -> Array:
         signal = np.asarray(value, dtype=np.float64)
         if signal.size != np.prod(shape) or signal.ndim > len(shape):
-            raise ValueError(f"{name} must have the shape {shape}, got {signal.shape}")
+            raise InputError(f"{name} must have the shape {shape}, got {signal.shape}")
         if (not gaps and not np.isfinite(signal).all()) or np.isinf(signal).any():
-            raise ValueError(f"{name} must be finite, got {signal.tolist()}")
+            raise InputError(f"{name} must be finite, got {signal.tolist()}")
         return signal.reshape(shape)
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from splitband.kernels.common import PAD, Array, Arrays
+from splitband.runtime.errors import InputError
 
 Shapes = Sequence[tuple[int, ...]]
 
@@ -158,10 +159,10 @@ def _simulate(
 def check(like: Tensor, **tensors: tuple[Tensor, tuple[int, ...]]) -> None:
     """Raise ValueError unless each tensor has its shape, and the dtype of `like`, on the CPU."""
     if like.dtype not in (torch.float32, torch.float64):
-        raise ValueError(f"the kernels take float32 or float64, got {like.dtype}")
+        raise InputError(f"the kernels take float32 or float64, got {like.dtype}")
     for name, (tensor, shape) in tensors.items():
         if tensor.shape != shape or tensor.dtype != like.dtype or tensor.device.type != "cpu":
-            raise ValueError(
+            raise InputError(
                 f"{name} must be {shape}, {like.dtype} on the CPU, "
                 f"got {tuple(tensor.shape)}, {tensor.dtype} on {tensor.device}"
             )

@@ -16,6 +16,7 @@ from splitband.metrics import spread
 from splitband.models.stepping import Stepped
 from splitband.networks import Cell
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ class Model(nn.Module, ABC):
     def stepped(self) -> Stepped:
         """Return the model in a form that runs sample by sample; raises ValueError without one."""
         if self.steps is None:
-            raise ValueError(f"{type(self).__name__} cannot be stepped")
+            raise InputError(f"{type(self).__name__} cannot be stepped")
         return self.steps(self)
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -239,12 +240,12 @@ def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
     """
     nu = cell.nu - told
     if nu < 0:
-        raise ValueError(
+        raise InputError(
             f"a conditioned network must have at least 2 ny = {told} inputs, for the "
             f"simulator's value and slope, got nu = {cell.nu}"
         )
     if feedthrough and nu % 2:
-        raise ValueError(
+        raise InputError(
             f"with feedthrough a network must have each input twice, of a sample and of the next, "
             f"got nu = {nu}"
         )
@@ -267,14 +268,14 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
     shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
-        raise ValueError(
+        raise InputError(
             f"{name} of the weights must be {needed.get(name)}, got {shapes.get(name)}"
         )
     for name, tensor in found.items():
         floating = tensor.dtype in (torch.float32, torch.float64)
         wanted = expected[name].dtype
         if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
-            raise ValueError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
+            raise InputError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
     model = build()
     # In place, so that tied parameters stay tied; the saved precision is kept.
     for name, tensor in model.state_dict(keep_vars=True).items():

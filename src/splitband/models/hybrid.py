@@ -33,6 +33,7 @@ from splitband.models.stepping import (
 )
 from splitband.networks import Cell, rollout
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 
 class Hybrid(Model):
@@ -124,7 +125,7 @@ class Filtered(Hybrid):
     ) -> None:
         super().__init__(cell, conditioned, feedthrough)
         if pair.zero_phase:
-            raise ValueError("the hybrid model's pair must filter one way (zero_phase=False)")
+            raise InputError("the hybrid model's pair must filter one way (zero_phase=False)")
         self.pair = pair
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -157,7 +158,7 @@ class Filtered(Hybrid):
         """Return H(network), whose filter starts from measured samples minus L(simulator)."""
         order, warmup = self.pair.order, filtered.y.shape[1]
         if warmup < order:
-            raise ValueError(f"the warm-up must have at least {order} samples, got {warmup}")
+            raise InputError(f"the warm-up must have at least {order} samples, got {warmup}")
         measured = filtered.y[:, warmup - order :]
         first = measured - _required(filtered)[:, warmup - order : warmup]
         network = rollout(self.cell, filtered.y, steps, filtered.u)
@@ -212,5 +213,5 @@ def _after_warmup(known: Signals, steps: int) -> Tensor:
 
 def _required(known: Signals) -> Tensor:
     if known.y_sim is None:
-        raise ValueError("y_sim must be given: the model needs a simulator's output")
+        raise InputError("y_sim must be given: the model needs a simulator's output")
     return known.y_sim

@@ -35,6 +35,7 @@ from splitband.models.stepping import (
 )
 from splitband.networks import Cell, rollout
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import cond
 
 LOW, HIGH = "low band", "high band"
@@ -50,11 +51,11 @@ class SteppedSplit(Stepped):
     def __init__(self, model: Any) -> None:
         super().__init__(model)
         if model.filter_output and not self.driven and model.pair.zero_phase:
-            raise ValueError(
+            raise InputError(
                 "a split model whose output is filtered forwards and backwards cannot be stepped"
             )
         if model.alignment != "time":
-            raise ValueError('a split model with alignment="paper" cannot be stepped')
+            raise InputError('a split model with alignment="paper" cannot be stepped')
         self.pair: ComplementaryPair = model.pair
         self.own_warmup: bool = model.own_warmup
         self.slow, self.fast = (SteppedCell(network) for network in model.networks)
@@ -194,7 +195,7 @@ class Split(Model):
         given = [(network.ny, network.nu) for network in networks]
         if given != wanted:
             told = ", with 2 ny inputs for the slow band" if conditioned else ""
-            raise ValueError(f"the networks' (ny, nu) must be {wanted}{told}, got {given}")
+            raise InputError(f"the networks' (ny, nu) must be {wanted}{told}, got {given}")
         if pair.cutoff is not None:
             check_downsampling(downsampling, pair.cutoff, pair.sampling_rate)
 

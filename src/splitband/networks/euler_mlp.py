@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 
 
@@ -46,7 +47,7 @@ class EulerMLP(WithRepr, nn.Module):
             recognition_size=recognition_size,
         )  # fmt: skip
         if state_size < ny:
-            raise ValueError(f"state_size must be at least ny = {ny}, got {state_size}")
+            raise InputError(f"state_size must be at least ny = {ny}, got {state_size}")
         self.ny, self.nu, self.warmup = ny, nu, warmup
         self.state_size, self.hidden_size = state_size, hidden_size
         self.recognition_size, self.step_size = recognition_size, step_size
@@ -78,7 +79,7 @@ class EulerMLP(WithRepr, nn.Module):
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
         """Return h_R, recognised from the last R measured samples; raises ValueError for fewer."""
         if y_warmup.shape[1] < self.warmup:
-            raise ValueError(
+            raise InputError(
                 f"the warm-up must have at least {self.warmup} samples, got {y_warmup.shape[1]}"
             )
         seen = y_warmup if u is None else torch.cat([y_warmup, u], dim=-1)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import scan
 
 Dense = tuple[tuple[Array, Array], ...]
@@ -126,7 +127,7 @@ class TorchCell:
         try:
             values = np.array(x)
         except TypeError:  # a symbol, as an export is made
-            raise ValueError(
+            raise InputError(
                 f"the cell {type(self.cell).__name__} cannot be exported, as it is Python code of "
                 "your own; GRU, EulerMLP and StateSpace can"
             ) from None

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from splitband.networks.cell import Cell
+from splitband.runtime.errors import InputError
 
 Backend = Literal["auto", "plain", "fused"]
 
@@ -46,10 +47,10 @@ def rollout(
     _check(cell, y_warmup, steps, u)
     warmup = y_warmup.shape[1]
     if backend not in get_args(Backend):
-        raise ValueError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+        raise InputError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
     fused = _kernel(cell, y_warmup, steps)
     if backend == "fused" and fused is None:
-        raise ValueError(
+        raise InputError(
             f'backend="fused" needs a cell with a kernel, the CPU, float32 or float64 throughout '
             f"and a step, got {type(cell).__name__} on {y_warmup.device.type} in {y_warmup.dtype} "
             f"for {steps} steps"
@@ -90,20 +91,20 @@ def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] |
 
 def _check(cell: Cell, y_warmup: Tensor, steps: int, u: Tensor | None) -> None:
     if y_warmup.ndim != 3 or y_warmup.shape[-1] != cell.ny or not y_warmup.shape[1]:
-        raise ValueError(
+        raise InputError(
             f"y_warmup must be (batch, R >= 1, ny = {cell.ny}), got {tuple(y_warmup.shape)}"
         )
     if steps < 0:
-        raise ValueError(f"steps must not be negative, got {steps}")
+        raise InputError(f"steps must not be negative, got {steps}")
     if (u is not None) != bool(cell.nu):
-        raise ValueError(f"u must be given exactly where the cell takes inputs, nu = {cell.nu}")
+        raise InputError(f"u must be given exactly where the cell takes inputs, nu = {cell.nu}")
     if u is not None:
         batch, warmup, _ = y_warmup.shape
         if u.ndim != 3 or u.shape[0] != batch or u.shape[2] != cell.nu:
-            raise ValueError(
+            raise InputError(
                 f"u must be (batch = {batch}, time, nu = {cell.nu}), got {tuple(u.shape)}"
             )
         if u.shape[1] < warmup + max(steps - 1, 0):
-            raise ValueError(
+            raise InputError(
                 f"u must cover warm-up and simulation, {warmup} + {steps} samples, got {u.shape[1]}"
             )

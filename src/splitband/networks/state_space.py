@@ -13,6 +13,7 @@ from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class StateSpace(WithRepr, nn.Module):
         check_sizes(nu, ny=ny, states=states)
         whole("layers", layers, 1, MOST_LAYERS)
         if hidden < 0:
-            raise ValueError(f"hidden must not be negative, got {hidden}")
+            raise InputError(f"hidden must not be negative, got {hidden}")
         self.ny, self.nu, self.states, self.hidden, self.layers = ny, nu, states, hidden, layers
         self.encoded = whole("encoded", encoded, 0)
         self.f, self.g = (self._layers(states + nu) for _ in range(2))
@@ -140,7 +141,7 @@ class StateSpace(WithRepr, nn.Module):
         }
         for name, shape in shapes.items():
             if given[name].shape != shape:
-                raise ValueError(f"{name} must be {shape}, got {given[name].shape}")
+                raise InputError(f"{name} must be {shape}, got {given[name].shape}")
         with torch.no_grad():
             for layer, parts in ((self.transition, "ab"), (self.observation, "cd")):
                 linear = np.concatenate([given[part] for part in parts], axis=1)
@@ -197,7 +198,7 @@ class StateSpace(WithRepr, nn.Module):
         """Estimate the state at the first sample; raises ValueError for too short a warm-up."""
         n = self.encoded
         if y_warmup.shape[1] < n:
-            raise ValueError(f"the warm-up must have at least {n} samples, got {y_warmup.shape[1]}")
+            raise InputError(f"the warm-up must have at least {n} samples, got {y_warmup.shape[1]}")
         seen = y_warmup[:, :n] if u is None else torch.cat([y_warmup[:, :n], u[:, :n]], dim=-1)
         return nn.functional.linear(seen.flatten(1), self.first, self.first_bias)
 

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
 
+from splitband.runtime.errors import InputError
+
 LARGEST_SIZE = 10_000
 """Largest order, down-sampling or size of a network; larger values are mistakes. By eye."""
 
@@ -22,11 +24,11 @@ def whole(name: str, value: Any, least: int | None = 1, most: int | None = None)
     except TypeError:
         number = None
     if number is None or isinstance(value, bool):
-        raise ValueError(f"{name} must be a whole number, got {str(value)[:60]!r}") from None
+        raise InputError(f"{name} must be a whole number, got {str(value)[:60]!r}") from None
     if least is not None and most is not None and not least <= number <= most:
-        raise ValueError(f"{name} must be between {least} and {most}, got {number}")
+        raise InputError(f"{name} must be between {least} and {most}, got {number}")
     if least is not None and number < least:
-        raise ValueError(f"{name} must be at least {least}, got {number}")
+        raise InputError(f"{name} must be at least {least}, got {number}")
     return number
 
 

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from splitband.runtime.errors import InputError
+
 CHECKPOINTS = ".splitband-checkpoints"
 """Folder for checkpoints, in that of the results; removed once the results are written."""
 
@@ -84,7 +86,7 @@ def output_folder(path: str | Path, argument: str = "folder") -> Path:
             pass
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise ValueError(
+        raise InputError(
             f"{argument} must be a folder that can be written, got {path}: {reason}"
         ) from None
     return path

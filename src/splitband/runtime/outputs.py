@@ -15,6 +15,7 @@ from typing import Any
 
 from filelock import BaseFileLock, FileLock, Timeout
 
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import output_folder, write_json
 
 FACTS = "results.json"
@@ -144,13 +145,13 @@ def _lock(lock: BaseFileLock, folder: Path, argument: str) -> None:
         owner = ""
         with contextlib.suppress(OSError):
             owner = path.read_text(encoding="utf-8", errors="replace")[:200]
-        raise ValueError(
+        raise InputError(
             f"{argument}: {folder} is in use by another splitband command"
             f"{f' ({owner})' if owner else ''}; wait for it or choose another folder"
         ) from None
     except (OSError, NotImplementedError):  # there are no locks here
         if path.is_symlink() or path.is_dir():
-            raise ValueError(
+            raise InputError(
                 f"{argument} must not hold a link or a folder named {path.name}, got {path}; "
                 "remove it"
             ) from None

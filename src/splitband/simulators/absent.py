@@ -8,6 +8,7 @@ from pathlib import PurePath
 from typing import Any, NoReturn
 
 import splitband
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 from splitband.simulators.base import Start, check_start
 
@@ -41,9 +42,9 @@ class Absent:
         """Check values that may come from a file."""
         texts = self.kind, self.file, self.fingerprint or ""
         if not all(isinstance(text, str) for text in texts):
-            raise ValueError("a simulator must be described by texts")
+            raise InputError("a simulator must be described by texts")
         if not self.kind.isidentifier() or PurePath(self.file).name != self.file:
-            raise ValueError(
+            raise InputError(
                 f"a simulator must have a class and the name of a file, got "
                 f"{self.kind[:60]!r} and {self.file[:60]!r}"
             )
@@ -67,7 +68,7 @@ class Absent:
         """Raise ValueError; the message says which simulator to pass, and how."""
         ours = "sb." if self.kind in dir(splitband) else ""
         how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
-        raise ValueError(
+        raise InputError(
             f"simulator must be given: this model was saved with the simulator {self}; pass it: "
             f"sb.load(folder, simulator={how})"
         )
@@ -76,7 +77,7 @@ class Absent:
         """Raise ValueError if `given` begins at another time than the described simulator."""
         other = Absent.of(given).start
         if self.start is not None and other is not None and self.start != other:
-            raise ValueError(
+            raise InputError(
                 f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
                 f"which the model was saved, got start={json.dumps(other)}; fit the model again "
                 "for another start"

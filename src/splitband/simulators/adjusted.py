@@ -11,6 +11,7 @@ import numpy as np
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 from splitband.simulators.code import failure, place
 from splitband.simulators.estimate import Estimate
@@ -117,7 +118,7 @@ class Adjusted:
         """Return the channels; raises ValueError for values that are not finite."""
         good = np.isfinite(y).all(axis=1)
         if not good.all():
-            raise ValueError(self._given.unfinished(float(time[np.argmin(good)])))
+            raise InputError(self._given.unfinished(float(time[np.argmin(good)])))
         return y
 
     def _began(self, state: Any) -> Point:
@@ -164,4 +165,4 @@ def _running() -> Iterator[None]:
     except Exception as error:
         if isinstance(error, ValueError) and not place(error):
             raise  # raised by this package
-        raise ValueError(f"the simulator failed: {failure(error)}") from error
+        raise InputError(f"the simulator failed: {failure(error)}") from error

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from splitband.data import Grid, Stamp
 from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import output_folder, replacing
 from splitband.simulators.code import check_open, content_digest, count_arguments
 from splitband.simulators.recorded import Recorded
@@ -58,7 +59,7 @@ def check_start(start: Any) -> Any:
     except (TypeError, ValueError):
         seconds = math.nan
     if not math.isfinite(seconds):
-        raise ValueError(f'start must be a number of seconds or "record", got {start!r}')
+        raise InputError(f'start must be a number of seconds or "record", got {start!r}')
     return seconds
 
 
@@ -80,7 +81,7 @@ def matched(
     found: Any_simulator = simulator if match is None else match(columns, inputs)
     driven, name = is_driven(found), getattr(found, "name", "") or type(found).__name__
     if not inputs and getattr(found, "needs_inputs", driven):
-        raise ValueError(
+        raise InputError(
             f"simulator {name} takes inputs, of which the record has none: name them (--inputs), "
             "or leave the argument out"
         )
@@ -116,14 +117,14 @@ def origin(simulator: Any, stamp: Stamp | None) -> float:
     start, begin = check_start(getattr(simulator, "start", None)), seconds_of(stamp)
     if start == "record":
         if stamp is not None and not isinstance(stamp, float):
-            raise ValueError(
+            raise InputError(
                 'start (--simulator-start) must be a number of seconds, not "record", for a record '
                 f"whose clock shows dates: it begins at {in_words(stamp)}"
             )
         return begin
     if start is None and begin and not is_driven(simulator):
         assert stamp is not None
-        raise ValueError(
+        raise InputError(
             f'start must be given (--simulator-start) for a function of time: "record" if it means '
             f"the record's clock, which begins at {in_words(stamp)}, 0 if its time begins at the "
             "first sample"
@@ -189,19 +190,19 @@ def run(
             raise TypeError("its values must be real")
         y = np.asarray(returned, float)
     except SimulatorTimeoutError as error:
-        raise ValueError(f"simulator {name} has not returned {error}") from error
+        raise InputError(f"simulator {name} has not returned {error}") from error
     except (Exception, SystemExit) as error:
         kind = "" if isinstance(error, SimulatorError) else f"{type(error).__name__}: "
-        raise ValueError(
+        raise InputError(
             f"simulator {name} failed on {samples} samples every {sampling_time:g} s: {kind}{error}"
         ) from error
     y = y[:, None] if y.ndim == 1 else y
     if y.shape != (len(time), ny):
-        raise ValueError(f"simulator {name} must return {(len(time), ny)} values, got {y.shape}")
+        raise InputError(f"simulator {name} must return {(len(time), ny)} values, got {y.shape}")
     y = y[:samples]
     bad = ~np.isfinite(y).all(axis=1)
     if bad.any():
-        raise ValueError(
+        raise InputError(
             f"simulator {name} must return finite values: {bad.sum()} samples are not, "
             f"the first at {time[:samples][bad][0]:g} s"
         )
@@ -222,7 +223,7 @@ def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> 
     if u is None:
         return np.empty((samples, 0))
     if len(u) < samples:
-        raise ValueError(
+        raise InputError(
             f"u must hold the inputs of {samples} samples for simulator {name}, got {len(u)}"
         )
     return u[:samples]

@@ -16,6 +16,7 @@ import scipy
 
 from splitband.metrics import rmse, spread
 from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 Term = Literal["gain", "offset", "delay", "clock"]
@@ -85,7 +86,7 @@ class Calibration:
         index = self.places(samples, sampling_time, begin) - begin_sim
         rows = np.rint(index).astype(int)
         if self.stays and rows[-1] >= len(y_sim):
-            raise ValueError(f"y_sim must have {rows[-1] + 1} samples at least, got {len(y_sim)}")
+            raise InputError(f"y_sim must have {rows[-1] + 1} samples at least, got {len(y_sim)}")
         on_rows = self.stays and bool(np.abs(index - rows).max() < 1e-6)
         moved = y_sim[np.maximum(rows, 0)] if on_rows else spline_of(y_sim)(index)
         gain = np.array(self.gain or 1.0)
@@ -96,15 +97,15 @@ class Calibration:
         numbers = [*self.gain, *self.offset, self.delay, self.clock]
         for value in numbers:
             if not isinstance(value, int | float) or not np.isfinite(value):
-                raise ValueError(f"a calibration must hold finite numbers, got {value!r}")
+                raise InputError(f"a calibration must hold finite numbers, got {value!r}")
         if not self.clock > 0:
-            raise ValueError(f"clock must be positive, got {self.clock}")
+            raise InputError(f"clock must be positive, got {self.clock}")
 
     def check(self, ny: int) -> None:
         """Raise ValueError unless gain and offset have `ny` values, or none."""
         for name in ("gain", "offset"):
             if len(getattr(self, name)) not in (0, ny):
-                raise ValueError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
+                raise InputError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
 
     def places(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
         """Return the simulator times that `apply` uses, `(samples,)`, in samples from t = 0."""
@@ -181,7 +182,7 @@ def calibrate(
     """
     measured = int((~np.isnan(y)).any(axis=1).sum())
     if len(y_sim) < len(y) or measured < 2 or y_sim.shape[1] != y.shape[1]:
-        raise ValueError(
+        raise InputError(
             f"y_sim must cover the record's {len(y)} samples in y's channels, and y have 2 "
             f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
@@ -192,7 +193,7 @@ def calibrate(
         wanted = tuple(terms)
         unknown = [term for term in wanted if term not in TERMS]
         if unknown:
-            raise ValueError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
+            raise InputError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
         return _fit(y_sim, y, sampling_time, wanted, scale)
     errors = {kept: _held_out(y_sim, y, sampling_time, kept) for kept in _SETS}
     best = _SETS[0]

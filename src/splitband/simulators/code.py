@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from splitband.data.signals import bare_name
+from splitband.runtime.errors import InputError
 
 _INSTALLED = "site-packages", "dist-packages"
 
@@ -57,7 +58,7 @@ def check_places(function: Any, *places: str) -> None:
     """Raise ValueError if arguments of the user's function have the names of other places."""
     given = {name: i for i, name in enumerate(_places(function))}
     if any(given.get(name, places.index(name)) != places.index(name) for name in ("u", "p")):
-        raise ValueError(
+        raise InputError(
             f"a simulator's function must have the arguments ({', '.join(places)}), in this order "
             f"and without gaps: got ({', '.join(given)})"
         )
@@ -73,7 +74,7 @@ def check_open(function: Any, what: str, inputs: Sequence[str] = ()) -> None:
     for each in arguments(function).values():
         gathers = each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
         if gathers or each.default is None or each.name in named:
-            raise ValueError(
+            raise InputError(
                 f"simulator {what} must say whether its argument "
                 f"{each.replace(annotation=each.empty)} is the record's inputs, which it would not "
                 "get: call it u, without a * before it, or else remove it or its default"

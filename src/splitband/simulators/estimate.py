@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 from splitband.simulators.parameters import Parameters
 
@@ -59,9 +60,9 @@ class Estimate:
         """Check values that may come from a file."""
         for name, value in self.values.items():
             if not isinstance(value, int | float) or not np.isfinite(value):
-                raise ValueError(f"an estimate must hold finite numbers, got {name}={value!r}")
+                raise InputError(f"an estimate must hold finite numbers, got {name}={value!r}")
         if self.values.keys() != self.errors.keys():
-            raise ValueError("an estimate must have as many errors as values")
+            raise InputError("an estimate must have as many errors as values")
 
     def __str__(self) -> str:
         """Return each value with its standard error, and the remarks."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
 from splitband.simulators.fmu_reading import SAMPLES, LateError, reading_of
 from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
@@ -102,7 +103,7 @@ class Fmu(Adjustable):
                 y = np.asarray(self._run(time, u, values), dtype=float)
             except Exception as error:
                 if len(points) == 1:
-                    raise ValueError(f"the FMU {self.path} failed: {error}") from error
+                    raise InputError(f"the FMU {self.path} failed: {error}") from error
                 y = np.full((len(time), len(self.outputs)), np.nan)
             found.append((y, np.empty((len(time), 0))))
         return found
@@ -112,7 +113,7 @@ class Fmu(Adjustable):
         names = names if self.inputs is None else self.inputs
         count = 0 if u is None else u.shape[1]
         if names and count != len(names):
-            raise ValueError(
+            raise InputError(
                 f"inputs must be {count or 'the'} variables of {self.path} that take the inputs "
                 f"of the record, which has {count or 'none'}; got {', '.join(names)}"
             )

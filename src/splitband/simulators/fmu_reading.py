@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.simulators.fmu_running import CoSimulation, Reading, Task
 from splitband.simulators.fmu_unit import Unit
 
@@ -55,7 +56,7 @@ def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
     return Reading(late, before), bool(changes[open_ones].all())
 
 
-class LateError(ValueError):
+class LateError(InputError):
     """Report an output that cannot be read at its sample."""
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.simulators.fmu_unit import COSIMULATION, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
@@ -96,7 +97,7 @@ def check_inputs(unit: Unit, names: Sequence[str], u: Array) -> None:
         if kind == "Boolean":
             wrong |= (column != 0) & (column != 1)
         if wrong.any():
-            raise ValueError(
+            raise InputError(
                 f"inputs must hold {'0 and 1' if kind == 'Boolean' else 'whole numbers'} for "
                 f"{name} of {unit.path}, which is of the type {kind}: got {column[wrong][0]:g}"
             )
@@ -134,7 +135,7 @@ def initialise(unit: Unit, instance: Any, task: Task, inputs: Variables, end: fl
         drive()
         instance.exitInitializationMode()
     if left:
-        raise ValueError(f"these variables of {unit.path} cannot be set: {', '.join(left)}")
+        raise InputError(f"these variables of {unit.path} cannot be set: {', '.join(left)}")
 
 
 class _Inputs:
@@ -211,7 +212,7 @@ class Exchange:
             if event:
                 self._event(now)
         else:
-            raise ValueError(f"the FMU {self.unit.path} has no end of events at {now:g} s")
+            raise InputError(f"the FMU {self.unit.path} has no end of events at {now:g} s")
         instance.setTime(end)
         self.inputs.apply(end)
         if self.inputs.jump(n):
@@ -239,7 +240,7 @@ class Exchange:
                 more, ended, _, _, defined, at = update()
                 settled = not more
             if ended:
-                raise ValueError(f"the FMU {self.unit.path} has ended its simulation")
+                raise InputError(f"the FMU {self.unit.path} has ended its simulation")
             if settled:
                 break
         self.event_time = at if defined else np.inf
@@ -333,9 +334,9 @@ class CoSimulation:
         try:
             done = self.instance.doStep(self.now, length)
         except Exception as error:
-            raise ValueError(
+            raise InputError(
                 f"the FMU {self.unit.path} stopped at {self.now:g} s: {error}"
             ) from error
         if done is not None and (done[1] or done[2]):  # FMI 3 tells it ended or returned early
-            raise ValueError(f"the FMU {self.unit.path} stopped at {done[3]:g} s")
+            raise InputError(f"the FMU {self.unit.path} stopped at {done[3]:g} s")
         self.now += length

@@ -13,6 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from splitband.data.signals import bare_name
+from splitband.runtime.errors import InputError
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"
 """Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs can be read at once."""
@@ -80,11 +81,11 @@ class Variables:
         for name in (*(outputs or ()), *inputs):
             if name not in self.names:
                 known = _listed(self.names)
-                raise ValueError(f"{self.file} has no variable {name}; it has {known}")
+                raise InputError(f"{self.file} has no variable {name}; it has {known}")
         able = {*self.inputs, *self.optional, *self.tunable}
         for name in inputs:
             if name not in able:
-                raise ValueError(
+                raise InputError(
                     f"inputs must be inputs of {self.file}: {name} is none; it has "
                     f"{_listed([*self.inputs, *self.optional])}"
                 )
@@ -100,7 +101,7 @@ class Variables:
         if not all(found) and given is None and len(columns) == len(self.outputs) == 1:
             return [*self.outputs]
         if not all(found):
-            raise ValueError(
+            raise InputError(
                 f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
                 f"the record's channels, {_listed(columns)}, in their order: "
                 + (f"got {_listed(given)}" if given else f"it has {_listed(self.outputs)}")
@@ -116,7 +117,7 @@ class Variables:
         if given is not None and len(given) in (0, len(inputs)):
             return [*given]
         if given is None and self.arrays:
-            raise ValueError(
+            raise InputError(
                 f"inputs (--simulator-inputs) must name the inputs of {self.file} that are driven: "
                 f"{_listed(self.arrays)} is an array, which cannot be; it keeps its start values"
             )
@@ -126,7 +127,7 @@ class Variables:
                 return found if any(found) else []
             if len(inputs) == len(self.inputs) == 1:
                 return [*self.inputs]
-        raise ValueError(
+        raise InputError(
             f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
             f"record's inputs, {_listed(inputs) or 'of which it has none'}, in their order: "
             + (f"got {_listed(given)}" if given else f"it has {_listed(self.inputs)}")
@@ -191,7 +192,7 @@ class Unit:
             self._idle.append(self._first())
         except Exception as error:
             self.close()
-            raise ValueError(f"{path} is not an FMU that can be run here: {error}") from error
+            raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
         self.by_name = {v.name: v for v in self.description.modelVariables}
 
     @property
@@ -231,7 +232,7 @@ class Unit:
         from fmpy.simulation import instantiate_fmu  # noqa: PLC0415  the optional extra
 
         if not Path(self.folder).is_dir():
-            raise ValueError(f"the FMU {self.path} has been closed")
+            raise InputError(f"the FMU {self.path} has been closed")
         return instantiate_fmu(self.folder, self.description, self.kind)
 
 
@@ -243,7 +244,7 @@ def variables_of(path: Path) -> Variables:
             fmpy.extract(str(path), folder, include=lambda name: name == "modelDescription.xml")
             description = fmpy.read_model_description(folder)
         except Exception as error:
-            raise ValueError(f"{path} is not an FMU that can be run here: {error}") from error
+            raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
         return Variables.of(path, description, Path(folder))
 
 
@@ -251,7 +252,7 @@ def _fmpy() -> Any:
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise ValueError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+        raise InputError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
     return fmpy
 
 

@@ -23,6 +23,7 @@ from splitband.data import Record, require_records
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, within
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
@@ -143,7 +144,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     if not any(o.found for o in outcomes):
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
-        raise ValueError(f"simulator must run for some parameters in their ranges: {reason}")
+        raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
     window = _window(outcomes, longest)
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
@@ -204,14 +205,14 @@ def check_runs(simulator: Any, record: Record) -> Any:
                 break
             continue
         if y.shape != begin.y.shape:
-            raise ValueError(
+            raise InputError(
                 f"simulator must return the record's {record.ny} channel(s), "
                 f"{', '.join(record.columns)}, as {begin.y.shape}: got {y.shape}"
             )
         return simulator
     assert reason is not None
     where = ", ".join(f"{name} = {value:.4g}" for name, value in known.middle().items())
-    raise ValueError(
+    raise InputError(
         f"simulator must run at its start values{where and f' ({where})'}: {failure(reason)}"
     ) from reason
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from pebble import ProcessExpired
 
 from splitband.runtime.arrays import Array
-from splitband.runtime.errors import one_line
+from splitband.runtime.errors import InputError, one_line
 from splitband.runtime.workers import Workers
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Start
 from splitband.simulators.code import content_digest, count_arguments, loaded_files
@@ -146,7 +146,7 @@ def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLi
     if task.function is not None:
         function = named_in(task.path, task.function)
         if not callable(function):
-            raise ValueError(f"{task.path} must define a function {task.function}")
+            raise InputError(f"{task.path} must define a function {task.function}")
         return Function(function).simulate(time, u)
     with Fmu(task.path, task.outputs or None, inputs=task.inputs) as fmu:
         return fmu.simulate(time, u)
@@ -158,7 +158,7 @@ def named_in(path: str, name: str) -> Any:
     try:
         return runpy.run_path(path, run_name=Path(path).stem).get(name)
     except (Exception, SystemExit) as error:
-        raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
+        raise InputError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
 
 
 def opened(
@@ -199,7 +199,7 @@ def _opened(file: str, name: str, start: Start | None, key: str, given: Mapping[
         parameters = {**(found.parameters or {}), **given}
         simulator: Any = replace(found, parameters=parameters, key=key)  # type: ignore[type-var]
     elif not callable(found):
-        raise ValueError(f"{file} must define a function, an Ode or a Function {name}")
+        raise InputError(f"{file} must define a function, an Ode or a Function {name}")
     elif count_arguments(found) == 4:
         simulator = Ode(found, _initial(given), parameters=dict(given), key=key)
     else:
@@ -221,7 +221,7 @@ def _initial(given: Mapping[str, Any]) -> list[float]:
     numbers = [int(n[len(INITIAL) :]) for n in told if n[len(INITIAL) :].isdigit()
                and n.startswith(INITIAL)]  # fmt: skip
     if not numbers:
-        raise ValueError(
+        raise InputError(
             "parameters must say how many states the differential equation has, and where they "
             f"begin: {INITIAL}1=0,{INITIAL}2=-1:1"
         )

@@ -12,6 +12,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start
 from splitband.simulators.code import code_digest, count_arguments
 from splitband.simulators.function import UserCode
@@ -75,14 +76,14 @@ class Ode(UserCode):
         except (TypeError, ValueError):
             x0 = np.empty((0, 0))
         if x0.ndim != 1 or not x0.size or not np.isfinite(x0).all():
-            raise ValueError(
+            raise InputError(
                 f"x0 must be a finite number for each state, got {self.x0!r}; a state with a range "
                 f'is a parameter: parameters={{"{INITIAL}1": (low, high)}}'
             )
         wrong = [name for name in self.known.given if name.startswith(INITIAL)
                  and name not in self._states]  # fmt: skip
         if wrong:
-            raise ValueError(
+            raise InputError(
                 f"initial values must be out of {', '.join(self._states)}, as x0 says, "
                 f"got {wrong[0]}"
             )
@@ -117,7 +118,7 @@ class Ode(UserCode):
         if self.observe is not None:
             return self
         if len(columns) > self.states:
-            raise ValueError(
+            raise InputError(
                 f"observe must map the {self.states} state(s) of the equation to the record's "
                 f"{len(columns)} channels, {', '.join(columns)}: by default the first states are "
                 "observed"

@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 
 Given = Mapping[str, float | tuple[float, float]]
@@ -60,10 +61,10 @@ class Parameters:
         """Check names, numbers and ranges."""
         for name, value in self.given.items():
             if not isinstance(name, str) or not name:
-                raise ValueError(f"parameters must have names, got {name!r}")
+                raise InputError(f"parameters must have names, got {name!r}")
             low, high = _ends(name, value)
             if not (math.isfinite(low) and math.isfinite(high)) or low > high:
-                raise ValueError(
+                raise InputError(
                     f"parameters must be finite numbers or ranges (low, high) with low < high, "
                     f"got {name}={value!r}"
                 )
@@ -114,7 +115,7 @@ class Parameters:
         """Return the parameters with some of them set to numbers."""
         unknown = [name for name in values if name not in self.given]
         if unknown:
-            raise ValueError(f"parameters must be out of {', '.join(self.given)}, got {unknown[0]}")
+            raise InputError(f"parameters must be out of {', '.join(self.given)}, got {unknown[0]}")
         return Parameters({**self.given, **values})
 
     @classmethod
@@ -131,7 +132,7 @@ class Parameters:
             except ValueError:
                 ends = []
             if not equals or not name or len(ends) not in (1, 2) or name in given:
-                raise ValueError(
+                raise InputError(
                     "parameters must be given as NAME=VALUE or NAME=LOW:HIGH, separated by commas, "
                     f"each once, got {part!r}"
                 )
@@ -163,7 +164,7 @@ def _ends(name: str, value: Any) -> tuple[float, float]:
     except (TypeError, ValueError):
         low, high = math.nan, math.nan
     if low == high:
-        raise ValueError(f"a range must have two different ends, got {name}={value!r}")
+        raise InputError(f"a range must have two different ends, got {name}={value!r}")
     return low, high
 
 

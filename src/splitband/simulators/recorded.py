@@ -11,6 +11,7 @@ import numpy.typing as npt
 from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, saved
 
 
@@ -53,7 +54,7 @@ class Recorded(WithRepr):
         try:
             return reach(self._grid, grid)
         except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from None
+            raise InputError(f"{self.name}: {error}") from None
 
     def note(self, grid: Grid) -> str:
         """Return a description of the resampling to these times; empty without any."""

@@ -13,6 +13,7 @@ from splitband.data import Record
 from splitband.models import Model
 from splitband.runtime.caching import key_of
 from splitband.runtime.deadlines import Deadline, current
+from splitband.runtime.errors import InputError
 from splitband.runtime.memory import freed_memory_kept
 from splitband.training.checkpoints import Checkpoint, State, below
 from splitband.training.network import DIVERGED, MOST_RESTARTS, NetworkTraining
@@ -54,7 +55,7 @@ def fit(
     """
     records = [records] if isinstance(records, Record) else [*records]
     if not records:
-        raise ValueError("records must be one or several, got none")
+        raise InputError("records must be one or several, got none")
     settings = settings or Settings.of(min(map(len, records)))
     for record in records:
         _check_channels(model, record)
@@ -116,7 +117,7 @@ def _prefixed(before: State, prefix: str, training: NetworkTraining) -> State:
 
 def _check_channels(model: Model, record: Record) -> None:
     if (record.ny, record.nu) != (model.ny, model.nu):
-        raise ValueError(
+        raise InputError(
             f"the record must have the model's {model.ny} channel(s) and {model.nu} input(s), "
             f"got {record.ny} and {record.nu}"
         )

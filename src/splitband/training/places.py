@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
+from splitband.runtime.errors import InputError
 
 
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
@@ -25,13 +26,13 @@ def checked_starts(records: Sequence[Record], window: int, warmup: int) -> npt.N
     shortest = min(records, key=len)
     if len(shortest) < window:
         named = f" {shortest.name}" if len(records) > 1 and shortest.name else ""
-        raise ValueError(
+        raise InputError(
             f"window must fit into the training record{named} of {len(shortest)} samples, "
             f"got {window}"
         )
     starts = window_starts(records, window, warmup)
     if not len(starts):
-        raise ValueError(
+        raise InputError(
             f"warmup must fit between the gaps of the training record, got {warmup} samples"
         )
     return starts

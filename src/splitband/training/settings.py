@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from splitband.runtime.arguments import whole
+from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, saved
 
 ROUND = 20
@@ -72,26 +73,26 @@ class Settings(WithRepr):
             least = 0 if name == "epochs" else 1
             object.__setattr__(self, name, whole(name, getattr(self, name), least))
         if not self.epochs and not self.quasi_newton:
-            raise ValueError("epochs must be positive without quasi_newton, got 0")
+            raise InputError("epochs must be positive without quasi_newton, got 0")
         if self.window <= self.warmup:
-            raise ValueError(
+            raise InputError(
                 f"window must be longer than the warm-up of {self.warmup} samples, "
                 f"got {self.window}"
             )
         for epoch, _ in self.milestones:
             if epoch < 0:
-                raise ValueError(f"milestones must be at epochs from 0 on, got {epoch}")
+                raise InputError(f"milestones must be at epochs from 0 on, got {epoch}")
         for rate in (self.learning_rate, *(rate for _, rate in self.milestones)):
             if not 0 < rate < float("inf"):
-                raise ValueError(f"learning rates must be positive, got {rate}")
+                raise InputError(f"learning rates must be positive, got {rate}")
         if self.one_cycle and self.milestones:
-            raise ValueError(f"milestones need one_cycle=False, got {self.milestones}")
+            raise InputError(f"milestones need one_cycle=False, got {self.milestones}")
         if self.clip is not None and not self.clip > 0:
-            raise ValueError(f"clip must be positive, got {self.clip}")
+            raise InputError(f"clip must be positive, got {self.clip}")
         if not 0 <= self.penalty < float("inf"):
-            raise ValueError(f"penalty must not be negative, got {self.penalty}")
+            raise InputError(f"penalty must not be negative, got {self.penalty}")
         if not 0 <= self.growth <= 1:
-            raise ValueError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
+            raise InputError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
 
     @classmethod
     def of(cls, samples: int, windows: int | None = None) -> Settings:

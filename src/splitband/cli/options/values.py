@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 
+from splitband.runtime.errors import InputError
+
 
 def names(text: str, blank: bool = False) -> list[str]:
     """Return the parts of a comma-separated option; one in double quotes may have commas.
@@ -23,7 +25,7 @@ def seconds(duration: str, option: str = "--budget") -> float:
     except (KeyError, ValueError):
         length = 0.0
     if not 0 < length < float("inf"):
-        raise ValueError(f"{option} must be a time such as 90s, 10m or 1h, got {duration}")
+        raise InputError(f"{option} must be a time such as 90s, 10m or 1h, got {duration}")
     return length
 
 
@@ -33,7 +35,7 @@ def milestones(text: str) -> tuple[tuple[int, float], ...]:
         pairs = [part.split(":") for part in names(text)]
         return tuple((int(epoch), float(rate)) for epoch, rate in pairs)
     except ValueError:
-        raise ValueError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
+        raise InputError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
 
 
 def hidden(text: str) -> tuple[int, int]:
@@ -41,5 +43,5 @@ def hidden(text: str) -> tuple[int, int]:
     try:
         high, low = (int(part) for part in names(text))
     except ValueError:
-        raise ValueError(f"--hidden must be HIGH,LOW, two whole numbers, got {text}") from None
+        raise InputError(f"--hidden must be HIGH,LOW, two whole numbers, got {text}") from None
     return high, low
