@@ -2,7 +2,7 @@
 
 import json
 import os
-import pickle
+import pickle  # noqa: TID251
 import shlex
 import sys
 from pathlib import Path

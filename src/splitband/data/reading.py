@@ -71,7 +71,7 @@ class _Picked(NamedTuple):
     """Other columns with content, each with the reason for leaving it out."""
 
 
-def read(
+def read(  # noqa: PLR0913
     path: str | os.PathLike[str] | pd.DataFrame,
     *,
     columns: _Names | None = None,

@@ -84,7 +84,7 @@ class Forecast:
         of_forecast(self, path)
 
 
-def forecast(
+def forecast(  # noqa: PLR0913
     record: Record,
     steps: int,
     methods: Sequence[Forecaster | str] | str | None = None,

@@ -145,7 +145,7 @@ class Plan:
         )
 
 
-def plan(
+def plan(  # noqa: PLR0913
     record: Record,
     train: int | None = None,
     methods: Sequence[Forecaster | str] | str | None = None,

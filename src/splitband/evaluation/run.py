@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 Watch = Callable[["Run"], None]
 
 
-def compare(
+def compare(  # noqa: PLR0913
     record: Record,
     train: int | None = None,
     methods: Sequence[Forecaster | str] | str | None = None,
@@ -452,7 +452,7 @@ class Run:
         return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
 
 
-def fit(
+def fit(  # noqa: PLR0913
     plan: Plan,
     *,
     cores: int = 1,

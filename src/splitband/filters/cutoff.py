@@ -162,7 +162,7 @@ def choose(
     return _chosen(best, candidates, reason, loss, why_not)
 
 
-def choose_with_simulator(
+def choose_with_simulator(  # noqa: PLR0913
     y: Array,
     y_sim: Array,
     sampling_rate: float,

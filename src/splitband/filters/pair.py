@@ -141,7 +141,7 @@ class ComplementaryPair:
         return cls(b_low, b_high, a, sampling_rate, cutoff, zero_phase, start)
 
     @classmethod
-    def perfect(
+    def perfect(  # noqa: PLR0913
         cls,
         b: npt.ArrayLike,
         a: npt.ArrayLike,

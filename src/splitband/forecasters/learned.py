@@ -90,7 +90,7 @@ class Split(Network):
 
     bands: Bands
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         low: Template,
         high: Template,

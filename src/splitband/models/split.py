@@ -171,7 +171,7 @@ class Split(Model):
     steps = SteppedSplit
     slope_scale: Tensor
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         networks: Sequence[Cell],
         pair: ComplementaryPair,

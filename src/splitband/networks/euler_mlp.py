@@ -31,7 +31,7 @@ class EulerMLP(WithRepr, nn.Module):
 
     label = "rnn"
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         ny: int = 1,
         warmup: int = 10,

@@ -132,7 +132,7 @@ def origin(simulator: Any, stamp: Stamp | None) -> float:
     return float(start or 0.0)
 
 
-def run(
+def run(  # noqa: PLR0913
     simulator: Simulator,
     samples: int,
     sampling_time: float,

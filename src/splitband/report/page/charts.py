@@ -173,7 +173,7 @@ class Chart:
     methods : It is shown if one of these is switched on; if empty, always.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self, axis: Axis, label: str, limits: tuple[float, float], caption: str,
         height: int = TALL, log: bool = False, small: bool = False, methods: Sequence[str] = (),
     ) -> None:  # fmt: skip
