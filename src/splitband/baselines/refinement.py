@@ -218,7 +218,7 @@ def _states(a: Array, forced: Array, first: Array) -> Array:
     return np.stack([x1, x2])
 
 
-def blocks_of(  # noqa: PLR0915  a few lines for each kind of pole  # noqa: PLR0913
+def blocks_of(  # noqa: PLR0913, PLR0915  a few lines for each kind of pole
     a: Array,
     c: Array,
     direct: Sequence[bool],
