@@ -133,6 +133,8 @@ def _simulated(
     try:
         values = np.asarray(simulate(task, time, u))
         values = values.astype(float) if values.dtype == object else values
+    except KeyboardInterrupt:  # the user's, not the simulator's
+        raise
     except BaseException as error:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise SimulatorError(f"{kind}{one_line(error)}") from None
