@@ -230,7 +230,7 @@ def _over_time(points: Points) -> Figure:
         axis.set_visible(False)
     for axis, (name, i) in zip(axes.flat, panels, strict=False):
         benchmark = SETS.get(name)
-        scale, unit = (benchmark.scale, benchmark.unit) if benchmark else (1.0, "a share")
+        scale, unit = (benchmark.scale, f" ({benchmark.unit})") if benchmark else (1.0, "")
         title = f"{benchmark.title}, {benchmark.columns[i]}" if benchmark else _title(name)
         longest = max(point["seconds"] for point in points[name])
         for library in against.LIBRARIES:
@@ -242,7 +242,7 @@ def _over_time(points: Points) -> Figure:
                 axis.fill_between(
                     times, lowest, highest, step="post", alpha=0.15, color=line.get_color()
                 )
-        axis.set(title=title, xlabel="time in s", ylabel=f"test RMSE ({unit})")
+        axis.set(title=title, xlabel="time in s", ylabel=f"test RMSE{unit}")
         axis.set_xscale("log")
         axis.set_yscale("log")
         for of_axis in (axis.xaxis, axis.yaxis):
