@@ -84,6 +84,7 @@ def test_it_goes_on_from_another_origin(name: str) -> None:
 
 
 # A linear model's state is estimated from all of the history: see test_histories.
+@pytest.mark.filterwarnings("ignore:harmonic disagrees")  # on the samples beyond its training
 @pytest.mark.parametrize(
     "name", [n for n in MADE if "residuals of networks" not in n and "linear" not in n]
 )
