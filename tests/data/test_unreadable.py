@@ -1,5 +1,6 @@
 """Files that cannot be read say why, in one line."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -56,17 +57,14 @@ def test_at_most_ten_columns_are_listed(tmp_path: Path) -> None:
     assert "c10" not in text
 
 
-def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
+def test_files_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *args: Any) -> None:  # a file mode would not stop root
+        raise PermissionError(13, "Permission denied", str(path))
+
     with pytest.raises(FileNotFoundError, match="absent\\.csv"):
         read(tmp_path / "absent.csv")
     with pytest.raises(IsADirectoryError, match=tmp_path.name):
         read(tmp_path)
-
-
-def test_files_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path, *args: Any) -> None:  # a file mode would not stop root
-        raise PermissionError(13, "Permission denied", str(path))
-
     path = text_file(tmp_path, "1\n2\n")
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(PermissionError, match=path.name):
@@ -78,17 +76,14 @@ def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values, path = np.zeros((1000, 2)), tmp_path / name
-    match path.suffix:
-        case ".csv":
-            np.savetxt(path, values, delimiter=",")
-        case ".parquet":
-            pd.DataFrame(values, columns=["a", "b"]).to_parquet(path)
-        case ".npz":
-            np.savez_compressed(path, y=values)
-        case ".npy":
-            np.save(path, values)
-        case _:
-            scipy.io.savemat(path, {"y": values}, do_compression=True)
+    write: dict[str, Callable[[], object]] = {
+        "r.csv": lambda: np.savetxt(path, values, delimiter=","),
+        "r.parquet": lambda: pd.DataFrame(values, columns=["a", "b"]).to_parquet(path),
+        "r.npz": lambda: np.savez_compressed(path, y=values),
+        "r.npy": lambda: np.save(path, values),
+        "r.mat": lambda: scipy.io.savemat(path, {"y": values}, do_compression=True),
+    }
+    write[name]()
     assert len(read(path, sampling_time=1)) == 1000
     monkeypatch.setattr("splitband.data.tables.MOST_BYTES", 15_000)
     assert "it would take" in message(path, sampling_time=1)
@@ -160,10 +155,9 @@ def test_objects_are_not_unpickled(tmp_path: Path) -> None:
 
 def test_hdf5_mat_files_say_what_to_do(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
-    path = text_file(tmp_path, header + b"\0" * 512, "record.mat")
-    text = message(path)
-    assert "v7.3" in text
-    assert "-v7" in text.replace("v7.3", "")
+    said = message(text_file(tmp_path, header + b"\0" * 512, "record.mat"))
+    assert "v7.3" in said
+    assert "-v7" in said.replace("v7.3", "")
 
 
 def test_complex_values(tmp_path: Path) -> None:
