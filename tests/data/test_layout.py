@@ -174,6 +174,7 @@ def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
     ("text", "options", "columns", "values"),
     [
         ("0,1\n1,4\n2,9\n", {"sampling_time": 1}, "01", [[0, 1], [1, 4], [2, 9]]),
+        ("\ufeff1,2\n3,4\n", {"sampling_time": 1}, "01", [[1, 2], [3, 4]]),
         ("Record,time,y\n7,0,2\n8,1,4\n9,2,5\n", {}, "y", [[2], [4], [5]]),  # numbers of rows
         ("time;y\n0;1\n1;2\n2;4\n;\n;\n", {}, "y", [[1], [2], [4]]),  # empty rows at the end
         ("time,u,y\ns,V,mm\n0,1,2\n1,2,3\n2,3,5\n", {"columns": "y", "inputs": "u [V]"},

@@ -32,11 +32,19 @@ def test_time_columns_are_found_by_name_and_unit(tmp_path: Path, name: str, unit
     assert trajectory.columns == ("y",)
 
 
-def test_time_column_by_position(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "1 0.0\n2 0.5\n5 1.0\n", "record.txt")
-    trajectory = read(path, time_column=1)
-    assert trajectory.sampling_time == 0.5
-    np.testing.assert_array_equal(trajectory.y, [[1], [2], [5]])
+@pytest.mark.parametrize(
+    ("text", "column", "step", "values"),
+    [
+        ("1 0.0\n2 0.5\n5 1.0\n", 1, 0.5, [1, 2, 5]),
+        ("2024-01-01 00:00:00,1\n2024-01-01 00:00:01,2\n", 0, 1, [1, 2]),  # the first is no header
+    ],
+)
+def test_time_column_by_position(
+    tmp_path: Path, text: str, column: int, step: float, values: list[float]
+) -> None:
+    found = read(text_file(tmp_path, text, "record.txt"), time_column=column)
+    assert found.sampling_time == step
+    np.testing.assert_array_equal(found.y[:, 0], values)
 
 
 @pytest.mark.parametrize("name", ["T", "ts", "torque_s", "times"])
@@ -46,13 +54,6 @@ def test_a_channel_is_not_taken_for_the_time(tmp_path: Path, name: str) -> None:
     )  # asked for, it is a temperature
     path = text_file(tmp_path, f"{name}\n3\n1\n2\n")
     assert read(path, sampling_time=1, **options).columns == (name,)
-
-
-def test_dates_without_a_header(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "2024-01-01 00:00:00,1\n2024-01-01 00:00:01,2\n")
-    trajectory = read(path, time_column=0)
-    assert trajectory.sampling_time == 1.0
-    assert len(trajectory) == 2, "the first row must not pass for a header"
 
 
 @pytest.mark.parametrize(
