@@ -189,26 +189,29 @@ COMING = np.sign(np.cos(np.arange(200) / 7))
 LINEAR = "forecast record.csv --columns y --inputs force --method linear --steps 40 --out out"
 
 
+@pytest.mark.parametrize(
+    ("begin", "step", "samples", "coming", "told"),
+    [
+        # Rows before the record's end are left out.
+        (SAMPLES - 50, 1, 100, COMING[50:90], ""),
+        (SAMPLES, 2, 21, np.interp(np.arange(40) / 2, np.arange(21), COMING[:21]), "every 0.2 s"),
+    ],
+)
 def test_inputs_to_come_follow_the_record_by_their_time_stamps(
     driven: Callable[[Array], Array],
+    begin: int,
+    step: int,
+    samples: int,
+    coming: Array,
+    told: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Rows before the record's end are left out."""
-    time = times(20 + DT * (SAMPLES - 50), samples=100)
-    write(Path("coming.csv"), time, force=COMING[:100])
+    time = times(20 + DT * begin, step * DT, samples)
+    write(Path("coming.csv"), time, force=COMING[:samples])
     call(f"{LINEAR} --future-inputs coming.csv")
-    expected = driven(COMING[50:90])
-    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], expected, atol=1e-5)
-
-
-def test_inputs_to_come_at_another_step_are_interpolated(
-    driven: Callable[[Array], Array], capsys: pytest.CaptureFixture[str]
-) -> None:
-    time = times(20 + DT * SAMPLES, 2 * DT, 21)
-    write(Path("coming.csv"), time, force=COMING[:21])
-    call(f"{LINEAR} --future-inputs coming.csv")
-    assert "coming.csv: sampled every 0.2 s, interpolated" in capsys.readouterr().out
-    expected = driven(np.interp(np.arange(40) / 2, np.arange(21), COMING[:21]))
-    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], expected, atol=1e-5)
+    assert ("coming.csv: sampled" in (said := capsys.readouterr().out)) == bool(told)
+    assert told in said
+    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], driven(coming), atol=1e-5)
 
 
 @pytest.mark.parametrize("off", [20.0, -20.0, 0.1])

@@ -106,33 +106,20 @@ MODELS = [
     bad(AHEAD + "history.csv --simulator functions.py:good", "--simulator", "left out for gru"),
     bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "no known inputs"),
     bad("forecast record.csv --columns a --out out", "--steps"),
-    bad(
-        "forecast record.csv --columns a --out out --steps 5 --method best",
-        "--method",
-        "got 'best'",
-    ),
-    bad(
-        "forecast record.csv --columns a --inputs force --out out --steps 5",
-        "(force)",
-        "--future-inputs FILE",
-    ),
-    bad(
-        "forecast record.csv --columns a --out out --steps 5 --method linear", "linear", "--inputs"
-    ),
+    bad("forecast record.csv --columns a --out out --steps 5 --method best", "got 'best'"),
+    bad("forecast record.csv --columns a --inputs force --out out --steps 5", "(force)",
+        "--future-inputs FILE"),
+    bad("forecast record.csv --columns a --out out --steps 5 --method linear", "--inputs"),
     bad("spectrum record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
     bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
-    bad(
-        "forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
-        "--simulator simulated.csv",
-        "0 s to 20.4 s",
-        "0 s to 19.9 s",
-    ),
+    bad("forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
+        "--simulator simulated.csv", "0 s to 20.4 s", "0 s to 19.9 s"),
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
     bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
     bad(DRIVEN_AHEAD, "--future-inputs", "force"),
     bad(DRIVEN_AHEAD + "--future-inputs simulated.csv", "simulated.csv", "'force'"),
     bad(DRIVEN_AHEAD + "--future-inputs future_short.csv", "--future-inputs", "20", "got 10"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.usefixtures("model", "hybrid_model", "driven_model")
