@@ -64,7 +64,6 @@ def test_inputs_that_cannot_be_told_are_refused(
     fmu()
     lines = {
         "other.csv --inputs heater,opening": "heater, opening, in their order: it has valve, heat",
-        "rig.csv": "of which it has none, in their order: it has valve, heater",
         "rig.csv --inputs valve --simulator-inputs rate": "has no variable rate",
     }
     end = "--columns level --simulator Plant.fmu --out out"

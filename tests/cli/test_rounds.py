@@ -2,33 +2,20 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli.live import Display
 from splitband.evaluation.run import Run
 from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
-from tests.cli.support import assert_fails, call, files, results
+from tests.cli.support import assert_fails, call, files, results, watched
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
 
 LINE = "compare record.csv --columns a --methods gru,mean --hidden 4,3 --jobs 1 "
-
-
-def watched(monkeypatch: pytest.MonkeyPatch, look: Any) -> None:
-    """Let a test look, too, whenever the display is told where a comparison stands."""
-    shown = Display.__call__
-
-    def both(display: Display, run: Run) -> None:
-        shown(display, run)
-        look(run)
-
-    monkeypatch.setattr(Display, "__call__", both)
 
 
 def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(

@@ -192,17 +192,3 @@ def test_steps_of_one_percent_or_one_last_place_are_even(
     for gaps in ("refuse", "mask"):
         found = read(stamped(tmp_path, stamps), gaps=gaps)
         assert (found.sampling_time, len(found)) == (step, 60)
-
-
-@pytest.mark.parametrize(
-    "stamps",
-    [
-        [i + 0.012 * (i % 5 == 1) for i in range(60)],
-        [60 * i - 2 * (i % 4 == 1) for i in range(60)],
-        [60 * i + (i > 30) * 60 for i in range(60)],
-    ],
-)
-def test_steps_beyond_that_are_not(tmp_path: Path, stamps: Sequence[object]) -> None:
-    said = message(stamped(tmp_path, stamps))
-    assert "must be even" in said
-    assert "(line " in said

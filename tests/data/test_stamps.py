@@ -143,6 +143,9 @@ def test_rounding_to_float32_is_allowed_for(tmp_path: Path) -> None:
     ("stamps", "words"),
     [
         ([0, 1, 2, 4, 5, 6], "must be even: expected a step of 1 s at row 3, found 2 s"),
+        ([i + 0.012 * (i % 5 == 1) for i in range(60)], "must be even"),
+        ([60 * i - 2 * (i % 4 == 1) for i in range(60)], "must be even"),
+        ([60 * i + (i > 30) * 60 for i in range(60)], "(line 33)"),
         ([0.0, 0.1, 0.2, 0.32, 0.42], "at row 3, found 0.12 s"),
         ([0, 1, 2, 2, 3], "must increase: row 3 (2 s) follows 2 s"),
         ([0, 1, 2, 1, 3], "must increase: row 3 (1 s) follows 2 s"),
