@@ -65,7 +65,11 @@ def test_a_damaged_model_is_one_line(
     assert_fails(line, says, capsys)
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"speed": 1.0}, {"clock": "fast"}, {"gain": [1.0, 2.0]}, {"clock": math.nan}], ids=str
+)
 def test_a_damaged_calibration_is_one_line(
+    wrong: dict[str, Any],
     hybrid_model: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -75,11 +79,6 @@ def test_a_damaged_calibration_is_one_line(
     for name in ("history.csv", "simulated.csv"):
         shutil.copy(name, tmp_path)
     monkeypatch.chdir(tmp_path)
-    whole = Path("damaged/forecaster.json").read_text()
-    for wrong in ({"speed": 1.0}, {"clock": "fast"}, {"gain": [1.0, 2.0]}, {"clock": math.nan}):
-        change_json(lambda d, w=wrong: state(d, "_fitted_base", "applied").update(w))(
-            Path("damaged")
-        )
-        line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
-        assert_fails(line, ("damaged",), capsys)
-        Path("damaged/forecaster.json").write_text(whole)
+    change_json(lambda d: state(d, "_fitted_base", "applied").update(wrong))(Path("damaged"))
+    line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
+    assert_fails(line, ("damaged",), capsys)

@@ -112,7 +112,7 @@ def test_ctrl_c_reaches_the_processes_that_train(
 ) -> None:
     temporary = Path(tempfile.mkdtemp())  # its name is short enough for sockets
     monkeypatch.setenv("TMPDIR", str(temporary))
-    line = LINE.replace("record.csv", f"{workspace}/record.csv").replace("--jobs 1", "--jobs 2")
+    line = LINE.replace("record.csv", f"{workspace}/history.csv").replace("--jobs 1", "--jobs 2")
     with command_line(f"{line} --out {tmp_path / 'out'}") as running:
         eventually(lambda: [*tmp_path.glob(f"out/{CHECKPOINTS}/*.safetensors")] != [])
         assert_stopped("\n".join([*interrupted(running), ""]))

@@ -68,18 +68,18 @@ def write_mat(path: Path) -> None:  # columns, as MATLAB has them
 
 def saved(path: Path, **arrays: Any) -> Path:
     """Write arrays in the format of the suffix, compressed where it can be; text and NPY one."""
+    array = next(iter(arrays.values()))
     match path.suffix:
         case ".npz":
             np.savez_compressed(path, **arrays)
         case ".mat":
             scipy.io.savemat(path, arrays, do_compression=True)
         case ".npy":
-            np.save(path, *arrays.values())
+            np.save(path, array)
         case ".parquet":
-            frame = pd.DataFrame(*arrays.values())
-            frame.rename(columns=str).to_parquet(path)
+            pd.DataFrame(array).rename(columns=str).to_parquet(path)
         case _:
-            np.savetxt(path, *arrays.values(), delimiter=",")
+            np.savetxt(path, array, delimiter=",")
     return path
 
 
