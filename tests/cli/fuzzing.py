@@ -24,7 +24,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -44,6 +44,7 @@ from splitband.cli import main
 from splitband.forecasters import saving
 from splitband.runtime.files import write_json
 from splitband.training.checkpoints import Checkpoint
+from tests.cli.support import files
 
 PATIENCE = 60
 """Seconds after which an input is taken for one that hangs."""
@@ -300,12 +301,12 @@ def command_line(
             broken.write_bytes(edited(broken.read_bytes(), edits))
         words = shlex.split(command.format(record=f"record.{suffix}"))
         words += [word for option in options for word in option]
-        before = _contents(folder)
+        before = files(folder)
         said, complained = io.StringIO(), io.StringIO()
         quick = patch("splitband.evaluation.plan.BUDGET", 5.0)
-        with _working_in(folder), quick, redirect_stdout(said), redirect_stderr(complained):
+        with chdir(folder), quick, redirect_stdout(said), redirect_stderr(complained):
             status = main(words)
-        after = {k: v for k, v in _contents(folder).items() if k.split("/")[0] != "out"}
+        after = {k: v for k, v in files(folder).items() if k.split("/")[0] != "out"}
     assert status in (0, 2), words
     assert after == before, words
     lines = [line for line in complained.getvalue().splitlines() if line.startswith("error: ")]
@@ -326,23 +327,6 @@ def _facts() -> dict[str, Any]:
         "method": "gru", "columns": ["a"], "inputs": [], "sampling_time": 0.1,
         "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
     }  # fmt: skip
-
-
-def _contents(folder: Path) -> dict[str, bytes]:
-    paths = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
-
-
-@contextmanager
-def _working_in(folder: Path) -> Iterator[None]:
-    import os  # noqa: PLC0415  for this alone
-
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
 
 
 TARGETS: dict[str, Callable[[], None]] = {

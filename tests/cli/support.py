@@ -5,6 +5,7 @@ import os
 import shlex
 import subprocess
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import pandas as pd
 import pytest
 
 from splitband.cli import main
+from splitband.cli.live import Display
+from splitband.evaluation.run import Run
 
 Files = dict[str, bytes]
 
@@ -109,6 +112,17 @@ def write_records(folder: Path) -> None:
 def call(line: str, folder: Path | None = None) -> None:
     """Run a command that must succeed."""
     assert main([*shlex.split(line), *(["--out", str(folder)] if folder else [])]) == 0
+
+
+def watched(monkeypatch: pytest.MonkeyPatch, look: Callable[[Run], None]) -> None:
+    """Let a test look, too, whenever the display is told where a comparison stands."""
+    shown = Display.__call__
+
+    def both(display: Display, run: Run) -> None:
+        shown(display, run)
+        look(run)
+
+    monkeypatch.setattr(Display, "__call__", both)
 
 
 def results(folder: Path) -> dict[str, Any]:

@@ -1,11 +1,9 @@
 """Commands put files together by their time stamps; the oracles are signals known at any time."""
 
 import json
-import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,17 +12,16 @@ import pytest
 import scipy.signal
 
 from splitband import Record, read
-from splitband.cli import main
 from splitband.cli.options.records import RecordOptions
 from splitband.cli.options.simulators import SimulatorOptions
 from splitband.cli.simulators import load_further, with_simulator
 from splitband.metrics import rmse
+from tests.cli.support import QUICK, assert_fails, call, results
 from tests.data.support import SAMPLES, signal, times, write
 from tests.support import load_model as load
 
 Array = npt.NDArray[np.float64]
 DT = 0.1
-QUICK = "--recipe constant-rate --epochs 2 --hidden 4,3 --window 30 --warmup 10"
 FUNCTIONS = """
 import numpy as np
 
@@ -46,22 +43,6 @@ pytestmark = pytest.mark.usefixtures("simulated_here")
 def inside_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("functions.py").write_text(FUNCTIONS)
-
-
-def call(line: str) -> dict[str, Any]:
-    """Run a command that must succeed; what it writes to out/results.json, if it does."""
-    assert main(shlex.split(line)) == 0
-    found = Path("out/results.json")
-    facts: dict[str, Any] = json.loads(found.read_text()) if found.exists() else {}
-    return facts
-
-
-def refused(line: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line that a command ends with."""
-    assert main(shlex.split(line)) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    return error
 
 
 def simulator_error(
@@ -98,34 +79,12 @@ def test_a_perfect_simulator_has_no_error_whatever_its_time_stamps(
     assert told is None or told in said
 
 
-def test_a_simulator_that_begins_later_than_the_record_is_refused(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    write(Path("record.csv"), times(), y=signal(times()))
-    write(Path("sim.csv"), times(2), y=signal(times(2)))
-    said = refused("compare record.csv --methods simulator,mean --simulator sim.csv", capsys)
-    assert all(words in said for words in ("sim.csv", "0 s to 23.9 s", "2 s to 25.9 s"))
-
-
-def test_dates_beside_seconds_are_refused_with_the_name_of_the_file(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    dates = pd.Timestamp("2024-05-01") + pd.to_timedelta(times(), unit="s")
-    write(Path("record.csv"), dates, y=signal(times()))
-    write(Path("sim.csv"), times(20), y=signal(times()))
-    said = refused("compare record.csv --methods simulator,mean --simulator sim.csv", capsys)
-    assert all(words in said for words in ("sim.csv", "20 s", "2024-05-01", "all be dates"))
-
-
 def test_a_named_time_column_is_that_of_the_simulator_too() -> None:
     for name, start, samples in (("record.csv", 20, SAMPLES), ("sim.csv", 15, SAMPLES + 100)):
         time = times(start, samples=samples)
         write(Path(name), time, y=signal(time)).write_text(
             Path(name).read_text().replace("time", "stamp")
         )
-    assert simulator_error("sim.csv", "stamp") < 1e-6
-    time = times(15, samples=SAMPLES + 200)
-    write(Path("sim.csv"), time, y=signal(time))
     assert simulator_error("sim.csv", "stamp") < 1e-6
 
 
@@ -180,9 +139,8 @@ def test_files_with_and_without_a_time_zone_are_refused(
     after = pd.date_range(zoned[-1], periods=6, freq="1s")[1:]
     pd.DataFrame({"date": after, "u": 0.0}).to_csv("ahead.csv", index=False)
     if command.startswith("simulate"):
-        assert main(shlex.split("fit r.csv --inputs u --method linear --out m")) == 0
-        capsys.readouterr()
-    assert "must all have a time zone, or none: got 2024-05-01 10:0" in refused(command, capsys)
+        call("fit r.csv --inputs u --method linear --out m")
+    assert_fails(command, ("must all have a time zone, or none: got 2024-05-01 10:0",), capsys)
 
 
 # ---------------------------------------------------------------- what is written
@@ -191,7 +149,8 @@ def test_files_with_and_without_a_time_zone_are_refused(
 def test_predictions_and_forecasts_go_on_with_the_time_stamps() -> None:
     write(Path("record.csv"), times(20), y=signal(times(20)))
     write(Path("sim.csv"), times(15, samples=400), y=signal(times(15, samples=400)))
-    facts = call("compare record.csv --methods simulator,mean --simulator sim.csv --out out")
+    call("compare record.csv --methods simulator,mean --simulator sim.csv --out out")
+    facts = results(Path("out"))
     assert facts["methods"]["simulator"]["total_rmse"][0] < 1e-6
     assert facts["record"]["start"] == 20
     np.testing.assert_array_equal(pd.read_csv("out/predictions.csv")["time"], times(20).round(9))
@@ -230,26 +189,29 @@ COMING = np.sign(np.cos(np.arange(200) / 7))
 LINEAR = "forecast record.csv --columns y --inputs force --method linear --steps 40 --out out"
 
 
+@pytest.mark.parametrize(
+    ("begin", "step", "samples", "coming", "told"),
+    [
+        # Rows before the record's end are left out.
+        (SAMPLES - 50, 1, 100, COMING[50:90], ""),
+        (SAMPLES, 2, 21, np.interp(np.arange(40) / 2, np.arange(21), COMING[:21]), "every 0.2 s"),
+    ],
+)
 def test_inputs_to_come_follow_the_record_by_their_time_stamps(
     driven: Callable[[Array], Array],
+    begin: int,
+    step: int,
+    samples: int,
+    coming: Array,
+    told: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Rows before the record's end are left out."""
-    time = times(20 + DT * (SAMPLES - 50), samples=100)
-    write(Path("coming.csv"), time, force=COMING[:100])
+    time = times(20 + DT * begin, step * DT, samples)
+    write(Path("coming.csv"), time, force=COMING[:samples])
     call(f"{LINEAR} --future-inputs coming.csv")
-    expected = driven(COMING[50:90])
-    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], expected, atol=1e-5)
-
-
-def test_inputs_to_come_at_another_step_are_interpolated(
-    driven: Callable[[Array], Array], capsys: pytest.CaptureFixture[str]
-) -> None:
-    time = times(20 + DT * SAMPLES, 2 * DT, 21)
-    write(Path("coming.csv"), time, force=COMING[:21])
-    call(f"{LINEAR} --future-inputs coming.csv")
-    assert "coming.csv: sampled every 0.2 s, interpolated" in capsys.readouterr().out
-    expected = driven(np.interp(np.arange(40) / 2, np.arange(21), COMING[:21]))
-    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], expected, atol=1e-5)
+    assert ("coming.csv: sampled" in (said := capsys.readouterr().out)) == bool(told)
+    assert told in said
+    np.testing.assert_allclose(pd.read_csv("out/forecast.csv")["y"], driven(coming), atol=1e-5)
 
 
 @pytest.mark.parametrize("off", [20.0, -20.0, 0.1])
@@ -258,8 +220,8 @@ def test_inputs_to_come_that_do_not_follow_the_record_are_refused(
 ) -> None:
     time = times(44 + off, samples=60)
     write(Path("coming.csv"), time, force=COMING[:60])
-    said = refused(f"{LINEAR} --future-inputs coming.csv", capsys)
-    assert all(words in said for words in ("coming.csv", "44 s to 47.9 s", f"{44 + off:g} s to"))
+    says = "coming.csv", "44 s to 47.9 s", f"{44 + off:g} s to"
+    assert_fails(f"{LINEAR} --future-inputs coming.csv", says, capsys)
 
 
 # ---------------------------------------------------------------- saved models
@@ -271,11 +233,8 @@ def late_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("late")
     (folder / "functions.py").write_text(FUNCTIONS)
     write(folder / "record.csv", times(20), y=signal(times(0)))
-    line = (
-        f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK} --out {folder}/model "
-        f"--simulator {folder}/{SLOW}"
-    )
-    assert main(shlex.split(line)) == 0
+    call(f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK} "
+         f"--simulator {folder}/{SLOW}", folder / "model")  # fmt: skip
     return folder / "model"
 
 
@@ -318,12 +277,9 @@ def test_a_history_before_the_training_record_is_refused_where_the_clock_was_cal
     late_model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write(Path("early.csv"), times()[:80], y=signal(times())[:80])
-    said = refused(
-        f"simulate {late_model} --history early.csv --steps 9 --out a.csv "
-        "--simulator functions.py:exact --simulator-start record",
-        capsys,
-    )
-    assert all(words in said for words in ("--history", "20 s", "0 s", "clock 1.03"))
+    line = f"simulate {late_model} --history early.csv --steps 9 --out a.csv"
+    line += " --simulator functions.py:exact --simulator-start record"
+    assert_fails(line, ("--history", "20 s", "0 s", "clock 1.03"), capsys)
 
 
 def test_a_history_without_time_stamps_begins_where_the_training_record_did(
@@ -331,26 +287,16 @@ def test_a_history_without_time_stamps_begins_where_the_training_record_did(
 ) -> None:
     write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
     whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
-    np.savetxt("plain.txt", signal(times())[:180])
-    plain = ahead(late_model, "plain.txt", f"--simulator {SLOW}")
-    assert "begin where the training record did, at 20 s" in capsys.readouterr().out
+    Path("plain.csv").write_text(Path("whole.csv").read_text().replace("time", "when"))
+    capsys.readouterr()
+    plain = ahead(late_model, "plain.csv", f"--simulator {SLOW}")
+    said = capsys.readouterr().out
+    assert "plain.csv: no time stamps" in said
+    assert "begin where the training record did, at 20 s" in said
     np.testing.assert_allclose(plain[:, 1], whole[:, 1], rtol=0, atol=1e-6)
     np.testing.assert_allclose(plain[:, 0], DT * np.arange(1, 61))
-
-
-def changed(model: Path, folder: Path, start: Any) -> None:
-    """Copy a saved model, with another time stamp of its training record's beginning."""
-    shutil.copytree(model, folder)
-    description = json.loads((folder / "forecaster.json").read_text())
-
-    def change(part: Any) -> None:
-        if isinstance(part, dict) and part.get("class") == "Fitted":
-            part["fields"]["start"] = start
-        for each in part.values() if isinstance(part, dict) else ():
-            change(each)
-
-    change(description["forecaster"])
-    (folder / "forecaster.json").write_text(json.dumps(description))
+    named = ahead(late_model, "plain.csv", f"--simulator {SLOW} --time-column when")
+    np.testing.assert_array_equal(named, whole)
 
 
 def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
@@ -358,31 +304,15 @@ def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
 ) -> None:
     write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
     whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
-    capsys.readouterr()
-    changed(late_model, Path("old"), None)
+    shutil.copytree(late_model, "old")
+    description = json.loads(Path("old/forecaster.json").read_text())
+    fields = description["forecaster"]["fields"]["fitted"]["fields"]
+    assert fields["start"] == 20
+    fields["start"] = None
+    Path("old/forecaster.json").write_text(json.dumps(description))
     old = ahead(Path("old"), "whole.csv", f"--simulator {SLOW}")
     assert "does not know when its training record began" in capsys.readouterr().out
     np.testing.assert_array_equal(old, whole)
-
-
-@pytest.mark.parametrize("start", ["soon", True, [1.0], "NaT", {"date": "NaT"}])
-def test_a_damaged_start_is_one_line(
-    late_model: Path, start: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    changed(late_model, Path("bad"), start)
-    write(Path("h.csv"), times(20), y=signal(times()))
-    said = refused("simulate bad --history h.csv --steps 5 --out a.csv", capsys)
-    assert "bad" in said
-
-
-def test_a_history_without_the_time_stamps_of_the_training_record_says_so(
-    late_model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pd.DataFrame({"when": times(20), "y": signal(times())}).to_csv("h.csv", index=False)
-    for option, said in (("", 1), (" --time-column when", 0)):
-        capsys.readouterr()
-        ahead(late_model, "h.csv", f"--simulator {SLOW}" + option)
-        assert capsys.readouterr().out.count("h.csv: no time stamps") == said
 
 
 def test_a_history_of_a_slightly_other_sampling_time_is_resampled(

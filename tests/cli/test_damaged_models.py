@@ -1,6 +1,7 @@
 """A saved model that is damaged is refused in one line."""
 
 import json
+import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -23,9 +24,11 @@ def change_json(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], Non
     return damage
 
 
-def state(description: dict[str, Any]) -> dict[str, Any]:
-    """What the description says of the forecaster."""
+def state(description: dict[str, Any], *names: str) -> dict[str, Any]:
+    """What the description says of the forecaster, or of a part of it."""
     found: dict[str, Any] = description["forecaster"]["fields"]
+    for name in names:
+        found = found[name]["fields"]
     return found
 
 
@@ -40,16 +43,12 @@ def cut_weights(folder: Path) -> None:
         (lambda f: (f / "forecaster.json").write_text("{"), ("forecaster.json is damaged:",)),
         (cut_weights, ("damaged/weights-", "damaged:")),
         (change_json(lambda d: d.pop("format")), ("`splitband fit`", "format")),
-        (change_json(lambda d: state(d)["_trained_by"]["fields"].update(warmup=-3)), ("warm",)),
-        (
-            change_json(
-                lambda d: state(d)["fitted"]["fields"]["record"]["fields"].update(columns=["a"])
-            ),
-            ("columns",),
-        ),
+        (change_json(lambda d: state(d, "_trained_by").update(warmup=-3)), ("warm",)),
+        (change_json(lambda d: state(d, "fitted", "record").update(columns=["a"])), ("columns",)),
+        (change_json(lambda d: state(d, "fitted").update(start={"date": "NaT"})), ("damaged",)),
     ],
-    ids=["json", "weights", "no facts", "warm-up", "columns"],
-)  # fmt: skip
+    ids=["json", "weights", "no facts", "warm-up", "columns", "start"],
+)
 def test_a_damaged_model_is_one_line(
     damage: Callable[[Path], None],
     says: tuple[str, ...],
@@ -67,29 +66,19 @@ def test_a_damaged_model_is_one_line(
 
 
 @pytest.mark.parametrize(
-    "calibration",
-    [
-        3, {"speed": 1.0}, {"clock": "fast"}, {"gain": [1.0, 2.0]}, {"clock": float("nan")},
-    ],
-    ids=str,
-)  # fmt: skip
+    "wrong", [{"speed": 1.0}, {"clock": "fast"}, {"gain": [1.0, 2.0]}, {"clock": math.nan}], ids=str
+)
 def test_a_damaged_calibration_is_one_line(
-    calibration: Any,
+    wrong: dict[str, Any],
     hybrid_model: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def change(saved: dict[str, Any]) -> None:
-        if isinstance(calibration, dict):
-            saved["fields"].update(calibration)
-        else:
-            saved["fields"] = calibration
-
     shutil.copytree(hybrid_model, tmp_path / "damaged")
     for name in ("history.csv", "simulated.csv"):
         shutil.copy(name, tmp_path)
     monkeypatch.chdir(tmp_path)
-    change_json(lambda d: change(state(d)["_fitted_base"]["fields"]["applied"]))(Path("damaged"))
+    change_json(lambda d: state(d, "_fitted_base", "applied").update(wrong))(Path("damaged"))
     line = HYBRID_AHEAD.replace("filtered", "damaged") + "--simulator simulated.csv"
     assert_fails(line, ("damaged",), capsys)

@@ -1,7 +1,5 @@
 """`splitband fit`: the model that it writes."""
 
-import shlex
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +7,7 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli import main
-from tests.cli.support import FIT, QUICK, SAMPLES, WARMUP, A, B, call, files, results
+from tests.cli.support import QUICK, SAMPLES, WARMUP, A, B, call, files, results
 from tests.records import rms
 from tests.support import load_model as load
 from tests.support import simulated
@@ -42,8 +39,7 @@ def test_a_record_too_short_for_intervals_still_has_its_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pd.read_csv("record.csv")[:2].to_csv(tmp_path / "short.csv", index=False)
-    line = f"fit {tmp_path}/short.csv --columns a --method persistence --intervals"
-    call(line, tmp_path / "model")
+    call(f"fit {tmp_path}/short.csv --columns a --method persistence --intervals", tmp_path / "m")
     assert "the model has no intervals: " in capsys.readouterr().out
 
 
@@ -68,15 +64,6 @@ def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None
     assert one.read_bytes() == other.read_bytes()
 
 
-def test_a_fit_that_fails_leaves_the_old_model(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(model, tmp_path / "model")
-    before = files(tmp_path)
-    assert main(shlex.split(f"{FIT} --cutoff nan --out {tmp_path / 'model'}")) == 2
-    assert files(tmp_path) == before
-
-
 def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> None:
     u = np.random.default_rng(0).standard_normal((SAMPLES, 2))
     y = 0.1 * np.cumsum(u @ [1.0, -0.5])
@@ -84,9 +71,8 @@ def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> 
     np.savez(tmp_path / "ahead.npz", u=u[:20], dt=0.1)
     call(f"fit {tmp_path}/rig.npz --inputs u --method linear", tmp_path / "model")
     assert results(tmp_path / "model")["inputs"] == ["u[0]", "u[1]"]
-    line = f"simulate {tmp_path}/model --history {tmp_path}/rig.npz --steps 20"
-    assert main([*shlex.split(line), "--future-inputs", str(tmp_path / "ahead.npz"),
-                 "--out", str(tmp_path / "ahead.csv")]) == 0  # fmt: skip
+    call(f"simulate {tmp_path}/model --history {tmp_path}/rig.npz --steps 20 "
+         f"--future-inputs {tmp_path}/ahead.npz", tmp_path / "ahead.csv")  # fmt: skip
     expected = y[-1] + 0.1 * np.cumsum(u[:20] @ [1.0, -0.5])
     found = pd.read_csv(tmp_path / "ahead.csv")["y"]
     np.testing.assert_allclose(found, expected, atol=0.05)

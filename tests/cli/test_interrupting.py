@@ -15,11 +15,9 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
-from splitband.cli.live import Display
-from splitband.evaluation.run import Run
 from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
-from tests.cli.support import SIMULATOR, complaints, files, results
+from tests.cli.support import SIMULATOR, complaints, files, results, watched
 from tests.runtime.test_workers import eventually
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
@@ -46,14 +44,7 @@ def terminated() -> None:
 
 def ending(monkeypatch: pytest.MonkeyPatch, end: Callable[[], None], doing: str) -> None:
     """End the command where a comparison has come so far."""
-    shown = Display.__call__
-
-    def ended(display: Display, run: Run) -> None:
-        shown(display, run)
-        if run.doing.startswith(doing):
-            end()
-
-    monkeypatch.setattr(Display, "__call__", ended)
+    watched(monkeypatch, lambda run: end() if run.doing.startswith(doing) else None)
 
 
 def test_an_interrupt_before_the_first_result_leaves_no_file(
@@ -121,7 +112,7 @@ def test_ctrl_c_reaches_the_processes_that_train(
 ) -> None:
     temporary = Path(tempfile.mkdtemp())  # its name is short enough for sockets
     monkeypatch.setenv("TMPDIR", str(temporary))
-    line = LINE.replace("record.csv", f"{workspace}/record.csv").replace("--jobs 1", "--jobs 2")
+    line = LINE.replace("record.csv", f"{workspace}/history.csv").replace("--jobs 1", "--jobs 2")
     with command_line(f"{line} --out {tmp_path / 'out'}") as running:
         eventually(lambda: [*tmp_path.glob(f"out/{CHECKPOINTS}/*.safetensors")] != [])
         assert_stopped("\n".join([*interrupted(running), ""]))

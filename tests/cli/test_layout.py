@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitband.cli import main
 from tests.cli.support import assert_fails, call, results
 
 LOGGER = "Logger X1\nRate,100 Hz,1\nDate,Time,force,x\n,,N,mm\n"
@@ -48,16 +47,6 @@ def test_errors_name_the_line(
     logger: Path, line: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert_fails(f"{line} --out {logger}/out", (words,), capsys)
-
-
-@pytest.mark.parametrize("command", ["compare", "forecast", "fit", "spectrum", "check", "simulate"])
-def test_every_command_that_reads_a_record_takes_them(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command, "--help"]) == 0
-    said = capsys.readouterr().out
-    for option in ("--time-column", "--missing", "--skip-rows", "--header-row", "--gaps"):
-        assert option in said
 
 
 def test_a_model_is_used_on_files_of_the_logger(

@@ -1,5 +1,6 @@
-"""What holds for every command: help, entry points, messages."""
+"""What holds for every command: help, entry points, quiet, JSON, version, methods, doctor."""
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -7,31 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitband.cli import main
-from tests.cli.support import QUICK, call, complaints, process, results
+import splitband as sb
+from splitband.cli import COMMANDS, main
+from splitband.cli.methods import GROUPS
+from splitband.forecasters.names import NAMES
+from tests.cli.support import QUICK, assert_fails, call, complaints, process, results
 
 pytestmark = pytest.mark.usefixtures("inside")
 
+SPECTRUM = "spectrum record.csv --columns a"
+
 
 @pytest.mark.parametrize(
-    ("command", "word"),
+    ("command", "words"),
     [
         ("", "compare"),
-        ("compare", "--simulator"),
-        ("fit", "MODEL_DIR"),
-        ("simulate", "--future-inputs"),
+        *((each, "--time-column --missing --skip-rows --header-row --gaps")
+          for each in ("compare", "forecast", "fit", "spectrum", "check", "simulate")),
         ("export", "OUT"),
-        ("spectrum", "--cutoff"),
         ("demo", "about a minute"),
         ("data", "fetch"),
     ],
-)
+)  # fmt: skip
 def test_every_command_has_help(
-    command: str, word: str, capsys: pytest.CaptureFixture[str]
+    command: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     call(f"{command} --help")
     found = capsys.readouterr()
-    assert word in found.out
+    assert [word for word in words.split(" --") if word not in found.out] == []
     assert found.err == ""
 
 
@@ -50,25 +54,93 @@ def test_the_entry_point_writes_results_no_warning_and_no_temporary_file(
     assert [*temporary.iterdir()] == []
 
 
-def test_as_a_module_it_fails_with_one_line_too() -> None:
-    found = process(sys.executable, "-m", "splitband", "spectre")
-    assert (found.returncode, found.stdout) == (2, "")
-    assert found.stderr.startswith("error: No such command 'spectre'")
-    assert found.stderr.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "price [EUR].csv",
-        pytest.param("a :car: b.csv"),
-    ],
-)
-def test_a_message_shows_file_names_as_they_are(
-    name: str, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("public_data")
+def test_data_finds_and_lists_the_public_records(
+    public_data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["compare", name]) == 2
-    assert name in capsys.readouterr().err
+    call("data list")
+    listed = capsys.readouterr().out
+    for name in ("drill_string_data", "double_torsion_phi2", "van-der-pol", "CC BY 4.0"):
+        assert name in listed
+    call("data fetch drill_string_sim")
+    path = public_data / "drill_string" / "drill_string_sim.txt"
+    assert capsys.readouterr().out == f"drill_string_sim: {path}\n"
+    call("data fetch")
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+@pytest.mark.parametrize("line", [f"--json {SPECTRUM}", f"{SPECTRUM} --json"])
+def test_json_is_all_that_is_printed_and_what_the_file_holds(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(line, tmp_path)
+    assert json.loads(capsys.readouterr().out) == results(tmp_path)
+
+
+def test_every_command_that_compares_trains_or_simulates_prints_json(
+    workspace: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = f"{workspace}/record.csv --columns a"
+    lines = {
+        "compare": (
+            f"{record} --methods mean,persistence --out {tmp_path}/compared",
+            "recommended",
+        ),
+        "forecast": (f"{record} --method mean --steps 5 --out {tmp_path}/forecast", "method"),
+        "fit": (f"{record} --method gru {QUICK} --out {tmp_path}/model", "training_rmse"),
+        "simulate": (f"{tmp_path}/model --steps 5 --out {tmp_path}/simulated.csv", "file"),
+        "export": (f"{tmp_path}/model {tmp_path}/model.c", "files"),
+        "methods": ("", "simple baselines"),
+        "data": ("list", "named"),
+        "doctor": ("", "versions"),
+    }
+    assert {*lines, "demo", "spectrum", "check", "summary"} == {*COMMANDS}
+    for command, (line, key) in lines.items():
+        call(f"{command} {line} --json")
+        assert key in json.loads(capsys.readouterr().out)
+
+
+def test_the_doctor_finds_a_record_that_is_not_the_published_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = tmp_path / sb.data.public.PUBLIC["drill_string_sim"].path
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("1\n2\n")
+    monkeypatch.setenv("SPLITBAND_DATA_DIR", str(tmp_path))
+    call("doctor --json")
+    found = json.loads(capsys.readouterr().out)["public records"]
+    assert "is not the published drill_string_sim" in found["drill_string_sim"]
+    assert found["drill_string_data"] == "not there: splitband data fetch"
+
+
+def test_quiet_prints_nothing_but_errors_and_writes_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"{SPECTRUM} --quiet", tmp_path / "quiet")
+    assert capsys.readouterr() == ("", "")
+    call(SPECTRUM, tmp_path / "aloud")  # what comes after a quiet command is not quiet
+    assert "strongest peaks" in capsys.readouterr().out
+    assert results(tmp_path / "quiet") == results(tmp_path / "aloud")
+    assert_fails("--quiet spectrum nothing.csv", ("nothing.csv",), capsys)
+
+
+def test_every_method_is_in_one_group_and_explained() -> None:
+    grouped = [name for group in GROUPS for name in group.names]
+    assert sorted(grouped) == sorted(NAMES)
+    assert all(method.in_words() for method in NAMES.values())
+
+
+def test_the_version_is_that_of_the_package_and_a_shell_completes_commands(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call("--version")
+    assert capsys.readouterr().out == f"splitband {sb.__version__}\n"
+    monkeypatch.setenv("COMP_WORDS", "splitband fo")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    monkeypatch.setenv("_SPLITBAND_COMPLETE", "complete_bash")
+    with pytest.raises(SystemExit):
+        main([])
+    assert capsys.readouterr().out.split() == ["forecast"]
 
 
 def test_a_defect_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:

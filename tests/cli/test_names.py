@@ -1,6 +1,5 @@
 """Commands know columns and inputs by name, and say which these are."""
 
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +7,10 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli import main
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options.records import RecordOptions
 from splitband.cli.options.values import names
-from tests.cli.support import DT, FORCE, SAMPLES, A, B, call, results
+from tests.cli.support import DT, FORCE, SAMPLES, A, B, assert_fails, call, results
 
 pytestmark = pytest.mark.usefixtures("inside")
 
@@ -40,38 +38,30 @@ def test_a_column_with_a_comma_stands_in_double_quotes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "own"),
+    ("line", "says"),
     [
-        ("--inputs b", "inputs: b; outputs: a"),
-        ("--columns force", "inputs: none; outputs: force"),
-        ("--columns a,b", "inputs: force; outputs: a, b"),
-        ("--columns a --inputs ''", "inputs: none; outputs: a"),
+        ("record.csv --inputs b", "outputs: a, the record has inputs: b; outputs: a"),
+        ("record.csv --columns force", "outputs: a, the record has inputs: none; outputs: force"),
+        ("record.csv --columns a,b", "outputs: a, the record has inputs: force; outputs: a, b"),
+        ("record.csv --columns a --inputs ''", "outputs: a, the record has inputs: none; outp"),
+        ("history_renamed.csv", "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'"),
     ],
 )
+@pytest.mark.usefixtures("driven_model")
 def test_a_model_of_other_columns_is_refused(
-    driven_model: Path, options: str, own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: str, says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = f"fit record.csv {options} --like {driven_model} --out {tmp_path / 'm'}"
-    assert main(shlex.split(line)) == 2
-    said = capsys.readouterr().err
-    assert f"it is for inputs: force; outputs: a, the record has {own}" in said
-    line = f"fit history_renamed.csv --like {driven_model} --out {tmp_path / 'm'}"
-    assert main(shlex.split(line)) == 2
-    said = capsys.readouterr().err
-    assert "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'" in said
-    assert said.endswith("the model of --like is for inputs: force; outputs: a\n")
+    says_both = "is for inputs: force; outputs: a", says
+    assert_fails(f"fit {line} --like driven --out m", says_both, capsys)
 
 
 def test_a_history_of_other_names_is_refused_by_command_and_in_python(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     call("fit record.csv --columns a,b --inputs force --method linear", tmp_path / "model")
-    capsys.readouterr()
     line = f"simulate {tmp_path / 'model'} --history history_renamed.csv --steps 3 --out x.csv"
-    assert main(shlex.split(f"{line} --future-inputs future.csv")) == 2
-    said = capsys.readouterr().err
-    assert "the columns are 'time', 'z', 'b', 'force'" in said
-    assert said.endswith("the model is for inputs: force; outputs: a, b\n")
+    says = "'time', 'z', 'b', 'force'", "the model is for inputs: force; outputs: a, b"
+    assert_fails(f"{line} --future-inputs future.csv", says, capsys)
 
     forecaster = sb.load(tmp_path / "model")
     y, u, coming = np.column_stack([A, B])[:50], FORCE[:50], FORCE[50:53, None]

@@ -66,6 +66,23 @@ def write_mat(path: Path) -> None:  # columns, as MATLAB has them
     scipy.io.savemat(path, {name: FRAME[[name]].to_numpy() for name in NAMES})
 
 
+def saved(path: Path, **arrays: Any) -> Path:
+    """Write arrays in the format of the suffix, compressed where it can be; text and NPY one."""
+    array = next(iter(arrays.values()))
+    match path.suffix:
+        case ".npz":
+            np.savez_compressed(path, **arrays)
+        case ".mat":
+            scipy.io.savemat(path, arrays, do_compression=True)
+        case ".npy":
+            np.save(path, array)
+        case ".parquet":
+            pd.DataFrame(array).rename(columns=str).to_parquet(path)
+        case _:
+            np.savetxt(path, array, delimiter=",")
+    return path
+
+
 WRITERS: dict[str, Callable[[Path], object]] = {
     "record.csv": lambda path: FRAME.to_csv(path, index=False),
     "index.csv": FRAME.to_csv,

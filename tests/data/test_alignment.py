@@ -13,7 +13,6 @@ from splitband import Record, read
 from splitband.data import Grid, aligned, resampled
 from splitband.data.alignment import reach
 from splitband.data.timing import seconds_between
-from splitband.simulators import Function, Recorded, run
 from tests.data.support import SAMPLES, signal, times, write
 
 Array = npt.NDArray[np.float64]
@@ -218,20 +217,3 @@ def test_a_record_is_resampled_with_all_its_signals() -> None:
     lost = found.time[~found.complete]
     assert len(lost) == 2
     assert (np.abs(lost - time[100]) < 0.1009).all()
-
-
-def test_an_exported_trajectory_runs_beside_a_record_by_its_time_stamps() -> None:
-    exported = Recorded.of(Record(signal(times(15)), DT, start=15.0))
-    found = run(exported, 100, DT, start=20.0)
-    np.testing.assert_allclose(found[:, 0], signal(times(20, samples=100)), atol=1e-12)
-    with pytest.raises(ValueError, match=r"must cover 0 s to 9\.9 s"):
-        run(exported, 100, DT, start=0.0)
-
-
-def test_a_function_may_ask_for_the_time_stamps_unless_they_are_dates() -> None:
-    function = Function(lambda t: t, start="record")
-    for start, first in ((20.0, 20.0), (None, 0.0)):
-        found = run(function, 5, DT, start=start)
-        np.testing.assert_allclose(found[:, 0], times(first, samples=5))
-    with pytest.raises(ValueError, match="a record whose clock shows dates"):
-        run(function, 5, DT, start=pd.Timestamp("2024-05-01"))

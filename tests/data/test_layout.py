@@ -1,6 +1,6 @@
 """Files as instruments, loggers and other programs write them: read, or refused with the line."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +113,8 @@ def test_headers_of_instruments(
         ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs"),
         ("time x\n1 0.5 2\n2 1 3\n", {}, "line 1 holds 2 names, line 2 3 cells"),
         ("Name;a;Name;b\nUnit;;Unit;\n\n0;1;0;2\n1;2;1;3\n", {}, "'Name [Unit]' stands 2 times"),
+        *((f"{header}\n0,1,2\n1,3,4\n", {}, "stands 2 times")
+          for header in ("time,x ,x", "time,x,x", "time,time,x")),
         ("time,y\n0,1\n1,2\ntime,y\n2,3\n", {}, "row 2 holds 'time' (line 4)"),
         ("time,y\n0,1\n1,2\n2,3\nEnd,\n", {}, "row 3 holds 'End' (line 5)"),
         ("# rig\n\ntime,y\n0,1\n1,OL\n2,3\n", {}, "row 1 holds 'OL' (line 5); missing (--missing)"),
@@ -124,7 +126,7 @@ def test_headers_of_instruments(
         ("time,y\n0,1\n1,2\n", {"skip_rows": -1}, "skip_rows must be a number of lines"),
         ('time,y,note\n0,1,"on\n1,2,ok\n2,3,"off"\n3,4,\n', {}, "line 2 has a quote"),
     ],
-)
+)  # fmt: skip
 def test_what_is_left_open_is_refused_with_the_line(
     tmp_path: Path, text: str, options: dict[str, Any], words: str
 ) -> None:
@@ -148,8 +150,10 @@ def test_cells_in_quotes_may_hold_separators_quotes_and_line_breaks(tmp_path: Pa
         ("t,y\n0,1\n1,-9999\n2,3\n3,4\n", ["-9999"], [1, np.nan, 3, 4]),
         ("t;y\n0;1,5\n1;-200\n2;3,5\n3;-200,0\n", "-200", [1.5, np.nan, 3.5, np.nan]),
         ('t,y\n0,1\n1,"NAN"\n2,3\n3,4\n', (), [1, np.nan, 3, 4]),
+        *(("t,y\n0,1\n1,Bad\n2,-9999.00\n3,4\n", ["Bad", word], [1, np.nan, np.nan, 4])
+          for word in ("-9999", "-9999.0")),
     ],
-)
+)  # fmt: skip
 def test_words_for_missing_values(
     tmp_path: Path, text: str, missing: Any, values: list[float]
 ) -> None:
@@ -166,27 +170,26 @@ def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
         read(frame, skip_rows=1)
 
 
-def test_whole_numbers_from_0_on_are_data(tmp_path: Path) -> None:
-    found = read(text_file(tmp_path, "0,1\n1,4\n2,9\n"), sampling_time=1)
-    np.testing.assert_array_equal(found.y, [[0, 1], [1, 4], [2, 9]])
-
-
-def test_a_column_is_found_without_its_unit(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "time,u,y\ns,V,mm\n0,1,2\n1,2,3\n2,3,5\n")
-    found = read(path, columns="y", inputs="u [V]")
-    assert (found.columns, found.inputs, found.units) == (("y [mm]",), ("u [V]",), ("mm",))
-
-
-def test_numbers_of_rows_are_no_channel(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "Record,time,sample\n7,0,2\n8,1,4\n9,2,5\n")
-    assert read(path).columns == ("sample",)
+@pytest.mark.parametrize(
+    ("text", "options", "columns", "values"),
+    [
+        ("0,1\n1,4\n2,9\n", {"sampling_time": 1}, "01", [[0, 1], [1, 4], [2, 9]]),
+        ("\ufeff1,2\n3,4\n", {"sampling_time": 1}, "01", [[1, 2], [3, 4]]),
+        ("Record,time,y\n7,0,2\n8,1,4\n9,2,5\n", {}, "y", [[2], [4], [5]]),  # numbers of rows
+        ("time;y\n0;1\n1;2\n2;4\n;\n;\n", {}, "y", [[1], [2], [4]]),  # empty rows at the end
+        ("time,u,y\ns,V,mm\n0,1,2\n1,2,3\n2,3,5\n", {"columns": "y", "inputs": "u [V]"},
+         ["y [mm]"], [[2], [3], [5]]),
+    ],
+)  # fmt: skip
+def test_what_is_data_and_what_is_not(
+    tmp_path: Path, text: str, options: dict[str, Any], columns: Sequence[str], values: Any
+) -> None:
+    found = read(text_file(tmp_path, text), **options)
+    assert found.columns == (*columns,)
+    np.testing.assert_array_equal(found.y, values)
 
 
 def test_a_column_without_a_name_is_left_out(tmp_path: Path) -> None:
     path = text_file(tmp_path, "time,,y\n0,5,1\n1,5,2\n2,7,4\n")
     with pytest.warns(ReadingWarning, match="'Unnamed: 1' \\(no name\\)"):
         assert read(path).columns == ("y",)
-
-
-def test_empty_rows_at_the_end_are_no_gap(tmp_path: Path) -> None:
-    assert len(read(text_file(tmp_path, "time;y\n0;1\n1;2\n2;4\n;\n;\n"))) == 3

@@ -108,16 +108,14 @@ def test_a_frame_becomes_a_record_and_comes_back() -> None:
 
 
 def test_results_show_themselves_in_notebooks() -> None:
-    result = sb.compare(record(), 400, [sb.Mean(), sb.Persistence()])
-    html = result._repr_html_()
-    assert html.count("<tr") == 3
-    assert "forecast fit %" in html
-    assert "recommended" in repr(result)
-    assert len(repr(result)) < 250
+    comparison = sb.compare(record(), 400, [sb.Mean(), sb.Persistence()])
     prediction = sb.Mean().fit(record()).predict(5, u=U[:5])
-    assert repr(prediction).startswith("<Prediction of y: 65 s to 65.4 s")
-    assert "<table" in prediction._repr_html_()
     forecast = sb.forecast(sb.Record(X, DT), 5, [sb.Mean()])
-    assert repr(forecast).startswith("<Forecast of 5 samples after <Record")
-    assert repr(forecast).endswith(", by mean>")
-    assert "<table" in forecast._repr_html_()
+    for result, said in (
+        (comparison, "recommended"),
+        (prediction, "<Prediction of y: 65 s to 65.4 s"),
+        (forecast, "<Forecast of 5 samples after <Record"),
+    ):
+        assert "<table" in result._repr_html_()
+        assert said in repr(result)
+        assert len(repr(result)) < 250

@@ -158,13 +158,6 @@ def test_a_unit_that_is_not_known_is_refused(tmp_path: Path) -> None:
     assert "has a unit that is not known, 'ticks'" in said
 
 
-@pytest.mark.parametrize("word", ["-9999", "-9999.0"])
-def test_numbers_for_missing_values_among_words(tmp_path: Path, word: str) -> None:
-    path = text_file(tmp_path, "t,y\n0,1\n1,Bad\n2,-9999.00\n3,4\n")
-    found = read(path, missing=["Bad", word], gaps="mask")
-    np.testing.assert_array_equal(found.seen[:, 0], [1, np.nan, np.nan, 4])
-
-
 def test_structures_of_matlab(tmp_path: Path) -> None:
     time, path = 0.01 * np.arange(40), tmp_path / "record.mat"
     rows = np.array([(t, y) for t, y in zip(time, Y, strict=True)], [("t", "O"), ("y", "O")])

@@ -9,7 +9,7 @@ import scipy
 
 from splitband.data import read
 from splitband.data.signals import ReadingWarning
-from tests.data.support import message
+from tests.data.support import message, saved
 
 T = 0.01 * np.arange(50)
 Y = np.sin(T)
@@ -24,8 +24,7 @@ SCOPE = {
 
 
 def mat(folder: Path, **variables: Any) -> Path:
-    scipy.io.savemat(folder / "record.mat", variables)
-    return folder / "record.mat"
+    return saved(folder / "record.mat", **variables)
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import scipy.io
 
 from splitband.data import (
     read,
 )
-from tests.data.support import WRITERS, U, Y, message, text_file, write_npz
+from tests.data.support import U, Y, message, saved, text_file, write_npz
 
 
 @pytest.mark.parametrize(
@@ -56,17 +55,14 @@ def test_at_most_ten_columns_are_listed(tmp_path: Path) -> None:
     assert "c10" not in text
 
 
-def test_files_that_cannot_be_opened(tmp_path: Path) -> None:
+def test_files_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, *args: Any) -> None:  # a file mode would not stop root
+        raise PermissionError(13, "Permission denied", str(path))
+
     with pytest.raises(FileNotFoundError, match="absent\\.csv"):
         read(tmp_path / "absent.csv")
     with pytest.raises(IsADirectoryError, match=tmp_path.name):
         read(tmp_path)
-
-
-def test_files_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path, *args: Any) -> None:  # a file mode would not stop root
-        raise PermissionError(13, "Permission denied", str(path))
-
     path = text_file(tmp_path, "1\n2\n")
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(PermissionError, match=path.name):
@@ -77,18 +73,7 @@ def test_files_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    values, path = np.zeros((1000, 2)), tmp_path / name
-    match path.suffix:
-        case ".csv":
-            np.savetxt(path, values, delimiter=",")
-        case ".parquet":
-            pd.DataFrame(values, columns=["a", "b"]).to_parquet(path)
-        case ".npz":
-            np.savez_compressed(path, y=values)
-        case ".npy":
-            np.save(path, values)
-        case _:
-            scipy.io.savemat(path, {"y": values}, do_compression=True)
+    path = saved(tmp_path / name, y=np.zeros((1000, 2)))
     assert len(read(path, sampling_time=1)) == 1000
     monkeypatch.setattr("splitband.data.tables.MOST_BYTES", 15_000)
     assert "it would take" in message(path, sampling_time=1)
@@ -129,14 +114,10 @@ def test_files_that_are_something_else(tmp_path: Path, suffix: str, content: byt
     assert f"cannot be read as {kind}: " in message(path, sampling_time=1)
 
 
-@pytest.mark.parametrize("name", ["record.parquet", "record.npz", "record.mat", "plain.npy"])
+@pytest.mark.parametrize("name", ["r.parquet", "r.npz", "r.mat", "r.npy"])
 @pytest.mark.parametrize("kept", [0.1, 0.5, 0.95])
 def test_truncated_files(tmp_path: Path, name: str, kept: float) -> None:
-    path = tmp_path / name
-    if name == "plain.npy":
-        np.save(path, Y)
-    else:
-        WRITERS[name](path)
+    path = saved(tmp_path / name, y=Y)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(kept * len(whole))])
     assert "cannot be read as" in message(path, sampling_time=1)
@@ -160,17 +141,14 @@ def test_objects_are_not_unpickled(tmp_path: Path) -> None:
 
 def test_hdf5_mat_files_say_what_to_do(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
-    path = text_file(tmp_path, header + b"\0" * 512, "record.mat")
-    text = message(path)
-    assert "v7.3" in text
-    assert "-v7" in text.replace("v7.3", "")
+    said = message(text_file(tmp_path, header + b"\0" * 512, "record.mat"))
+    assert "v7.3" in said
+    assert "-v7" in said.replace("v7.3", "")
 
 
-def test_complex_values(tmp_path: Path) -> None:
-    np.savez(tmp_path / "record.npz", y=U * 1j, dt=1.0)
-    assert "column 'y' must be real" in message(tmp_path / "record.npz")
-    scipy.io.savemat(tmp_path / "record.mat", {"y": U * 1j, "dt": 1.0})
-    assert "column 'y' must be real" in message(tmp_path / "record.mat")
+@pytest.mark.parametrize("name", ["record.npz", "record.mat"])
+def test_complex_values(tmp_path: Path, name: str) -> None:
+    assert "column 'y' must be real" in message(saved(tmp_path / name, y=U * 1j, dt=1.0))
 
 
 def test_missing_and_nested_cells_of_a_parquet_file(tmp_path: Path) -> None:

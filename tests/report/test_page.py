@@ -29,6 +29,11 @@ def parsed(path: Path) -> Any:
     return parser.parse(path.read_text(encoding="utf-8"))
 
 
+def words_of(tree: Any) -> str:
+    """What is read, in one line."""
+    return " ".join("".join(tree.itertext()).split())
+
+
 @pytest.fixture(scope="module")
 def everything() -> Comparison:
     return comparisons.everything()
@@ -66,21 +71,17 @@ def test_each_page_is_well_formed_and_readable(written: dict[str, Path], kind: s
     assert written[kind].stat().st_size < 6e6
 
 
-def test_names_are_escaped(written: dict[str, Path]) -> None:
-    text = written["comparison"].read_text(encoding="utf-8")
-    assert "<script>alert" not in text
+def test_the_page_says_what_it_must_and_names_are_escaped(
+    written: dict[str, Path], everything: Comparison
+) -> None:
+    assert "<script>alert" not in written["comparison"].read_text(encoding="utf-8")
     tree = parsed(written["comparison"])
     assert comparisons.NASTY in tree.find(".//h1").text
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
-
-
-def test_the_page_says_what_it_must(written: dict[str, Path], everything: Comparison) -> None:
-    said = " ".join("".join(parsed(written["comparison"]).itertext()).split())
+    said = words_of(tree)
     for words in (
-        f"({everything.recommended})", "samples have missing values", "a note",
-        "To keep in mind", "Error over horizon", "Components", "Spectrum and cut-off", "Training",
-        "What was tried", "What to do next", "numpy", "splitband compare 'a <b>'",
-        "Not tested: ", "test RMSE later",
+        f"({everything.recommended})", "samples have missing values", "a note", "Not tested: ",
+        "Error over horizon", "test RMSE later", "splitband compare 'a <b>'",
     ):  # fmt: skip
         assert words in said
 
@@ -100,24 +101,24 @@ def test_a_page_is_written_whole_or_not_at_all(
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("report.html", "the old one")]
 
 
-def test_where_nothing_is_forecast_there_is_no_forecast(tmp_path: Path) -> None:
+def test_there_is_a_page_where_nothing_is_forecast_or_a_method_explodes(tmp_path: Path) -> None:
+    """Numbers that no canvas takes are drawn to the edge."""
     r = comparisons.record()
     found = comparisons.compared(replace(r, start=5.0), ("mean", "persistence"), len(r), [r])
     assert [*pages.of_comparison(found, Usage()).views] == ["Whole record"]
-    found.report(tmp_path / "page.html")
-    parsed(tmp_path / "page.html")
+    r = Record(r.y, r.sampling_time, y_sim=np.where(np.arange(len(r)) > 250, 1e60, 0.0))
+    for each in (found, comparisons.compared(r, ("mean", "simulator"))):
+        each.report(tmp_path / "page.html")
+        parsed(tmp_path / "page.html")
 
 
 def test_time_is_called_what_the_record_knows() -> None:
     r = comparisons.record()
-    labels = {
-        axis.label: axis.values[1]
-        for axis in (
-            Axis.over_time(each)
-            for each in (r, replace(r, start=7.0), replace(r, sampling_time=1.0))
-        )
-    }
-    assert labels == {"time since the first sample (s)": 0.1, "time (s)": 7.1, "sample": 1.0}
+    records = r, replace(r, start=7.0), replace(r, sampling_time=1.0)
+    axes = [*map(Axis.over_time, records)]
+    assert [(axis.label, axis.values[1]) for axis in axes] == [
+        ("time since the first sample (s)", 0.1), ("time (s)", 7.1), ("sample", 1.0)
+    ]  # fmt: skip
 
 
 def test_thinning_keeps_every_peak_and_the_direction_of_smooth_curves() -> None:
@@ -158,14 +159,6 @@ def test_single_precision_is_used_only_where_nobody_sees_it() -> None:
     assert compact(np.array([1e100, 0.0])).dtype == np.float64
 
 
-def test_a_diverging_method_is_drawn_to_the_edge(tmp_path: Path) -> None:
-    """Numbers that no canvas takes, as of a simulation that has exploded."""
-    r = comparisons.record()
-    r = Record(r.y, r.sampling_time, y_sim=np.where(np.arange(len(r)) > 250, 1e60, 0.0))
-    comparisons.compared(r, ("mean", "simulator")).report(tmp_path / "page.html")
-    parsed(tmp_path / "page.html")
-
-
 def test_the_linear_model_shows_its_orders_and_its_gain_with_its_error(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     u = rng.standard_normal(400)
@@ -178,7 +171,7 @@ def test_the_linear_model_shows_its_orders_and_its_gain_with_its_error(tmp_path:
     (section,) = [s for s in parsed(tmp_path / "report.html").iter("section")
                   if s.get("id") == "linear"]  # fmt: skip
     figures = {
-        " ".join("".join(f.find("figcaption").itertext()).split()): f.find("div").get("aria-label")
+        words_of(f.find("figcaption")): f.find("div").get("aria-label")
         for f in section.iter("figure")
     }
     singular, held_out, gain = figures
@@ -198,9 +191,7 @@ def test_a_spectrum_has_its_tables_and_the_loss_of_each_cutoff(tmp_path: Path) -
     page = pages.of_spectrum(record, bands, [table], facts, Usage())
     document.write(page, tmp_path / "page.html")
     tree = parsed(tmp_path / "page.html")
-    captions = [" ".join("".join(each.itertext()).split()) for each in tree.iter("figcaption")]
-    assert [each.split(" ")[0] for each in captions] == [
+    assert [words_of(each).split(" ")[0] for each in tree.iter("figcaption")] == [
         "Spectrum;", "Coherence", "Coherence", "Loss:"
     ]  # fmt: skip
-    said = " ".join("".join(tree.itertext()).split())
-    assert all(words in said for words in ("Half of it is low.", "Nothing to learn.", "50 %"))
+    assert all(words in words_of(tree) for words in ("Half of it is low.", "50 %"))

@@ -74,9 +74,7 @@ def test_a_job_whose_process_ends_or_hangs_takes_no_other_with_it(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with Workers(2) as workers:
-        found = {}
-        for job, future in run_jobs(leave, [0, 1, 3], workers):
-            found[job] = future
+        found = dict(run_jobs(leave, [0, 1, 3], workers))
         assert Path(found[0].result()).parent.parent == tmp_path
         assert "ended from outside" in ended_from_outside(found[1].exception() or ValueError())
         assert found[3].exception() is None
@@ -118,12 +116,18 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux for processes")
-def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    """Where the script is to be written, without torch."""
     (tmp_path / "torch.py").write_text(NO_TORCH)
     (tmp_path / "script.py").write_text(SCRIPT)
+    return tmp_path / "script.py"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="asks Linux for processes")
+def test_processes_end_when_their_parent_is_killed(script: Path, tmp_path: Path) -> None:
     (tmp_path / "hang").touch()
-    parent = subprocess.Popen([sys.executable, str(tmp_path / "script.py")])
+    parent = subprocess.Popen([sys.executable, str(script)])
     marks = [tmp_path / "1", tmp_path / "2"]
     eventually(lambda: all(mark.exists() and mark.read_text() for mark in marks))
     pids = [int(mark.read_text()) for mark in marks]
@@ -134,12 +138,10 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="POSIX")
 def test_a_process_has_the_environment_and_does_not_hear_ctrl_c_while_it_loads(
-    tmp_path: Path,
+    script: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "torch.py").write_text(NO_TORCH)
-    (tmp_path / "script.py").write_text(SCRIPT)
     (tmp_path / "wait").touch()
-    command = [sys.executable, str(tmp_path / "script.py")]
+    command = [sys.executable, str(script)]
     parent = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     eventually(lambda: len([*tmp_path.glob("*.loading")]) == 2)
     for path in tmp_path.glob("*.loading"):
@@ -148,17 +150,20 @@ def test_a_process_has_the_environment_and_does_not_hear_ctrl_c_while_it_loads(
     assert parent.communicate(timeout=300) == ("[('a', 1), ('a', 2)]\n", "")
 
 
-def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
-    (tmp_path / "torch.py").write_text(NO_TORCH)
-    (tmp_path / "script.py").write_text(
+def test_a_script_without_a_guard_is_told_so(script: Path, tmp_path: Path) -> None:
+    script.write_text(
         "from splitband.runtime.workers import Workers, ended_from_outside, run_jobs\n"
         "for job, future in run_jobs(abs, [1, 2], Workers(2)):\n"
         "    print(ended_from_outside(future.exception()))\n"
     )
-    command = [sys.executable, str(tmp_path / "script.py")]
     where = os.environ | {"TMPDIR": str(tmp_path)}
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, check=False, env=where
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env=where,
     )
     assert 'if __name__ == "__main__":' in done.stdout
 
