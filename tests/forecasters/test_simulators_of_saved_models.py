@@ -28,11 +28,7 @@ def sine(time: Any) -> Any:
 def made(simulator: sb.Simulator) -> dict[str, sb.Forecaster]:
     """What holds a simulator of its own."""
     hybrid = sb.Residual(simulator, sb.GRU(2), settings=SHORT)
-    return {
-        "simulation": sb.Simulation(simulator),
-        "hybrid": hybrid,
-        "ensemble": sb.Ensemble(hybrid, 2),
-    }
+    return {"simulation": sb.Simulation(simulator), "ensemble": sb.Ensemble(hybrid, 2)}
 
 
 @pytest.fixture
@@ -55,7 +51,7 @@ def edit(path: Path, change: Change) -> None:
     path.write_text(json.dumps(description))
 
 
-@pytest.mark.parametrize("kind", ["simulation", "hybrid", "ensemble"])
+@pytest.mark.parametrize("kind", ["simulation", "ensemble"])
 def test_an_fmu_is_opened_only_where_it_is_given(
     kind: str, van_der_pol_fmu: Path, tmp_path: Path, opened: list[Any]
 ) -> None:
@@ -113,37 +109,10 @@ def test_a_simulator_with_another_start_is_refused(saved: Any, given: Any, tmp_p
     np.testing.assert_array_equal(again.y, model.predict(STEPS).y)
 
 
-class Constant:
-    """A simulator of the user's own, which has no parameters and says what it is."""
-
-    def simulate(self, time: Any) -> Any:
-        return np.ones(len(time))
-
-    def fingerprint(self) -> str:
-        return "constant"
-
-
-def test_another_kind_of_simulator_is_said_to_be_one(tmp_path: Path) -> None:
-    def lag(t: float, x: Any, u: Any, p: Any) -> list[float]:
-        return [p.k * (1.0 - x[0])]
-
-    ode = sb.Ode(lag, [0.0], parameters={"k": (0.5, 2.0)}, key="lag")
-    sb.GreyBox(ode, starts=1).fit(RECORD).save(tmp_path)
-    with pytest.warns(UserWarning, match="another one than of the kind Ode.* is constant, not lag"):
-        sb.load(tmp_path, simulator=Constant())
-
-
 def test_a_simulator_that_nobody_asks_for_is_refused(tmp_path: Path) -> None:
     sb.Mean().fit(RECORD).save(tmp_path)
     with pytest.raises(ValueError, match="simulator must be left out for mean"):
         sb.load(tmp_path, simulator=sb.Function(sine))
-
-
-def test_output_that_was_recorded_is_saved_and_needs_nothing(tmp_path: Path) -> None:
-    recorded = sb.Recorded(np.sin(DT * np.arange(100)), DT)
-    model = sb.Simulation(recorded).fit(RECORD)
-    model.save(tmp_path)
-    np.testing.assert_array_equal(sb.load(tmp_path).predict(STEPS).y, model.predict(STEPS).y)
 
 
 @pytest.fixture
