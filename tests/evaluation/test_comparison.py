@@ -10,14 +10,13 @@ from splitband import Record, Settings
 from splitband.evaluation.comparison import median_fit
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
-from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
+from splitband.forecasters.backtest import Origin, Question, backtest, for_trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
 from splitband.metrics import channel_rmse
-from splitband.report.pictures import rollouts
 from tests.records import Setup
-from tests.support import compare, forecasters
+from tests.support import compare
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
 SETUP = Setup(
@@ -35,13 +34,6 @@ def record(seed: int = 0, noise: float = 0.05) -> Record:
     y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.13 * t)
     y_sim = 0.5 * y + 0.3
     return Record(y + noise * rng.standard_normal(y.shape), DT, y_true=y, y_sim=y_sim)
-
-
-def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
-    network, quick = forecasters(["gru", "mean"], SETUP)
-    part = record()[:TRAIN]
-    assert held_out_origins(network, part) == [Origin(90, at) for at in (90, 100, 110)]
-    assert held_out_origins(quick, part) == [Origin(n, n) for n in (90, 96, 102, 108, 60, 75)]
 
 
 def test_the_trial_scores_by_what_was_measured() -> None:
@@ -248,11 +240,3 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
         assert np.linalg.norm(of_channels) == pytest.approx(compared.errors(found).total)
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
-    picture = rollouts(compared)
-    for ax in picture.axes:
-        if not ax.lines:
-            continue
-        low, high = ax.get_ylim()
-        seen = both.y[:, int(low > 1e3)]
-        assert low < seen.min() < seen.max() < high
-        assert high - low < 2 * np.ptp(seen)

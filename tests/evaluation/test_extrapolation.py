@@ -97,16 +97,3 @@ def test_commands_warn_of_inputs_beyond_training(
     shown = capsys.readouterr().out
     assert said in shown
     assert "from sample 20 on, up to 50" in shown
-
-
-def test_commands_say_nothing_of_inputs_within_their_range(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    force = np.random.default_rng(1).uniform(-1, 1, LENGTH)
-    record(force).to_csv(tmp_path / "record.csv", index=False)
-    arguments = [str(tmp_path / "record.csv"), "--inputs", "force", "--train", str(TRAIN), *QUICK]
-    out = ["--methods", "gru,mean", "--out", str(tmp_path / "out")]
-    assert main(["compare", *arguments, *out]) == 0
-    assert "beyond its range" not in capsys.readouterr().out
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert results["inputs_beyond_training"] == []

@@ -1,8 +1,7 @@
 """Intervals around forecasts: what they hold, and how they grow."""
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -158,12 +157,6 @@ def test_one_error_is_enough() -> None:
     widths = of_errors([np.array([[1.0]])], RECORD).half_widths(100)
     assert np.isfinite(widths).all()
     assert widths.min() > 1
-
-
-def test_it_survives_json() -> None:
-    interval = of_errors([np.tile(errors(200, 0.01, 5), 2)], np.hstack([RECORD, RECORD]))
-    facts = json.loads(json.dumps(asdict(interval)))
-    np.testing.assert_array_equal(Interval(**facts).half_widths(50), interval.half_widths(50))
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0, -1.0])

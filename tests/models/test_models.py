@@ -117,19 +117,6 @@ def test_the_parts_of_a_simulation_add_up_in_the_units_of_the_record(kind: str) 
         np.testing.assert_allclose(first, (3.0 + 2.0 * ahead[0]).numpy(), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("method", "ny", "nu"),
-    [*((name, 2, 1) for name in NAMES[:-1]), ("gru", 1, 2), ("split-gru-conditioned", 3, 0)],
-)
-def test_channels_and_inputs_of_any_number(method: Any, ny: Any, nu: Any) -> None:
-    r = record(ny, nu)
-    model = untrained(method, r, SETUP, seed=0)
-    u = None if r.u is None else r.u
-    y = simulated(model, r.y[:WARMUP], 30, u, y_sim_of(r))
-    assert y.shape == (30, ny)
-    assert np.isfinite(y).all()
-
-
 @pytest.mark.parametrize("method", NAMES)
 def test_a_batch_is_simulated_like_each_of_its_members(method: Any) -> None:
     model = model_of(method)
@@ -163,12 +150,6 @@ def test_units_do_not_matter(method: Any, unit: float, offset: float) -> None:
     for i, (name, part) in enumerate(expected.items()):
         shift = 0.0 if i else offset  # the first part carries the mean
         np.testing.assert_allclose((found[name] - shift) / unit, part, atol=2e-3)
-
-
-def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> None:
-    known = Signals(torch.tensor(record().y[:TRAIN]))
-    low, high = untrained("split-gru", record(), SETUP, seed=0).double().tasks(known)
-    torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
 
 
 def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
@@ -334,23 +315,6 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
     settled = np.abs((with_added - without)[-200:]).max()
     bound = 1e-6 if slow == "constant" else order * 0.01 * 20.0 / (2 * np.pi * 0.5) * 1.01
     assert settled < bound
-
-
-def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample() -> None:
-    """H + L = 1: a network and a simulator that both know the signal reproduce it."""
-    t = torch.arange(300, dtype=torch.float64)
-    y = (torch.sin(t / 15) + 0.3 * torch.sin(t / 2))[:, None]
-    known = Signals(y[None, :50], y_sim=y[None])
-    low, high = _filtered(y[50:], order=1).components(known, 250).values()
-    torch.testing.assert_close((low + high)[0], y[50:], rtol=0, atol=1e-12)
-
-
-def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
-    r = record()
-    script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
-    model = Residual(_Scripted(script, 0)).double()
-    y = simulated(model, r.y[:WARMUP], 60, y_sim=y_sim_of(r))
-    np.testing.assert_allclose(y, y_sim_of(r)[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
