@@ -154,29 +154,11 @@ def test_a_record_without_a_low_band_gets_the_most_of_it_that_there_is() -> None
     assert "no cut-off leaves half of the power in the low band" in choice.reason
 
 
-def test_what_an_order_cannot_be_designed_for_is_left_out() -> None:
-    y = np.random.default_rng(0).standard_normal((8000, 1))
-    choice = choose(y, RATE, WARMUP, order=4)
-    assert choice.order == 4
-    assert 0 < len(choice.candidates) < 24
-
-
 def test_a_higher_order_is_for_bands_that_order_one_does_not_part() -> None:
     y = sine(0.25) + sine(1.0)
     assert choose(y, RATE, WARMUP, downsampling=4).order == 2
     assert all(c.loss > MOST_LOST or c.passed < LEAST_PASSED
                for c in choose(y, RATE, WARMUP, order=1, downsampling=4).candidates)  # fmt: skip
-
-
-def test_each_rejection_says_why() -> None:
-    choice = choose(sine(0.2) + sine(1.5, 0.5), RATE, WARMUP)
-    for c in choice.candidates:
-        if c.passed < LEAST_PASSED:
-            assert "passes" in c.rejected
-        elif c.loss > MOST_LOST:
-            assert "lost" in c.rejected
-        elif c.rejected:
-            assert c.cutoff >= choice.cutoff or c.order > choice.order
 
 
 def test_a_simulator_has_the_say_up_to_where_it_agrees() -> None:

@@ -95,8 +95,3 @@ def test_the_default_recipe_takes_about_as_many_steps_of_any_record(samples: int
     steps = recipe.epochs * min(whole, MOST_BATCHES)
     assert recipe.most_batches == min(whole, MOST_BATCHES)
     assert abs(steps - STEPS) <= 0.05 * STEPS
-
-
-def test_no_batches_at_all_are_refused() -> None:
-    with pytest.raises(ValueError, match="most_batches must be at least 1, got 0"):
-        Settings(most_batches=0)
