@@ -7,7 +7,6 @@ import pytest
 import scipy
 
 from splitband import Record, Settings
-from splitband.evaluation.comparison import median_fit
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import Origin, Question, backtest, for_trial
@@ -134,13 +133,6 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
     assert trial.best_network == "gru"
 
 
-def test_what_is_not_fitted_in_the_end_cannot_be_recommended() -> None:
-    scores = {"harmonic": 0.1, "mean": 1.0}
-    trial = Trial({n: (s,) for n, s in scores.items()}, scores, frozenset())
-    assert trial.recommended == "harmonic"
-    assert replace(trial, final={"mean": np.zeros((5, 1))}).recommended == "mean"
-
-
 def test_what_draws_nothing_runs_once() -> None:
     fits = compare(record(), ["gru", "mean"], SETUP, seeds=2).fits
     assert [fit.seed for fit in fits["gru"]] == [0, 1]
@@ -202,32 +194,6 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     found = compare(r, ["seasonal-naive"], SETUP)
     interval = found.require_trial().intervals["seasonal-naive"]
     assert interval.half_widths(1).max() < 0.15
-
-
-def test_a_seed_that_goes_astray_hardly_moves_the_median() -> None:
-    """The error is that of the median prediction, not the median of the errors."""
-    r = record()
-    assert r.y_true is not None
-    compared = compare(r, ["mean"], SETUP)
-    (fit,) = compared.fits["mean"]
-    off = [(300.0, 0.1), (0.0, 0.2), (-0.2, -50.0)]
-    fits = [
-        replace(
-            fit,
-            forecasts={
-                origin: replace(each, y=r.y_true[origin.at :] + apart)
-                for (origin, each), apart in zip(fit.forecasts.items(), of_seed, strict=True)
-            },
-            seconds=2.0,
-        )
-        for of_seed in off
-    ]
-    median = median_fit(fits)
-    np.testing.assert_allclose(median.from_start.y, r.y_true[WARMUP:], atol=1e-12)
-    np.testing.assert_allclose(median.ahead, r.y_true[TRAIN:] + 0.1, atol=1e-12)
-    assert compared.errors(median).total == pytest.approx(0, abs=1e-12)
-    assert compared.errors(median).forecast == pytest.approx(0.1)
-    assert median.seconds == 6.0
 
 
 def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:

@@ -14,8 +14,6 @@ import pytest
 
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Known, Record, Settings
-from splitband.evaluation import candidates
-from splitband.forecasters.backtest import for_trial
 from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.workers import Workers
@@ -137,19 +135,6 @@ def test_a_forecast_hands_out_its_model_and_what_it_was_made_with() -> None:
     np.testing.assert_allclose(widths(handed_out), widths(found.prediction), atol=1e-12)
     again = found.model.untrained().fit(record(), seed=0)
     np.testing.assert_allclose(again.predict(30).y, found.prediction.y, atol=1e-12)
-
-
-def test_it_is_trained_as_the_search_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candidates, "FIRST_ROUND", 2)
-    monkeypatch.setattr(candidates, "FIRST_STEPS", 2)
-    result = sb.compare(record(), TRAIN, [sb.Single(GRU(4))], settings={"warmup": 10}, rounds=2)
-    model = result.trained().untrained()
-    members = model.templates if isinstance(model, sb.Ensemble) else [model]
-    # The final training has other numbers of steps, and no need of a shorter window.
-    said = [each.training.rpartition(", ")[0] for each in result.attempts]
-    tried = [for_trial(each, TRAIN)._training_in_words() for each in members]
-    assert {each.rpartition(", ")[0] for each in tried} <= {*said}
-    assert len(members) == len(result.fits["gru"])
 
 
 def test_what_was_not_compared_is_not_handed_out() -> None:

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from splitband import Record, Settings, Sizes
+from splitband import Settings, Sizes
 from splitband.evaluation.candidates import FIRST_ROUND
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import plan
@@ -187,9 +186,3 @@ def test_sizes_are_searched_unless_given(short: bool) -> None:
     trainer.run(search, 2)
     sizes = {job.forecaster.cell.hidden_size for jobs in trainer.rounds for job in jobs}  # type: ignore[attr-defined]
     assert (len(sizes) > 1) == short
-
-
-def test_a_record_that_is_too_short_for_a_network_says_so() -> None:
-    few = Record(np.sin(np.arange(40.0)), 0.1)
-    search = Search(plan(few, 12, ["gru", "mean"], rounds=1))
-    assert len(search.ask()) == 1

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import splitband as sb
-from splitband import GRU, Forecaster, Known, Record
+from splitband import GRU, Forecaster, Record
 from splitband.metrics import ExtrapolationWarning
 from tests.forecasters.support import (
     BANDS,
@@ -21,7 +21,6 @@ from tests.forecasters.support import (
     START,
     STEPS,
     TRAIN,
-    Array,
     fitted,
     record,
 )
@@ -168,27 +167,6 @@ def test_an_ensemble_says_the_median_of_its_members(options: Any, seeds: tuple[i
     members = [single.clone().fit(part, seed=s).predict(STEPS).y for s in seeds]
     found = sb.Ensemble(single, **options).fit(part, seed=1).predict(STEPS)
     np.testing.assert_allclose(found.y, np.median(members, axis=0), rtol=0, atol=1e-12)
-
-
-class Drift(Forecaster):
-    """The straight line through the first and the last measured sample goes on."""
-
-    name = "drift"
-
-    def extrapolate(self, known: Known) -> Array:
-        slope = (known.y[-1] - known.y[0]) / (len(known.y) - 1)
-        return known.y[-1] + slope * np.arange(1, known.steps + 1)[:, None]
-
-
-def test_a_forecaster_of_ones_own_needs_a_name_and_what_comes_next(tmp_path: Path) -> None:
-    line = Record(np.arange(40.0), DT, start=2.0)
-    forecaster = Drift().fit(line[:30])
-    found = forecaster.predict(10, level=0.9)
-    np.testing.assert_allclose(found.y, line.y[30:])
-    np.testing.assert_allclose(found.time, line.stamps[30:])
-    forecaster.save(tmp_path / "drift")
-    loaded = sb.load(tmp_path / "drift")
-    np.testing.assert_array_equal(loaded.predict(10, line[:35]).y[:5], line.y[35:])
 
 
 def test_slices_know_what_is_known_after_them() -> None:

@@ -11,7 +11,7 @@ import scipy.signal
 import torch
 from torch import Tensor, nn
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Record
+from splitband import GRU, ComplementaryPair, Record
 from splitband.filters import butterworth
 from splitband.forecasters.backtest import Origin, first_origin
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
@@ -349,7 +349,6 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
             "at least 2 ny = 4 inputs.*got nu = 3",
         ),
         (lambda: Split([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
-        (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
     ],
 )
 def test_errors_name_the_argument_and_the_value(call: Any, message: Any) -> None:
