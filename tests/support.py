@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from torch import Tensor, nn
 
 from splitband import Forecaster, Record
 from splitband.evaluation.comparison import Comparison
@@ -53,23 +54,12 @@ def asked(
     """Both protocols, and forecasts from `later` samples by the same fit."""
     forecaster = setup.forecaster(name)
     forecaster.check(record[: setup.train], *others)
-    return backtest(forecaster, question_of(name, record, setup, later, others), seed)
-
-
-def question_of(
-    name: str,
-    record: Record,
-    setup: Setup,
-    later: Sequence[int] = (),
-    others: Sequence[Record] = (),
-) -> Question:
-    """Both protocols, and forecasts from `later` samples by the same fit."""
     origins = {
         first_origin(record, setup.train, setup.settings.warmup),
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
-    return Question(record, sorted(origins), len(record), others)
+    return backtest(forecaster, Question(record, sorted(origins), len(record), others), seed)
 
 
 def compare(
@@ -117,3 +107,27 @@ def load_model(folder: Path) -> tuple[Model, dict[str, Any]]:
     assert isinstance(network, Network)
     assert network.model is not None
     return network.model, facts
+
+
+class Scripted(nn.Module):
+    """A cell that says what it was told, from entry `after` on, and keeps its inputs."""
+
+    ny = 1
+
+    def __init__(self, script: Tensor, after: int, nu: int = 0) -> None:
+        super().__init__()
+        self.script, self.after, self.nu = nn.Parameter(script), after, nu
+        self.inputs: list[Tensor] = []
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> int:
+        self.batch = len(y_warmup)
+        self.inputs = [] if u is None else [*u.unbind(dim=1)]
+        return self.after
+
+    def step(self, h: int, y: Tensor, u: Tensor | None = None) -> int:
+        if u is not None:
+            self.inputs.append(u)
+        return h + 1
+
+    def observe(self, h: int) -> Tensor:
+        return self.script[h].expand(self.batch, 1)

@@ -60,6 +60,9 @@ MADE: dict[str, Callable[[], Forecaster]] = {
     "residual of a network called network": lambda: sb.Residual(
         sb.Single(GRU(3), SETTINGS, name="network"), GRU(3), settings=SETTINGS
     ),
+    "networks of different sizes": lambda: sb.Ensemble(
+        [sb.Single(GRU(2), SETTINGS), sb.Single(GRU(3), SETTINGS)]
+    ),
     "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 3),
     "ensemble of residuals of networks": lambda: sb.Ensemble(
         sb.Residual(sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS), seeds=(0, 2)

@@ -86,12 +86,14 @@ def test_by_its_time_stamps_it_is_known_where_a_history_lies(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *("linear", "simulator-calibrated", "residual-periodic-gru"),
-        *("filtered, simulator of its own", "ensemble of hybrids"),
+        *("mean", "seasonal-naive", "harmonic", "linear", "simulator-calibrated", "gru"),
+        *("state-space", "split-gru-hp", "residual-periodic-gru", "filtered linear"),
+        *("filtered, simulator of its own", "ensemble of hybrids", "networks of different sizes"),
+        "ensemble of residuals of networks",
     ],
 )
-def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
-    """From its own end and from another history, with its interval."""
+def test_saved_and_loaded_it_says_the_same_to_the_bit(name: str, tmp_path: Path) -> None:
+    """From its own end and from another history, with its interval; and saves the same again."""
     saved = copy.copy(fitted(name))
     given = record()[:TRAIN]
     assert given.u_beyond is not None
@@ -106,17 +108,26 @@ def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
         ]
 
     expected = asked(saved)
-    saved.save(tmp_path / "model")
-    loaded = sb.load(tmp_path / "model")
+    saved.save(tmp_path / "deep" / "one")
+    loaded = sb.load(tmp_path / "deep" / "one")
+    assert repr(loaded) == repr(saved)
     assert (loaded.name, loaded.needs, loaded.random) == (saved.name, saved.needs, saved.random)
     assert loaded.describe() == saved.describe()
     for one, other in zip(asked(loaded), expected, strict=True):
         for what in ("y", "lower", "upper"):
             np.testing.assert_array_equal(getattr(one, what), getattr(other, what))
+        assert [*one.components] == [*other.components]
         assert (one.time == other.time).all()
         assert (one.lower < one.y).all()
         assert (one.y < one.upper).all()
         assert one.level == 0.9
+    loaded.save(tmp_path / "two")
+    first, second = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+        for folder in ("deep/one", "two")
+    )
+    assert first == second
+    assert len(first) == 2
 
 
 def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_path: Path) -> None:

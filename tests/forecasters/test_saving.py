@@ -32,23 +32,6 @@ RECORD = sb.Record(
 )
 TRAIN = RECORD[:120]
 SHORT = sb.Settings(window=30, warmup=12, epochs=1)
-MADE: dict[str, Callable[[], sb.Forecaster]] = {
-    "mean": sb.Mean,
-    "seasonal": sb.SeasonalNaive,
-    "harmonic": sb.Harmonic,
-    "linear": sb.Linear,
-    "calibrated": lambda: sb.Calibrated(terms=["gain", "offset"]),
-    "state-space": lambda: sb.Single(sb.StateSpace(3, 4), SHORT),
-    "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=4, recognition_size=3, step_size=0.1), SHORT),
-    "split": lambda: sb.Split(sb.GRU(2), sb.GRU(3), filter_output=True, settings=SHORT),
-    "filtered": lambda: sb.Filtered(sb.Linear(), sb.GRU(2), conditioned=True, settings=SHORT),
-    "networks of different sizes": lambda: sb.Ensemble(
-        [sb.Single(sb.GRU(2), SHORT), sb.Single(sb.GRU(3), SHORT)]
-    ),
-    "seeds of a residual of a network": lambda: sb.Ensemble(
-        sb.Residual(sb.Single(sb.GRU(2), SHORT), sb.GRU(3), settings=SHORT), 2
-    ),
-}
 
 
 def ahead(model: sb.Forecaster, level: float | None = None) -> sb.Prediction:
@@ -83,20 +66,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 def weights(folder: Path) -> Path:
     (path,) = folder.glob("weights-*.safetensors")
     return path
-
-
-@pytest.mark.parametrize("name", MADE)
-def test_a_loaded_forecaster_says_the_same_to_the_bit(name: str, tmp_path: Path) -> None:
-    model = MADE[name]().fit(TRAIN, seed=1)
-    model.save(tmp_path / "deep" / "one")
-    loaded = sb.load(tmp_path / "deep" / "one")
-    assert repr(loaded) == repr(model)
-    found, expected = ahead(loaded), ahead(model)
-    np.testing.assert_array_equal(found.y, expected.y)
-    assert [*found.components] == [*expected.components]
-    loaded.save(tmp_path / "two")
-    assert contents(tmp_path / "two") == contents(tmp_path / "deep" / "one")
-    assert len(contents(tmp_path / "two")) == 2
 
 
 def test_a_network_in_double_precision_stays_in_it(tmp_path: Path) -> None:

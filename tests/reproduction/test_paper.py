@@ -124,19 +124,6 @@ def _copies(folder: Path, out: Path, job: Job, **changes: Any) -> None:
     path.write_text(json.dumps(facts | {"job": asdict(job), "settings": settings} | changes))
 
 
-def test_a_row_at_the_papers_epochs_needs_three_seeds(folder: Path, tmp_path: Path) -> None:
-    row = lines("learning-based", ["i"], ["split-gru"], 5)
-    for seed in range(5):
-        _copies(folder, tmp_path, Job("i", "split-gru", seed, epochs=2))
-    for seed in range(2):
-        _copies(folder, tmp_path, Job("i", "split-gru", seed))
-    made = table("learning-based", row, tmp_path)
-    assert made.rows[0][-2:] == ("5", "2 of 300")
-    _copies(folder, tmp_path, Job("i", "split-gru", 4))
-    made = table("learning-based", row, tmp_path)
-    assert made.rows[0][-2:] == ("3 of 5", "300")
-
-
 def test_a_split_model_s_run_says_what_a_sliced_warm_up_comes_to(folder: Path) -> None:
     """By the record's own bands, from the model that the run trained."""
     job = Job("i", "split-gru", 1, epochs=2)
@@ -171,15 +158,6 @@ def test_the_gru_of_system_i_takes_the_epochs_of_the_papers_text() -> None:
         assert job.setup(job.record).settings.epochs == epochs
     assert Job("i", "split-gru", cutoff=0.4, downsampling=2, epochs=300) == Job("i", "split-gru")
     assert Job("i", "split-gru", cutoff=0.2).path.name == "w0.2-seed0.json"
-
-
-def test_a_loss_has_settled_where_more_epochs_leave_it(folder: Path, tmp_path: Path) -> None:
-    for epochs, losses in ((300, [0.5]), (1000, [0.305, 0.3]), (2000, [0.28, 0.28])):
-        _copies(folder, tmp_path, Job("i", "gru", epochs=epochs), losses={"network": losses})
-    made = table("epochs", lines("epochs", methods=["gru"], seeds=1), tmp_path)
-    assert [row["settled"] for row in made.facts] == [False, True, None]
-    assert [row[1] for row in made.rows] == ["300", "1000", "2000"]
-    assert [line.value for line in lines("epochs", methods=["gru"], epochs=7)] == [7]
 
 
 def test_seconds_are_the_median_over_runs_each_on_a_core(folder: Path, tmp_path: Path) -> None:

@@ -1,22 +1,17 @@
 """Training: windows, reproducibility, schedule, progress and what is refused."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from splitband import GRU, Progress, Record, Settings
-from splitband.models import Model, Recurrent, Signals, Task
+from splitband.models import Model, Recurrent
 from splitband.training import History, fit
-from tests.models.test_models import _Scripted
 from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
-from tests.support import simulated, untrained
-from tests.training.support import parameters, seen_by_adam
+from tests.support import Scripted, simulated, untrained
+from tests.training.support import Watched, parameters, seen_by_adam
 
 
 def fitted(seed: int, method: str = "split-gru", **changes: Any) -> tuple[Model, History]:
@@ -64,21 +59,6 @@ def test_clipping_is_that_of_torch(monkeypatch: pytest.MonkeyPatch) -> None:
         torch.testing.assert_close(unchanged, gradient, rtol=1e-5, atol=1e-12)
 
 
-class _Watched(Recurrent):
-    """Keeps how many steps its windows were simulated for."""
-
-    def __init__(self) -> None:
-        super().__init__(GRU(4, 1))
-        self.asked: list[int] = []
-
-    def tasks(self, record: Signals) -> list[Task]:
-        def watched(simulate: Callable[[Signals, int], Tensor], known: Signals, steps: int) -> Any:
-            self.asked.append(steps)
-            return simulate(known, steps)
-
-        return [replace(t, simulate=partial(watched, t.simulate)) for t in super().tasks(record)]
-
-
 @pytest.mark.parametrize(
     ("growth", "expected"),
     [
@@ -90,7 +70,7 @@ class _Watched(Recurrent):
 def test_the_free_run_grows_from_a_tenth_to_all_of_its_length(
     growth: float, expected: list[int]
 ) -> None:
-    model = _Watched()
+    model = Watched()
     settings = Settings(42, QUICK.warmup, 10, batch_size=1000, growth=growth)
     history = fit(model, record()[:TRAIN], settings)
     assert np.abs(np.array(model.asked) - expected).max() <= 1  # halves are rounded either way
@@ -102,7 +82,7 @@ def test_the_free_run_grows_from_a_tenth_to_all_of_its_length(
 def test_a_short_free_run_is_compared_with_the_beginning_of_the_window(error: float) -> None:
     """So that a network that knows the only window has no loss at any length."""
     script = torch.from_numpy(record().y[QUICK.warmup : 42] + error)
-    model = Recurrent(_Scripted(script, 0)).double()
+    model = Recurrent(Scripted(script, 0)).double()
     settings = Settings(42, QUICK.warmup, 6, 1, 1e-30, growth=0.8, normalize=False)
     history = fit(model, record()[:42], settings)
     assert history.losses["network"] == pytest.approx([error] * 6, abs=1e-12)
