@@ -168,12 +168,6 @@ def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
     assert all(job.start is None for job, _ in search.finals())
 
 
-def test_further_choices_take_half_of_the_time_that_is_left() -> None:
-    search, trainer = searching(["state-space"]), Trainer(lambda job, n: 0.5**n, seconds=2.0)
-    trainer.run(search, 2, left=12.0)
-    assert [len(jobs) for jobs in trainer.rounds] == [1, 3]
-
-
 def test_the_seed_of_a_comparison_is_that_of_its_trainings() -> None:
     search = searching(["gru"], seed=7)
     assert {job.seed for job in search.ask()} == {7 * MOST_MEMBERS}

@@ -77,14 +77,6 @@ def test_the_cutoff_lies_between_a_strong_slow_and_a_weak_fast_sinusoid(
     assert candidate.loss <= MOST_LOST
 
 
-def test_no_lower_cutoff_would_have_done() -> None:
-    choice = choose(sine(0.2) + sine(1.5, 0.5), RATE, WARMUP)
-    assert choice.order == 1
-    lower = [c for c in choice.candidates if c.cutoff < choice.cutoff and c.order == 1]
-    assert lower
-    assert all(c.passed < LEAST_PASSED or c.loss > MOST_LOST for c in lower)
-
-
 def test_a_low_band_that_would_be_aliased_is_not_thinned_out() -> None:
     assert choose(sine(0.1), RATE, 200).downsampling == MOST_DOWNSAMPLING
     assert choose(sine(0.1), RATE, 40).downsampling == 4  # of which a warm-up keeps ten

@@ -168,20 +168,6 @@ def test_a_slow_band_is_given_the_mean_of_the_inputs_up_to_each_of_its_samples(k
         np.testing.assert_allclose(found, expected[: len(found)], rtol=0, atol=1e-12)
 
 
-def test_with_inputs_the_conditioning_is_the_next_sample_and_the_slope_up_to_it() -> None:
-    cell = silent(3)
-    model = Residual(cell, conditioned=True).double()
-    model.slope_scale.fill_(0.5)
-    y_sim, warmup = torch.from_numpy(Y_SIM[None, :, :1]), 40
-    u = torch.from_numpy(U[None, :, :1])
-    model.components(Signals(torch.from_numpy(Y[:1, :warmup, :1]), u, y_sim), STEPS)
-    found = torch.cat(cell.inputs).numpy()
-    end = warmup + STEPS
-    value = Y_SIM[1:end, 0]
-    expected = np.stack([U[: end - 1, 0], value, np.diff(Y_SIM[:end, 0]) / 0.5], axis=1)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-
-
 def test_one_way_filters_have_the_square_root_of_the_gain() -> None:
     pair, frequencies = PAIR, np.linspace(0.01, 4.9, 20)
     for both, single in zip(

@@ -160,18 +160,6 @@ def test_the_gru_of_system_i_takes_the_epochs_of_the_papers_text() -> None:
     assert Job("i", "split-gru", cutoff=0.2).path.name == "w0.2-seed0.json"
 
 
-def test_seconds_are_the_median_over_runs_each_on_a_core(folder: Path, tmp_path: Path) -> None:
-    row = lines("runtime-learning-based", ["i"], ["split-gru"], 5)
-    found = [(10.0, 9.0, {}), (12.0, 11.0, {}), (17.0, 16.0, {}), (90.0, 30.0, {}),
-             (2.0, 2.0, {"resumed": True})]  # fmt: skip
-    for seed, (wall, processor, more) in enumerate(found):
-        job = Job("i", "split-gru", seed)
-        _copies(folder, tmp_path, job, seconds=wall, cpu_seconds=processor, **more)
-    made = table("runtime-learning-based", row, tmp_path)
-    assert made.rows[0][2:5] == ("14.5", "233", "16")
-    assert made.rows[0][5] == "4 of 5"
-
-
 class Killed(BaseException):
     """What nothing catches."""
 
