@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,6 @@ from splitband.models import Model
 from tests.records import Setup
 
 Array = npt.NDArray[np.float64]
-
-
-def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecaster]:
-    """The methods, those that are given by name with what the setup says."""
-    made = [setup.forecaster(each) if isinstance(each, str) else each for each in names]
-    return [each._with_defaults(setup.settings, setup.bands) for each in made]
 
 
 def simulated(model: Model, y: Array, steps: int, u: Any = None, y_sim: Any = None) -> Array:
@@ -131,3 +126,11 @@ class Scripted(nn.Module):
 
     def observe(self, h: int) -> Tensor:
         return self.script[h].expand(self.batch, 1)
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change the description of a saved forecaster."""
+    path = folder / "forecaster.json"
+    description = json.loads(path.read_text())
+    change(description)
+    path.write_text(json.dumps(description))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import subprocess
 import sys
@@ -18,11 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import safetensors.torch
-import torch
 from torch import nn
 
 import splitband as sb
 from splitband.forecasters import saving
+from tests.streams import Leaky
+from tests.support import edit
 
 Array = npt.NDArray[np.float64]
 DT, STEPS = 0.1, 20
@@ -52,13 +52,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "model"
 
 
-def edit(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
-    path = folder / "forecaster.json"
-    description = json.loads(path.read_text())
-    change(description)
-    path.write_text(json.dumps(description))
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
@@ -79,28 +72,16 @@ def test_a_network_in_double_precision_stays_in_it(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- of the user's own
 
 
-class Own(nn.Module):
+class Own(Leaky):
     """A cell of the user's own, with two names for one matrix."""
 
-    def __init__(self, hidden_size: int, ny: int = 1, nu: int = 0, scales: Any = 1.0) -> None:
-        super().__init__()
-        self.hidden_size, self.ny, self.nu, self.scales = hidden_size, ny, nu, scales
-        self.mix = nn.Linear(ny + nu, hidden_size)
-        self.decoder, self.encoder = (nn.Linear(ny, hidden_size, bias=False) for _ in range(2))
-        self.decoder.weight = self.encoder.weight
+    def __init__(self, ny: int = 1, nu: int = 0, scales: Any = None) -> None:
+        super().__init__(ny, nu)
+        self.scales, self.again = scales, nn.Linear(ny + nu, ny)
+        self.again.weight = self.mix.weight
 
     def sized(self, ny: int, nu: int, warmup: int) -> Own:
-        return Own(self.hidden_size, ny, nu, self.scales)
-
-    def initial_state(self, y_warmup: torch.Tensor, u: torch.Tensor | None = None) -> torch.Tensor:
-        return self.encoder(y_warmup[:, -1])
-
-    def step(self, h: torch.Tensor, y: torch.Tensor, u: torch.Tensor | None = None) -> torch.Tensor:
-        seen = y if u is None else torch.cat([y, u], dim=-1)
-        return 0.9 * h + float(np.sum(self.scales["x"])) * torch.tanh(self.mix(seen))
-
-    def observe(self, h: torch.Tensor) -> torch.Tensor:
-        return h @ self.decoder.weight
+        return Own(ny, nu, self.scales)
 
 
 class OwnForecaster(sb.Forecaster):
@@ -131,7 +112,7 @@ class OwnForecaster(sb.Forecaster):
 
 
 def test_what_is_ones_own_is_saved_and_loaded_without_being_registered(tmp_path: Path) -> None:
-    inner = sb.Single(Own(3, scales={"x": [1, 2.5]}), SHORT)
+    inner = sb.Single(Own(scales={"x": [1, 2.5]}), SHORT)
     model = sb.Ensemble(OwnForecaster(inner, 0.5), 2).fit(TRAIN, seed=0)
     expected = ahead(model, 0.8)
     model.save(tmp_path)
@@ -144,7 +125,8 @@ def test_what_is_ones_own_is_saved_and_loaded_without_being_registered(tmp_path:
     np.testing.assert_array_equal(array, [[np.nan, 2.0]])
     assert limit == float("inf")
     cell = member.of_inner.model.cell
-    assert cell.decoder.weight is cell.encoder.weight
+    assert cell.again.weight is cell.mix.weight
+    assert cell.scales == {"x": [1, 2.5]}
 
 
 def test_a_class_of_ones_own_is_asked_for_by_its_module(

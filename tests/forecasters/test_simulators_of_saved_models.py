@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,11 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
+from tests.support import edit
 
 DT, TRAIN, STEPS = 0.1, 60, 10
 RECORD = sb.Record(np.sin(DT * np.arange(TRAIN)), DT)
 SHORT = sb.Settings(window=30, warmup=5, epochs=1)
-Change = Callable[[dict[str, Any]], Any]
 
 
 def sine(time: Any) -> Any:
@@ -43,12 +42,6 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
     monkeypatch.setattr(sb.Fmu, "__init__", noted)
     return found
-
-
-def edit(path: Path, change: Change) -> None:
-    description = json.loads(path.read_text())
-    change(description)
-    path.write_text(json.dumps(description))
 
 
 @pytest.mark.parametrize("kind", ["simulation", "ensemble"])
@@ -127,7 +120,7 @@ def forged(van_der_pol_fmu: Path, tmp_path: Path) -> Path:
         "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
     }  # fmt: skip
     edit(
-        folder / "forecaster.json",
+        folder,
         lambda d: (d.update(facts), d["forecaster"]["fields"].update(simulator=fmu)),
     )
     return folder
@@ -159,7 +152,7 @@ def test_no_file_says_what_is_opened(
 def test_a_description_of_a_simulator_is_checked(change: dict[str, Any], tmp_path: Path) -> None:
     sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
     edit(
-        tmp_path / "forecaster.json",
+        tmp_path,
         lambda d: d["forecaster"]["fields"]["simulator"]["fields"].update(change),
     )
     with pytest.raises(ValueError, match="a simulator must"):
@@ -173,7 +166,7 @@ def test_no_fmu_is_made_of_what_a_file_says(
     for word in ("class", "cell"):
         fmu = {word: "Fmu", "fields": {"path": str(van_der_pol_fmu), "outputs": ["x"]}}
         edit(
-            tmp_path / "forecaster.json",
+            tmp_path,
             lambda d, fmu=fmu: d["forecaster"]["fields"].update(simulator=fmu),  # type: ignore[misc]
         )
         with pytest.raises(ValueError, match="Fmu is not known"):

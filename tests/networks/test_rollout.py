@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from examples.own_cell import LSTM
 from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
@@ -30,29 +31,6 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
-
-
-class LSTM(nn.Module):
-    """A cell as a user would write it; its state is a pair."""
-
-    def __init__(self, ny: int = NY, hidden_size: int = HIDDEN, nu: int = 0) -> None:
-        super().__init__()
-        self.ny, self.nu, self.hidden_size = ny, nu, hidden_size
-        self.transition = nn.LSTMCell(ny + nu, hidden_size)
-        self.observation = nn.Linear(hidden_size, ny)
-
-    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Any:
-        zeros = y_warmup.new_zeros(len(y_warmup), self.hidden_size)
-        h = (zeros, zeros)
-        for n in range(y_warmup.shape[1]):
-            h = self.step(h, y_warmup[:, n], None if u is None else u[:, n])
-        return h
-
-    def step(self, h: Any, y: Tensor, u: Tensor | None = None) -> Any:
-        return self.transition(y if u is None else torch.cat([y, u], dim=-1), h)
-
-    def observe(self, h: Any) -> Tensor:
-        return self.observation(h[0])
 
 
 class Free(nn.Module):
@@ -85,7 +63,7 @@ def state_space(ny: int = NY, nu: int = 0) -> StateSpace:
 
 def lstm(ny: int = NY, nu: int = 0) -> LSTM:
     torch.manual_seed(3)
-    return LSTM(ny, HIDDEN, nu).double()
+    return LSTM(HIDDEN, ny, nu).double()
 
 
 CELLS = [gru, euler_mlp, state_space, lstm]
@@ -273,7 +251,7 @@ def whole(cell: Cell) -> Model:
 def split(cell: Cell) -> Model:
     torch.manual_seed(7)
     pair = ComplementaryPair.butterworth(0.1, 1.0, order=1)
-    return Split([cell, LSTM(cell.ny, HIDDEN, cell.nu)], pair, downsampling=2)
+    return Split([cell, LSTM(HIDDEN, cell.ny, cell.nu)], pair, downsampling=2)
 
 
 @pytest.mark.parametrize("make_model", [whole, split])
@@ -285,7 +263,7 @@ def test_a_user_s_cell_is_trained_in_any_model(
     phase = 2 * np.pi * np.arange(70) / 20
     y = np.stack([np.sin(phase), np.cos(phase) + 0.5 * np.sin(5 * phase)], axis=1)
     u = np.cos(phase)[:, None] if nu else None
-    model = make_model(LSTM(NY, 8, nu))
+    model = make_model(LSTM(8, NY, nu))
     settings = Settings(window=28, warmup=16, epochs=12, batch_size=22, learning_rate=2e-2)
     history = fit(model, Record(y, 1.0, u=u), settings)
     assert len(history.losses) == (2 if isinstance(model, Split) else 1)
