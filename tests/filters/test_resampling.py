@@ -40,8 +40,8 @@ def tolerance(y: Array) -> float:
 @given(y=hnp.arrays(np.float64, st.integers(1, 12), elements=values), k=factors)
 def test_upsampling_is_linear_interpolation(y: Array, k: int) -> None:
     """The paper's lags by half of k - 1."""
-    for align, lag in (("time", 0.0), ("paper", (k - 1) / 2)):
-        expected, found = interpolated(y, k, lag), upsample(y, k, align=align)  # type: ignore[call-overload]
+    for align, lag in zip(ALIGNMENTS, (0.0, (k - 1) / 2), strict=True):
+        expected, found = interpolated(y, k, lag), upsample(y, k, align=align)
         np.testing.assert_allclose(found, expected, atol=tolerance(y), rtol=0)
 
 
