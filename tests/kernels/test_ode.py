@@ -47,6 +47,10 @@ def test_the_compiled_solver_is_the_plain_one() -> None:
     np.testing.assert_array_equal(fast_steps, steps)
 
 
+def test_looser_tolerances_take_fewer_steps() -> None:
+    assert solved(False, tolerance=1e-4)[1].sum() < solved(False)[1].sum() / 2
+
+
 def test_a_state_that_is_not_finite_ends_the_simulation() -> None:
     steps = np.zeros(len(TIME) - 1, dtype=np.int64)
     grows = solver(lambda _, x: [x[0] ** 2], 2, False)
