@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from torch import Tensor, nn
 
 from splitband import Forecaster, Record
 from splitband.evaluation.comparison import Comparison
@@ -21,12 +23,6 @@ from splitband.models import Model
 from tests.records import Setup
 
 Array = npt.NDArray[np.float64]
-
-
-def forecasters(names: Sequence[Forecaster | str], setup: Setup) -> list[Forecaster]:
-    """The methods, those that are given by name with what the setup says."""
-    made = [setup.forecaster(each) if isinstance(each, str) else each for each in names]
-    return [each._with_defaults(setup.settings, setup.bands) for each in made]
 
 
 def simulated(model: Model, y: Array, steps: int, u: Any = None, y_sim: Any = None) -> Array:
@@ -53,23 +49,12 @@ def asked(
     """Both protocols, and forecasts from `later` samples by the same fit."""
     forecaster = setup.forecaster(name)
     forecaster.check(record[: setup.train], *others)
-    return backtest(forecaster, question_of(name, record, setup, later, others), seed)
-
-
-def question_of(
-    name: str,
-    record: Record,
-    setup: Setup,
-    later: Sequence[int] = (),
-    others: Sequence[Record] = (),
-) -> Question:
-    """Both protocols, and forecasts from `later` samples by the same fit."""
     origins = {
         first_origin(record, setup.train, setup.settings.warmup),
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
-    return Question(record, sorted(origins), len(record), others)
+    return backtest(forecaster, Question(record, sorted(origins), len(record), others), seed)
 
 
 def compare(
@@ -117,3 +102,35 @@ def load_model(folder: Path) -> tuple[Model, dict[str, Any]]:
     assert isinstance(network, Network)
     assert network.model is not None
     return network.model, facts
+
+
+class Scripted(nn.Module):
+    """A cell that says what it was told, from entry `after` on, and keeps its inputs."""
+
+    ny = 1
+
+    def __init__(self, script: Tensor, after: int, nu: int = 0) -> None:
+        super().__init__()
+        self.script, self.after, self.nu = nn.Parameter(script), after, nu
+        self.inputs: list[Tensor] = []
+
+    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> int:
+        self.batch = len(y_warmup)
+        self.inputs = [] if u is None else [*u.unbind(dim=1)]
+        return self.after
+
+    def step(self, h: int, y: Tensor, u: Tensor | None = None) -> int:
+        if u is not None:
+            self.inputs.append(u)
+        return h + 1
+
+    def observe(self, h: int) -> Tensor:
+        return self.script[h].expand(self.batch, 1)
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change the description of a saved forecaster."""
+    path = folder / "forecaster.json"
+    description = json.loads(path.read_text())
+    change(description)
+    path.write_text(json.dumps(description))

@@ -101,16 +101,3 @@ def test_the_page_of_public_benchmarks_is_made_of_their_files(
     page = importlib.import_module("benchmarks.public_page")
     folder = ROOT / "docs/results/benchmarks"
     assert folder.with_suffix(".md").read_text(encoding="utf-8") == page.made(folder)
-
-
-def test_the_table_of_the_clock_has_medians_and_ranges(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT))
-    clock = importlib.import_module("benchmarks.clock")
-    rows = [
-        {"record": "tanks", "asked": 30.0, "beside": 0, "used": used, "took": used,
-         "in_trainings": 0.5, "recommended": "gru", "errors": [error]}
-        for used, error in ((28.0, 0.3), (29.0, 0.2), (31.0, 0.7))
-    ]  # fmt: skip
-    _, line = clock.table(rows)
-    said = ["tanks", "0", "30s", "29s", "31s", "50%", "0.3", "(0.2", "to", "0.7)", "gru,", "3"]
-    assert line.split()[:-1] == said

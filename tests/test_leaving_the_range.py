@@ -29,6 +29,11 @@ from tests.support import compare
         ([[0, 0], [2, 20]], [[4, 40], [1, 10], [1, -21]], 2),
         ([[0, 0], [2, 20]], [[4, 40], [-3, 10], [1, -21]], 1),
         ([[0, NAN], [NAN, 0], [2, 20]], [[4, 40], [5, 10]], 1),
+        # What was constant is left by what is no number.
+        ([7, NAN, 7], [7, 7.001, -1e6], None),
+        ([7, NAN, 7], [7, 8, NAN], 2),
+        ([7, NAN, 7], [7, np.inf], 1),
+        ([7, NAN, 7], [-np.inf], 0),
     ],
 )
 def test_a_prediction_leaves_three_times_the_range_of_the_training_samples(
@@ -38,17 +43,6 @@ def test_a_prediction_leaves_three_times_the_range_of_the_training_samples(
     if first.ndim == 1:
         first, second = first[:, None], second[:, None]
     assert leaves_range(first, second) == leaves
-
-
-@pytest.mark.parametrize(
-    ("prediction", "leaves"),
-    [([7, 7.001, -1e6], None), ([7, 8, NAN], 2), ([7, np.inf], 1), ([-np.inf], 0)],
-)
-def test_a_channel_that_was_constant_is_left_by_what_is_no_number(
-    prediction: Any, leaves: int | None
-) -> None:
-    constant = np.array([[7.0], [NAN], [7.0]])
-    assert leaves_range(constant, np.array(prediction, dtype=np.float64)[:, None]) == leaves
 
 
 def test_a_run_says_when_its_forecast_leaves_the_range_of_what_was_measured() -> None:

@@ -1,4 +1,4 @@
-"""Error measures against closed forms."""
+"""Error measures against closed forms, of what was measured."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from splitband.metrics import cumulative_rmse, fit_percent, nrmse, rmse
+from splitband.metrics import cumulative_rmse, fit_percent, nrmse, rmse, spread
+from tests.records import NAN, error_of
 
 Array = npt.NDArray[Any]
 
-THREE_FOUR: Array = np.array([3.0, 4.0])
 METRICS: list[Callable[..., Any]] = [rmse, cumulative_rmse, nrmse, fit_percent]
 
 shapes = hnp.array_shapes(min_dims=1, max_dims=2, max_side=30)
@@ -23,26 +23,6 @@ arrays = hnp.arrays(np.float64, shapes, elements=st.floats(-1e3, 1e3))
 
 def noise(*shape: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).standard_normal(shape)
-
-
-def test_rmse_of_known_errors() -> None:
-    assert rmse([0, 0, 0, 0], [1, -1, 1, -1]) == 1
-    assert rmse([1, 2], [4, 6]) == pytest.approx(np.sqrt(12.5))
-
-
-def test_errors_of_channels_add_up_as_a_euclidean_norm() -> None:
-    y = noise(40, 2)
-    assert rmse(y, y + THREE_FOUR) == pytest.approx(5)
-    np.testing.assert_allclose(cumulative_rmse(y, y + THREE_FOUR), 5)
-    assert rmse(y, np.zeros_like(y)) ** 2 == pytest.approx(
-        sum(rmse(channel, np.zeros(40)) ** 2 for channel in y.T)
-    )
-
-
-def test_cumulative_rmse_of_known_errors() -> None:
-    np.testing.assert_allclose(
-        cumulative_rmse(np.zeros(4), [2, 0, 0, 2]), np.sqrt([4, 2, 4 / 3, 2])
-    )
 
 
 @given(y=arrays, scale=st.floats(0.01, 100), shift=st.floats(-100, 100))
@@ -62,15 +42,6 @@ def test_nrmse_of_the_mean_is_one(shape: tuple[int, ...]) -> None:
     mean = np.broadcast_to(y.mean(axis=0), shape)
     assert nrmse(y, mean) == pytest.approx(1)
     assert fit_percent(y, mean) == pytest.approx(0, abs=1e-9)
-
-
-def test_nrmse_divides_by_the_population_standard_deviation() -> None:
-    y = noise(50)
-    assert nrmse(y, y + 2) == pytest.approx(2 / y.std())
-    channels = noise(50, 2)
-    assert nrmse(channels, channels + THREE_FOUR) == pytest.approx(
-        5 / np.sqrt(channels.var(axis=0).sum())
-    )
 
 
 @pytest.mark.parametrize(("error", "fit"), [(0.0, 100.0), (0.25, 75.0), (3.0, -200.0)])
@@ -114,10 +85,38 @@ def test_a_constant_record_has_no_nrmse_and_no_fit(constant: float) -> None:
     assert np.isnan(fit_percent(y, np.ones(1000)))
 
 
-def test_each_output_has_a_fit() -> None:
-    y, prediction = noise(50, 2), noise(50, 2, seed=1)
-    y[10:20, 0] = np.nan
-    known = ~np.isnan(y[:, 0])
-    expected = [fit_percent(y[known, 0], prediction[known, 0]),
-                fit_percent(y[:, 1], prediction[:, 1])]  # fmt: skip
-    np.testing.assert_allclose(fit_percent(y, prediction), expected)
+with_missing = st.tuples(st.integers(1, 15), st.integers(1, 3)).flatmap(
+    lambda shape: st.tuples(
+        hnp.arrays(np.float64, shape, elements=st.floats(-1e3, 1e3)),
+        hnp.arrays(np.float64, shape, elements=st.floats(-1e3, 1e3)),
+        hnp.arrays(np.bool_, shape),
+    )
+)
+
+
+@given(drawn=with_missing)
+def test_errors_count_what_was_measured(drawn: tuple[Array, Array, npt.NDArray[np.bool_]]) -> None:
+    y, prediction, missing = drawn
+    y = np.where(missing, NAN, y)
+    assert rmse(y, prediction) == pytest.approx(error_of(y, prediction), nan_ok=True)
+    cumulative = cumulative_rmse(y, prediction)
+    expected = [error_of(y[:n], prediction[:n]) for n in range(1, len(y) + 1)]
+    np.testing.assert_allclose(cumulative, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_prediction_that_is_no_number_is_no_gap() -> None:
+    prediction = np.array([0.0, NAN, 0.0])
+    assert np.isnan(rmse([0.0, 0.0, NAN], prediction))
+    assert rmse([0.0, NAN, 3.0], prediction) == pytest.approx(np.sqrt(4.5))
+
+
+def test_the_spread_is_that_of_what_was_measured() -> None:
+    y = np.array([[1.0, 0.1, NAN], [NAN, NAN, 7.0], [2.0, 0.1, NAN], [6.0, 0.1, NAN]])
+    seen = [[1.0, 2.0, 6.0], [0.1] * 3, [7.0]]
+    means = [sum(values) / len(values) for values in seen]
+    deviation = np.sqrt(sum((v - means[0]) ** 2 for v in seen[0]) / 3)
+    np.testing.assert_allclose(spread(y), [deviation, 1, 1])  # 1 for what is constant
+    assert fit_percent(y, np.full(y.shape, 4.0))[0] == pytest.approx(
+        100 * (1 - np.sqrt((9 + 4 + 4) / 3) / deviation)
+    )
+    assert nrmse(y[:, 0], np.full(4, 4.0)) == pytest.approx(np.sqrt((9 + 4 + 4) / 3) / deviation)

@@ -72,12 +72,9 @@ def test_the_wheel_and_its_extras_are_installed_into_an_empty_environment(
     run(tmp_path / "own/bin/splitband", "doctor", folder=tmp_path)
 
 
-def test_the_citation_is_of_this_version() -> None:
+def test_the_citation_and_the_changelog_are_of_this_version() -> None:
     cited = (ROOT / "CITATION.cff").read_text().splitlines()
     assert f"version: {sb.__version__}" in cited
-
-
-def test_the_changelog_has_this_version() -> None:
     assert f"\n## {sb.__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 

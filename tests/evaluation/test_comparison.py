@@ -7,17 +7,15 @@ import pytest
 import scipy
 
 from splitband import Record, Settings
-from splitband.evaluation.comparison import median_fit
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
-from splitband.forecasters.backtest import Origin, Question, backtest, for_trial, held_out_origins
+from splitband.forecasters.backtest import Origin, Question, backtest, for_trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
 from splitband.metrics import channel_rmse
-from splitband.report.pictures import rollouts
 from tests.records import Setup
-from tests.support import compare, forecasters
+from tests.support import compare
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
 SETUP = Setup(
@@ -35,13 +33,6 @@ def record(seed: int = 0, noise: float = 0.05) -> Record:
     y = np.sin(2 * np.pi * 0.2 * t) + 0.4 * np.sin(2 * np.pi * 1.13 * t)
     y_sim = 0.5 * y + 0.3
     return Record(y + noise * rng.standard_normal(y.shape), DT, y_true=y, y_sim=y_sim)
-
-
-def test_the_held_out_part_is_the_end_of_the_training_part() -> None:
-    network, quick = forecasters(["gru", "mean"], SETUP)
-    part = record()[:TRAIN]
-    assert held_out_origins(network, part) == [Origin(90, at) for at in (90, 100, 110)]
-    assert held_out_origins(quick, part) == [Origin(n, n) for n in (90, 96, 102, 108, 60, 75)]
 
 
 def test_the_trial_scores_by_what_was_measured() -> None:
@@ -142,13 +133,6 @@ def test_a_network_has_to_be_a_tenth_better_than_what_needs_no_training(
     assert trial.best_network == "gru"
 
 
-def test_what_is_not_fitted_in_the_end_cannot_be_recommended() -> None:
-    scores = {"harmonic": 0.1, "mean": 1.0}
-    trial = Trial({n: (s,) for n, s in scores.items()}, scores, frozenset())
-    assert trial.recommended == "harmonic"
-    assert replace(trial, final={"mean": np.zeros((5, 1))}).recommended == "mean"
-
-
 def test_what_draws_nothing_runs_once() -> None:
     fits = compare(record(), ["gru", "mean"], SETUP, seeds=2).fits
     assert [fit.seed for fit in fits["gru"]] == [0, 1]
@@ -212,32 +196,6 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     assert interval.half_widths(1).max() < 0.15
 
 
-def test_a_seed_that_goes_astray_hardly_moves_the_median() -> None:
-    """The error is that of the median prediction, not the median of the errors."""
-    r = record()
-    assert r.y_true is not None
-    compared = compare(r, ["mean"], SETUP)
-    (fit,) = compared.fits["mean"]
-    off = [(300.0, 0.1), (0.0, 0.2), (-0.2, -50.0)]
-    fits = [
-        replace(
-            fit,
-            forecasts={
-                origin: replace(each, y=r.y_true[origin.at :] + apart)
-                for (origin, each), apart in zip(fit.forecasts.items(), of_seed, strict=True)
-            },
-            seconds=2.0,
-        )
-        for of_seed in off
-    ]
-    median = median_fit(fits)
-    np.testing.assert_allclose(median.from_start.y, r.y_true[WARMUP:], atol=1e-12)
-    np.testing.assert_allclose(median.ahead, r.y_true[TRAIN:] + 0.1, atol=1e-12)
-    assert compared.errors(median).total == pytest.approx(0, abs=1e-12)
-    assert compared.errors(median).forecast == pytest.approx(0.1)
-    assert median.seconds == 6.0
-
-
 def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
     r = record()
     units = np.array([1.0, 1e4])
@@ -248,11 +206,3 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
         assert np.linalg.norm(of_channels) == pytest.approx(compared.errors(found).total)
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
-    picture = rollouts(compared)
-    for ax in picture.axes:
-        if not ax.lines:
-            continue
-        low, high = ax.get_ylim()
-        seen = both.y[:, int(low > 1e3)]
-        assert low < seen.min() < seen.max() < high
-        assert high - low < 2 * np.ptp(seen)

@@ -19,7 +19,6 @@ from splitband.forecasters.learned import Single
 from splitband.forecasters.names import Sizes
 from splitband.forecasters.simulation import Calibrated
 from splitband.models import Residual
-from splitband.report.results import results
 from splitband.training import fit
 from tests.records import Setup
 from tests.support import compare
@@ -63,25 +62,6 @@ def test_a_training_that_diverges_later_is_still_found() -> None:
         fit(Residual(GRU(8, 1)), RECORD[:TRAIN], late)
 
 
-def test_a_method_that_diverges_does_not_end_the_others() -> None:
-    found = compare(RECORD, [DIVERGING, "filtered-gru", "persistence"], SETUP)
-    assert [*found.fits] == ["filtered-gru", "persistence"]
-    failed = found.require_trial().failed
-    assert [*failed] == ["gru"]
-    assert "training of the network diverged in epoch 1" in failed["gru"]
-
-
-@pytest.mark.usefixtures("broken_mean")
-def test_a_baseline_that_raises_is_neither_tried_nor_recommended() -> None:
-    methods = ["mean", "persistence", CALIBRATED]
-    found = compare(RECORD, methods, SETUP)
-    trial = found.require_trial()
-    assert trial.failed == {"mean": "SVD did not converge"}
-    assert {*trial.errors} == {*trial.final} == {"persistence", CALIBRATED}
-    assert found.recommended == CALIBRATED
-    assert results(found)["methods"]["mean"] == {"failed": "SVD did not converge"}
-
-
 def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -96,21 +76,6 @@ def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
     found = compare(RECORD, methods, SETUP)
     assert (found.recommended, [*found.require_trial().failed]) == ("persistence", [CALIBRATED])
     assert CALIBRATED in found.require_trial().scores
-
-
-def test_of_several_seeds_those_that_could_be_fitted_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def diverging(*arguments: Any) -> Any:
-        if arguments[3] == 1:
-            raise FloatingPointError("diverged")
-        return fit(*arguments)
-
-    monkeypatch.setattr("splitband.training.fit", diverging)
-    found = compare(RECORD, ["gru"], SETUP, seeds=3)
-    assert [fit.seed for fit in found.fits["gru"]] == [0, 2]
-    assert found.fits["gru"][0].description.endswith("; seed 1 failed: diverged")
-    assert found.require_trial().failed == {}
 
 
 def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

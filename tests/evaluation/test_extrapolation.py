@@ -1,6 +1,5 @@
 """Inputs that go beyond what was seen of them in training are said to."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +8,10 @@ import pandas as pd
 import pytest
 
 from splitband import GRU, Record, Settings, Single, load
-from splitband.cli import main
 from splitband.metrics import ExtrapolationWarning, extrapolations
+from tests.cli.support import call, results
 
 LENGTH, TRAIN = 120, 80
-QUICK = ["--epochs", "1", "--window", "30", "--warmup", "10", "--seeds", "1", "--jobs", "1"]
 
 
 def record(u: npt.NDArray[np.float64]) -> pd.DataFrame:
@@ -53,60 +51,32 @@ def test_a_forecaster_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path)
 
 
 def test_commands_warn_of_inputs_beyond_training(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(1)
     force = np.r_[rng.uniform(-1, 1, TRAIN), rng.uniform(-1, 1, 20), np.full(20, 50.0)]
-    record(force).to_csv(tmp_path / "record.csv", index=False)
-    record(force[:TRAIN]).to_csv(tmp_path / "past.csv", index=False)
-    record(force)[TRAIN:].to_csv(tmp_path / "future.csv", index=False)
-    known = ["--inputs", "force"]
+    record(force).to_csv("record.csv", index=False)
+    record(force)[:TRAIN].to_csv("past.csv", index=False)
+    record(force)[TRAIN:].to_csv("future.csv", index=False)
     said = "input force is beyond its range in training"
+    quick = "--epochs 1 --window 30 --warmup 10"
+    ahead = "--future-inputs future.csv --steps 40"
 
-    arguments = [str(tmp_path / "record.csv"), *known, "--train", str(TRAIN), *QUICK]
-    out = ["--methods", "gru,mean", "--out", str(tmp_path / "out")]
-    assert main(["compare", *arguments, *out]) == 0
-    assert f"{said}" in (shown := capsys.readouterr().out)
-    assert "from sample 20 on, up to 50" in shown
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert [e["after"] for e in results["inputs_beyond_training"]] == [20]
-
-    ahead = ["--future-inputs", str(tmp_path / "future.csv"), "--steps", "40"]
-    past = str(tmp_path / "past.csv")
-    method = [
-        "--method",
-        "gru",
-        "--epochs",
-        "1",
-        "--seeds",
-        "1",
-        "--out",
-        str(tmp_path / "forecast"),
-    ]
-    assert main(["forecast", past, *known, *ahead, *method]) == 0
-    assert said in capsys.readouterr().out
-    results = json.loads((tmp_path / "forecast" / "results.json").read_text())
-    assert results["inputs_beyond_training"][0]["farthest"] == 50.0
-
-    model = str(tmp_path / "model")
-    fitted = ["--method", "gru", "--epochs", "1", "--window", "30", "--warmup", "10"]
-    assert main(["fit", past, *known, *fitted, "--out", model]) == 0
-    capsys.readouterr()
-    simulated = ["--history", past, *ahead, "--out", str(tmp_path / "y.csv")]
-    assert main(["simulate", model, *simulated]) == 0
+    call(f"compare record.csv --inputs force --train {TRAIN} {quick} --seeds 1 --jobs 1 "
+         "--methods gru,mean", Path("out"))  # fmt: skip
     shown = capsys.readouterr().out
     assert said in shown
     assert "from sample 20 on, up to 50" in shown
+    assert [e["after"] for e in results(Path("out"))["inputs_beyond_training"]] == [20]
 
+    call(
+        f"forecast past.csv --inputs force {ahead} --method gru --epochs 1 --seeds 1", Path("next")
+    )
+    assert said in capsys.readouterr().out
+    assert results(Path("next"))["inputs_beyond_training"][0]["farthest"] == 50.0
 
-def test_commands_say_nothing_of_inputs_within_their_range(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    force = np.random.default_rng(1).uniform(-1, 1, LENGTH)
-    record(force).to_csv(tmp_path / "record.csv", index=False)
-    arguments = [str(tmp_path / "record.csv"), "--inputs", "force", "--train", str(TRAIN), *QUICK]
-    out = ["--methods", "gru,mean", "--out", str(tmp_path / "out")]
-    assert main(["compare", *arguments, *out]) == 0
-    assert "beyond its range" not in capsys.readouterr().out
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert results["inputs_beyond_training"] == []
+    call(f"fit past.csv --inputs force --method gru {quick}", Path("model"))
+    capsys.readouterr()
+    call(f"simulate model --history past.csv {ahead}", Path("y.csv"))
+    assert said in capsys.readouterr().out

@@ -1,8 +1,7 @@
 """Intervals around forecasts: what they hold, and how they grow."""
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from splitband import Forecaster, Known
 from splitband.data import Record
 from splitband.evaluation.run import compare
 from splitband.forecasters.intervals import HeldOut, Interval
+from tests.records import LENGTH, SETUP, TRAIN, holed, with_gaps
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50
@@ -160,22 +160,16 @@ def test_one_error_is_enough() -> None:
     assert widths.min() > 1
 
 
-def test_it_survives_json() -> None:
-    interval = of_errors([np.tile(errors(200, 0.01, 5), 2)], np.hstack([RECORD, RECORD]))
-    facts = json.loads(json.dumps(asdict(interval)))
-    np.testing.assert_array_equal(Interval(**facts).half_widths(50), interval.half_widths(50))
-
-
 @pytest.mark.parametrize("share", [0.0, 1.0, -1.0])
 def test_a_share_outside_is_named(share: float) -> None:
     with pytest.raises(ValueError, match=f"share must lie between 0 and 1, got {share}"):
         of_errors([np.ones((3, 1))], RECORD, share)
 
 
-@pytest.mark.parametrize("none", [[], [np.empty((0, 1))]])
+@pytest.mark.parametrize("none", [[], [np.empty((0, 1))], [np.array([[1.0, np.nan]])]])
 def test_no_errors_are_named(none: list[Array]) -> None:
     with pytest.raises(ValueError, match="errors must have a sample at least"):
-        of_errors(none, RECORD)
+        of_errors(none, np.hstack([RECORD] * none[0].shape[1]) if none else RECORD)
 
 
 class Changing(Forecaster):
@@ -221,3 +215,46 @@ def test_noise_that_a_forecast_repeats_is_counted_once() -> None:
         widths.append(interval.half_widths(600).mean() / np.quantile(abs(left), 0.9))
     assert 0.85 <= np.mean(inside) <= 0.95
     assert np.mean(widths) <= 1.3
+
+
+def growing(samples: int, ny: int, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((samples, ny)) * (1 + 0.01 * np.arange(samples))[:, None]
+
+
+def test_an_interval_is_fitted_to_the_errors_that_are_known() -> None:
+    y = 50 * np.random.default_rng(9).standard_normal((1000, 2))
+    parts = [growing(150, 2, seed) for seed in range(3)]
+    ends = [holed(part, slice(100 + i, None)) for i, part in enumerate(parts)]
+    cut = of_errors([part[: 100 + i] for i, part in enumerate(parts)], y)
+    found = of_errors(ends, y).half_widths(500)
+    np.testing.assert_allclose(found, cut.half_widths(500), rtol=1e-9)
+    # What is known counts at its own horizon: with holes it is nearly the same interval, which it
+    # is not when the samples after a hole move into it.
+    scattered = [holed(holed(p, slice(3, 40), channel=0), 0, 77, channel=1) for p in parts]
+    found, whole = (of_errors(each, y).half_widths(150)[50:] for each in (scattered, parts))
+    np.testing.assert_allclose(found, whole, rtol=0.05)
+    closed = [p[~np.isnan(p[:, 0])][:, :1] for p in scattered]
+    moved = of_errors(closed, y[:, :1]).half_widths(150)[50:, 0]
+    assert (moved > 1.1 * whole[:, 0]).all()
+
+
+def test_the_coverage_is_a_share_of_the_errors_that_are_known() -> None:
+    interval = Interval((1.0, 2.0), (0.5, 0.0), (None, 9.0))
+    left = holed(holed(growing(80, 2, 5), slice(20, 33)), 60, channel=1)
+    known = inside = 0
+    for n, row in enumerate(left):
+        for error, half in zip(row, (np.sqrt(n + 1), 2.0), strict=True):
+            known += not np.isnan(error)
+            inside += abs(error) <= half
+    assert 0 < inside < known
+    assert interval.coverage(left) == pytest.approx(inside / known)
+
+
+def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:
+    y = holed(np.random.default_rng(6).standard_normal((LENGTH, 1)), slice(20, 60))
+    apart = np.sqrt(2) * NORMAL
+    interval = (
+        compare(with_gaps(y), TRAIN, ["mean"], **SETUP.options).require_trial().intervals["mean"]
+    )
+    assert interval.most[0] == pytest.approx(apart * np.nanstd(y[:TRAIN]))

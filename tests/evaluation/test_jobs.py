@@ -11,12 +11,12 @@ from threading import Event
 import numpy as np
 import pytest
 
-from splitband import GRU, Known, Ode, Record, Residual, Simulation
+from splitband import GRU, Known, Ode, Residual, Simulation
 from splitband.evaluation.jobs import LATE, Job, Runner
 from splitband.forecasters.backtest import Fit, Origin, Question
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.deadlines import NEVER, Deadline
-from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, record
+from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
 
@@ -79,6 +79,7 @@ def others() -> Iterator[tuple[str, Job]]:
     yield "seed", job(seed=1)
     yield "method", job("residual-gru")
     yield "sample", job(record=replace(record(), y=y))
+    yield "gap", job(record=replace(record(), measured=y != y[50]))
     yield "test", job(tests=[record(seed=2)])
     yield "more", job(others=[record(seed=3)])
     yield "end", job(end=LENGTH - 1)
@@ -167,14 +168,6 @@ def test_a_simulator_that_cannot_be_told_from_another_is_not_kept(tmp_path: Path
     asked = replace(job(), forecaster=hybrid)
     assert run(asked, tmp_path)[0].model is not None
     assert not [*tmp_path.iterdir()]
-
-
-def test_a_record_with_gaps_is_told_from_one_without(tmp_path: Path) -> None:
-    y = record().y.copy()
-    y[50] = np.nan
-    holed = Record.with_gaps(y, DT)
-    filled = replace(holed, y=np.nan_to_num(y), measured=None)
-    assert job("gru", record=holed, tests=[]).key != job("gru", record=filled, tests=[]).key
 
 
 def test_nobody_waits_for_workers_to_load_and_compile(

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
-from splitband import Record, Settings, Sizes
+from splitband import Settings, Sizes
 from splitband.evaluation.candidates import FIRST_ROUND
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import plan
@@ -169,12 +168,6 @@ def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
     assert all(job.start is None for job, _ in search.finals())
 
 
-def test_further_choices_take_half_of_the_time_that_is_left() -> None:
-    search, trainer = searching(["state-space"]), Trainer(lambda job, n: 0.5**n, seconds=2.0)
-    trainer.run(search, 2, left=12.0)
-    assert [len(jobs) for jobs in trainer.rounds] == [1, 3]
-
-
 def test_the_seed_of_a_comparison_is_that_of_its_trainings() -> None:
     search = searching(["gru"], seed=7)
     assert {job.seed for job in search.ask()} == {7 * MOST_MEMBERS}
@@ -187,9 +180,3 @@ def test_sizes_are_searched_unless_given(short: bool) -> None:
     trainer.run(search, 2)
     sizes = {job.forecaster.cell.hidden_size for jobs in trainer.rounds for job in jobs}  # type: ignore[attr-defined]
     assert (len(sizes) > 1) == short
-
-
-def test_a_record_that_is_too_short_for_a_network_says_so() -> None:
-    few = Record(np.sin(np.arange(40.0)), 0.1)
-    search = Search(plan(few, 12, ["gru", "mean"], rounds=1))
-    assert len(search.ask()) == 1

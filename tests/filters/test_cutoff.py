@@ -77,14 +77,6 @@ def test_the_cutoff_lies_between_a_strong_slow_and_a_weak_fast_sinusoid(
     assert candidate.loss <= MOST_LOST
 
 
-def test_no_lower_cutoff_would_have_done() -> None:
-    choice = choose(sine(0.2) + sine(1.5, 0.5), RATE, WARMUP)
-    assert choice.order == 1
-    lower = [c for c in choice.candidates if c.cutoff < choice.cutoff and c.order == 1]
-    assert lower
-    assert all(c.passed < LEAST_PASSED or c.loss > MOST_LOST for c in lower)
-
-
 def test_a_low_band_that_would_be_aliased_is_not_thinned_out() -> None:
     assert choose(sine(0.1), RATE, 200).downsampling == MOST_DOWNSAMPLING
     assert choose(sine(0.1), RATE, 40).downsampling == 4  # of which a warm-up keeps ten
@@ -154,29 +146,11 @@ def test_a_record_without_a_low_band_gets_the_most_of_it_that_there_is() -> None
     assert "no cut-off leaves half of the power in the low band" in choice.reason
 
 
-def test_what_an_order_cannot_be_designed_for_is_left_out() -> None:
-    y = np.random.default_rng(0).standard_normal((8000, 1))
-    choice = choose(y, RATE, WARMUP, order=4)
-    assert choice.order == 4
-    assert 0 < len(choice.candidates) < 24
-
-
 def test_a_higher_order_is_for_bands_that_order_one_does_not_part() -> None:
     y = sine(0.25) + sine(1.0)
     assert choose(y, RATE, WARMUP, downsampling=4).order == 2
     assert all(c.loss > MOST_LOST or c.passed < LEAST_PASSED
                for c in choose(y, RATE, WARMUP, order=1, downsampling=4).candidates)  # fmt: skip
-
-
-def test_each_rejection_says_why() -> None:
-    choice = choose(sine(0.2) + sine(1.5, 0.5), RATE, WARMUP)
-    for c in choice.candidates:
-        if c.passed < LEAST_PASSED:
-            assert "passes" in c.rejected
-        elif c.loss > MOST_LOST:
-            assert "lost" in c.rejected
-        elif c.rejected:
-            assert c.cutoff >= choice.cutoff or c.order > choice.order
 
 
 def test_a_simulator_has_the_say_up_to_where_it_agrees() -> None:

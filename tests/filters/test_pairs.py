@@ -49,27 +49,21 @@ def stable_filter(radii: list[float], angles: list[float]) -> Array:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("start", ONE_WAY)
-def test_combine_one_way_is_the_sum_of_two_scipy_filters(order: int, start: Start) -> None:
-    pair = ComplementaryPair.butterworth(CUTOFF, RATE, order, zero_phase=False, start=start)
+@pytest.mark.parametrize(
+    ("zero_phase", "start"),
+    [*((False, start) for start in ONE_WAY), *((True, start) for start in BOTH_WAYS)],
+)
+def test_combine_is_the_sum_of_two_scipy_filters(
+    order: int, zero_phase: bool, start: Start
+) -> None:
+    scipys = scipy_both_ways if zero_phase else scipy_one_way
+    pair = ComplementaryPair.butterworth(CUTOFF, RATE, order, zero_phase=zero_phase, start=start)
     low, high = noise(101, 2), noise(101, 2, seed=1)
-    expected = scipy_one_way(pair.b_low, pair.a, low, start) + scipy_one_way(
-        pair.b_high, pair.a, high, start
-    )
+    expected = scipys(pair.b_low, pair.a, low, start) + scipys(pair.b_high, pair.a, high, start)
     np.testing.assert_allclose(pair.combine(low=low, high=high), expected, atol=TIGHT, rtol=0)
-    again = pair.combine(low=low, high=high, first=expected[:order])
-    np.testing.assert_allclose(again, expected, atol=TIGHT, rtol=0)
-
-
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("start", BOTH_WAYS)
-def test_combine_both_ways_is_the_sum_of_two_scipy_filters(order: int, start: Start) -> None:
-    pair = ComplementaryPair.butterworth(CUTOFF, RATE, order, start=start)
-    low, high = noise(101, 2), noise(101, 2, seed=1)
-    expected = scipy_both_ways(pair.b_low, pair.a, low, start) + scipy_both_ways(
-        pair.b_high, pair.a, high, start
-    )
-    np.testing.assert_allclose(pair.combine(low=low, high=high), expected, atol=TIGHT, rtol=0)
+    if not zero_phase:
+        again = pair.combine(low=low, high=high, first=expected[:order])
+        np.testing.assert_allclose(again, expected, atol=TIGHT, rtol=0)
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -192,17 +186,6 @@ def test_any_stable_filter_is_completed_to_the_identity(
     np.testing.assert_allclose(low if band == "low" else high, expected, atol=tolerance, rtol=0)
 
 
-def test_the_third_order_pair_does_not_add_up_one_way() -> None:
-    pair = ComplementaryPair.butterworth(CUTOFF, RATE, 3, zero_phase=False)
-    freqs = np.append(np.linspace(0.01, 4.99, 500), CUTOFF)
-    low, high = pair.response(freqs)
-    gap = abs(low + high - 1)
-    assert gap.max() == pytest.approx(2, abs=1e-9)
-    assert freqs[gap.argmax()] == CUTOFF
-    y = np.cos(2 * np.pi * CUTOFF * np.arange(2000) / RATE)
-    assert abs(pair.reconstruction_error(y))[500:].max() == pytest.approx(2, abs=0.05)
-
-
 @pytest.mark.parametrize("order", ORDERS)
 def test_powers_of_a_butterworth_pair_add_up_to_one(order: int) -> None:
     freqs = np.linspace(0, RATE / 2, 101)
@@ -212,9 +195,6 @@ def test_powers_of_a_butterworth_pair_add_up_to_one(order: int) -> None:
     low, high = ComplementaryPair.butterworth(CUTOFF, RATE, order).response(freqs)
     assert not np.iscomplexobj(low)
     np.testing.assert_allclose(low + high, 1, atol=1e-9)
-    np.testing.assert_allclose(
-        ComplementaryPair.butterworth(CUTOFF, RATE, order).response(CUTOFF)[0], 0.5, atol=1e-9
-    )
 
 
 @pytest.mark.parametrize(

@@ -57,8 +57,11 @@ MADE: dict[str, Callable[[], Forecaster]] = {
     "residual of a residual": lambda: sb.Residual(
         sb.Residual(None, GRU(3), settings=SETTINGS), GRU(3), settings=SETTINGS
     ),
-    "residual of a network": lambda: sb.Residual(
-        sb.Single(GRU(3), SETTINGS), GRU(3), settings=SETTINGS
+    "residual of a network called network": lambda: sb.Residual(
+        sb.Single(GRU(3), SETTINGS, name="network"), GRU(3), settings=SETTINGS
+    ),
+    "networks of different sizes": lambda: sb.Ensemble(
+        [sb.Single(GRU(2), SETTINGS), sb.Single(GRU(3), SETTINGS)]
     ),
     "ensemble": lambda: sb.Ensemble(sb.Single(GRU(3), SETTINGS), 3),
     "ensemble of residuals of networks": lambda: sb.Ensemble(

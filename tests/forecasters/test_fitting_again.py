@@ -36,25 +36,6 @@ def test_it_is_as_if_it_had_not_been_fitted_before(
     np.testing.assert_array_equal(again.clone().fit(fast).predict(30).y, expected)
 
 
-def test_the_options_stay_as_they_were_given() -> None:
-    model = OPEN["part of the bands"].clone().fit(tones(0.05))
-    assert isinstance(model, sb.Split)
-    assert model.bands == Bands(order=2)
-    assert model._trained_in is not None
-    assert model._trained_in.order == 2
-    assert model._trained_in.complete
-
-
-@pytest.mark.parametrize("bands", [Bands(cutoff=2.0), Bands(order=2), Bands(downsampling=3)])
-def test_bands_that_are_given_in_part_are_completed_to_suit_it(bands: Bands) -> None:
-    """Not by a choice that was made for another cut-off."""
-    model = sb.Split(GRU(3), GRU(3), bands, settings=SETTINGS)
-    usual = Bands(0.5, 1, 5)
-    shared = model._with_defaults(SETTINGS, usual)
-    assert shared.bands == bands
-    assert sb.Split(GRU(3), GRU(3))._with_defaults(SETTINGS, usual).bands == usual
-
-
 def test_the_interval_knows_nothing_of_what_is_held_out() -> None:
     """The bands of its fits are chosen by three quarters, as those of a comparison would be."""
     record = tones(0.05)

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
 import splitband as sb
-from splitband import GRU, Forecaster, Known, Record
-from splitband.forecasters.network import Network
+from splitband import GRU, Forecaster, Record
 from splitband.metrics import ExtrapolationWarning
 from tests.forecasters.support import (
     BANDS,
@@ -23,7 +21,6 @@ from tests.forecasters.support import (
     START,
     STEPS,
     TRAIN,
-    Array,
     fitted,
     record,
 )
@@ -50,23 +47,12 @@ def test_it_goes_on_from_the_end_of_the_training_record(name: str) -> None:
         ("residual of a residual", "residual-gru"),
         ("filtered, simulator of its own", "simulator, low band"),
         ("residual-gru-calibrated", "simulator"),
+        ("residual of a network called network", "base"),
     ],
 )
 def test_the_slow_component_of_a_hybrid_is_labelled_by_its_base(name: str, slow: str) -> None:
     band = ", high band" if "low band" in slow else ""
     assert [*fitted(name).predict(STEPS).components] == [slow, f"network{band}"]
-    network = fitted(name)
-    assert isinstance(network, Network)
-    before = network._unfiltered(STEPS, record()[:TRAIN])
-    assert [*before] == ([slow.removesuffix(", low band"), "network"] if band else [])
-
-
-def test_a_base_called_network_is_not_taken_for_the_network_beside_it() -> None:
-    base = sb.Single(GRU(3), SETTINGS, name="network")
-    hybrid = sb.Residual(base, GRU(3), settings=SETTINGS).fit(record()[:TRAIN], seed=1)
-    prediction = hybrid.predict(STEPS)
-    assert [*prediction.components] == ["base", "network"]
-    np.testing.assert_allclose(sum(prediction.components.values()), prediction.y, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", MADE)
@@ -101,12 +87,14 @@ def test_by_its_time_stamps_it_is_known_where_a_history_lies(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *("linear", "simulator-calibrated", "residual-periodic-gru"),
-        *("filtered, simulator of its own", "ensemble of hybrids"),
+        *("mean", "seasonal-naive", "harmonic", "linear", "simulator-calibrated", "gru"),
+        *("state-space", "split-gru-hp", "residual-periodic-gru", "filtered linear"),
+        *("filtered, simulator of its own", "ensemble of hybrids", "networks of different sizes"),
+        "ensemble of residuals of networks",
     ],
 )
-def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
-    """From its own end and from another history, with its interval."""
+def test_saved_and_loaded_it_says_the_same_to_the_bit(name: str, tmp_path: Path) -> None:
+    """From its own end and from another history, with its interval; and saves the same again."""
     saved = copy.copy(fitted(name))
     given = record()[:TRAIN]
     assert given.u_beyond is not None
@@ -121,17 +109,26 @@ def test_saved_and_loaded_it_says_the_same(name: str, tmp_path: Path) -> None:
         ]
 
     expected = asked(saved)
-    saved.save(tmp_path / "model")
-    loaded = sb.load(tmp_path / "model")
+    saved.save(tmp_path / "deep" / "one")
+    loaded = sb.load(tmp_path / "deep" / "one")
+    assert repr(loaded) == repr(saved)
     assert (loaded.name, loaded.needs, loaded.random) == (saved.name, saved.needs, saved.random)
     assert loaded.describe() == saved.describe()
     for one, other in zip(asked(loaded), expected, strict=True):
         for what in ("y", "lower", "upper"):
             np.testing.assert_array_equal(getattr(one, what), getattr(other, what))
+        assert [*one.components] == [*other.components]
         assert (one.time == other.time).all()
         assert (one.lower < one.y).all()
         assert (one.y < one.upper).all()
         assert one.level == 0.9
+    loaded.save(tmp_path / "two")
+    first, second = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+        for folder in ("deep/one", "two")
+    )
+    assert first == second
+    assert len(first) == 2
 
 
 def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_path: Path) -> None:
@@ -173,50 +170,15 @@ def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
     assert not np.array_equal(other.predict(STEPS).y, expected)
 
 
-def test_an_ensemble_says_the_median_of_its_members() -> None:
-    ensemble = fitted("ensemble")
-    members = [sb.Single(GRU(3), SETTINGS).fit(record()[:TRAIN], seed=s) for s in (3, 4, 5)]
-    expected = np.median([member.predict(STEPS).y for member in members], axis=0)
-    np.testing.assert_allclose(ensemble.predict(STEPS).y, expected, rtol=0, atol=1e-12)
-
-
-def test_fitting_again_forgets_what_came_before() -> None:
-    forecaster = sb.Mean().fit(record()[:TRAIN])
-    wide = forecaster.predict(STEPS, level=0.9)
-    again = forecaster.fit(record()[:30]).predict(STEPS, level=0.9)
-    assert not np.array_equal(again.y, wide.y)
-    expected = sb.Mean().fit(record()[:30]).predict(STEPS, level=0.9)
-    np.testing.assert_array_equal(again.lower, expected.lower)
-
-
-@pytest.mark.parametrize("name", ["split-gru-conditioned", "residual-periodic-gru"])
-def test_a_clone_is_not_fitted_and_leaves_the_original_as_it_is(name: str) -> None:
-    expected = fitted(name).predict(STEPS).y
-    other = fitted(name).clone()
-    assert other.fitted is None
-    other.fit(record()[:40], seed=3)
-    np.testing.assert_array_equal(fitted(name).predict(STEPS).y, expected)
-
-
-class Drift(Forecaster):
-    """The straight line through the first and the last measured sample goes on."""
-
-    name = "drift"
-
-    def extrapolate(self, known: Known) -> Array:
-        slope = (known.y[-1] - known.y[0]) / (len(known.y) - 1)
-        return known.y[-1] + slope * np.arange(1, known.steps + 1)[:, None]
-
-
-def test_a_forecaster_of_ones_own_needs_a_name_and_what_comes_next(tmp_path: Path) -> None:
-    line = Record(np.arange(40.0), DT, start=2.0)
-    forecaster = Drift().fit(line[:30])
-    found = forecaster.predict(10, level=0.9)
-    np.testing.assert_allclose(found.y, line.y[30:])
-    np.testing.assert_allclose(found.time, line.stamps[30:])
-    forecaster.save(tmp_path / "drift")
-    loaded = sb.load(tmp_path / "drift")
-    np.testing.assert_array_equal(loaded.predict(10, line[:35]).y[:5], line.y[35:])
+@pytest.mark.parametrize(
+    ("options", "seeds"), [({"count": 3}, (3, 4, 5)), ({"seeds": (0, 2)}, (3, 5))]
+)
+def test_an_ensemble_says_the_median_of_its_members(options: Any, seeds: tuple[int, ...]) -> None:
+    """Their seeds can be chosen; those of two fits share none."""
+    part, single = record()[:TRAIN], sb.Single(GRU(3), SETTINGS)
+    members = [single.clone().fit(part, seed=s).predict(STEPS).y for s in seeds]
+    found = sb.Ensemble(single, **options).fit(part, seed=1).predict(STEPS)
+    np.testing.assert_allclose(found.y, np.median(members, axis=0), rtol=0, atol=1e-12)
 
 
 def test_slices_know_what_is_known_after_them() -> None:
@@ -227,18 +189,6 @@ def test_slices_know_what_is_known_after_them() -> None:
     np.testing.assert_array_equal(part.u_beyond, r.u[TRAIN:])
     np.testing.assert_array_equal(part.beyond, r.y_sim[TRAIN:])
     np.testing.assert_array_equal(part[:20].u_beyond, r.u[30:])
-
-
-def test_a_history_that_is_shorter_than_a_warm_up_is_said() -> None:
-    with pytest.warns(sb.ExtrapolationWarning, match="the history has 3 of the 8 samples"):
-        fitted("gru").predict(5, record()[:3], other_record=True)
-
-
-def test_a_linear_model_begins_anew_where_inputs_in_between_are_not_known() -> None:
-    later = replace(record()[20:60], start=START + pd.Timedelta(seconds=100.0))
-    linear = fitted("linear")
-    expected = linear.predict(5, later, other_record=True).y
-    np.testing.assert_array_equal(linear.predict(5, later).y, expected)
 
 
 @pytest.mark.parametrize("several", [False, True])
@@ -274,17 +224,6 @@ def test_a_network_below_another_one_runs_from_the_beginning_of_a_long_record(
     np.testing.assert_array_equal(found, model.predict(STEPS).y)
 
 
-def test_the_seeds_of_an_ensemble_can_be_chosen() -> None:
-    """Those of two fits share none."""
-    part = record()[:TRAIN]
-    found = sb.Ensemble(sb.Single(GRU(3), SETTINGS), seeds=(0, 2)).fit(part, seed=1)
-    alone = [sb.Single(GRU(3), SETTINGS).fit(part, seed=s).predict(STEPS).y for s in (3, 5)]
-    np.testing.assert_allclose(found.predict(STEPS).y, np.mean(alone, axis=0), atol=1e-12)
-    for wrong in ((), (1, 1), (-1, 0)):
-        with pytest.raises(ValueError, match="seeds must be different numbers from 0 on"):
-            sb.Ensemble(sb.Mean(), seeds=wrong)
-
-
 def test_the_stamps_of_another_record_are_not_compared() -> None:
     """Dates in one, seconds in the other."""
     other = replace(record()[:30], start=7.0)
@@ -314,23 +253,6 @@ def test_before_the_training_record_a_simulator_begins_with_the_history() -> Non
         late.predict(STEPS, replace(known[:100], start=20.0))
 
 
-def test_a_saved_model_of_several_records_has_the_interval_that_was_asked_for(
-    tmp_path: Path,
-) -> None:
-    """Another one would be of the first record alone."""
-    parts = record()[:TRAIN], replace(record()[TRAIN:], start=None)
-    model = sb.Residual(None, GRU(3), settings=SETTINGS).fit(*parts, seed=0)
-    expected = model.predict(STEPS, level=0.8)
-    model.save(tmp_path / "model")
-    loaded, given = sb.load(tmp_path / "model"), record()[:TRAIN]
-    y_sim, u = given.beyond, given.u_beyond
-    found = loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
-    np.testing.assert_array_equal(found.upper, expected.upper)
-    loaded.held_out = None
-    with pytest.raises(ValueError, match="level must be left out for a model that was saved"):
-        loaded.predict(STEPS, level=0.8, u=u, y_sim=y_sim)
-
-
 def test_every_level_follows_from_forecasts_that_are_made_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -358,3 +280,6 @@ def test_every_level_follows_from_forecasts_that_are_made_once(
         np.testing.assert_array_equal(found.upper, upper)
     uppers = [loaded.predict(STEPS, u=u, level=level).upper for level in (0.5, 0.7, 0.9)]
     assert (np.diff(np.array(uppers), axis=0) > 0).all()
+    loaded.held_out = None  # another interval would be of the first record alone
+    with pytest.raises(ValueError, match="level must be left out for a model that was saved"):
+        loaded.predict(STEPS, level=0.8, u=u)

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import splitband as sb
+from tests.support import edit
 
 DT = 0.1
 TIME = DT * np.arange(80)
@@ -73,22 +74,7 @@ def test_a_size_that_was_forged_takes_no_memory(kind: str, forged: Any, tmp_path
     assert not loaded_or_refused(tmp_path)
 
 
-@pytest.mark.parametrize(("kind", "size"), [("single", 9_999), ("split", 1_000_000)])
-def test_a_template_that_is_not_that_of_the_weights_is_refused(
-    kind: str, size: int, tmp_path: Path
-) -> None:
-    MADE[kind]().fit(RECORD, seed=0).save(tmp_path)
-    path = tmp_path / "forecaster.json"
-    description = json.loads(path.read_text())
-    for part, key in places(description["forecaster"]):
-        if key == "hidden_size":
-            part[key] = size
-    path.write_text(json.dumps(description))
-    with pytest.raises(ValueError, match=r"hidden_size must be between|of the weights must be"):
-        sb.load(tmp_path)
-
-
-@pytest.mark.parametrize("kind", ["single", "ensemble", "residual"])
+@pytest.mark.parametrize("kind", ["ensemble", "residual"])
 def test_what_was_loaded_can_be_fitted_again(kind: str, tmp_path: Path) -> None:
     model = MADE[kind]().fit(RECORD, seed=1)
     model.save(tmp_path)
@@ -115,28 +101,21 @@ def test_a_cell_of_ones_own_may_compute_with_values(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.predict(9).y, model.predict(9).y)
 
 
-@pytest.mark.parametrize("delays", [[-1], [10**12], [0, 0]])
-def test_delays_that_no_fit_finds_are_refused(delays: list[int], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        *(({"delays": {"tuple": d}}, "delays must be") for d in ([-1], [10**12], [0, 0])),
+        *(({"late": {"tuple": d}}, "delays must be") for d in ([-1], [10**12], [0, 0])),
+        ({"root": 0}, "root must be an array, got '0'"),
+    ],
+)
+def test_what_no_fit_finds_is_refused(changes: dict[str, Any], said: str, tmp_path: Path) -> None:
     sb.Linear().fit(sb.Record(np.sin(TIME), DT, u=np.cos(TIME))).save(tmp_path)
-    path = tmp_path / "forecaster.json"
-    whole = path.read_text()
-    for place in ("forecaster", "model"):
-        description = json.loads(whole)
-        part = description["forecaster"]["fields"]
-        if place == "forecaster":
-            part["delays"] = {"tuple": delays}
-        else:
-            part["model"]["fields"]["late"] = {"tuple": delays}
-        path.write_text(json.dumps(description))
-        with pytest.raises(ValueError, match="delays must be"):
-            sb.load(tmp_path)
 
+    def change(description: dict[str, Any]) -> None:
+        fields = description["forecaster"]["fields"]
+        (fields if "delays" in changes else fields["model"]["fields"]).update(changes)
 
-def test_a_number_in_place_of_an_array_is_refused(tmp_path: Path) -> None:
-    sb.Linear().fit(sb.Record(np.sin(TIME), DT, u=np.cos(TIME))).save(tmp_path)
-    path = tmp_path / "forecaster.json"
-    description = json.loads(path.read_text())
-    description["forecaster"]["fields"]["model"]["fields"]["root"] = 0
-    path.write_text(json.dumps(description))
-    with pytest.raises(ValueError, match="root must be an array, got '0'"):
+    edit(tmp_path, change)
+    with pytest.raises(ValueError, match=said):
         sb.load(tmp_path)

@@ -54,13 +54,18 @@ def test_the_trainings_add_up_in_words() -> None:
     assert "1 epoch" in model._training_in_words()
 
 
-def test_a_base_that_was_fitted_to_the_same_samples_is_not_fitted_again() -> None:
-    network = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT)
-    start = network.clone().fit(rig(6))
-    again = network.clone().fit(rig(6), start=start)
-    longer = network.clone().fit(rig(6, samples=400), start=start)
-    assert again._fitted_base is start._fitted_base
-    assert longer._fitted_base is not start._fitted_base
+def test_a_base_is_fitted_again_where_its_samples_or_its_options_differ() -> None:
+    network, record = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT), rig(6)
+    start = network.clone().fit(record)
+    assert network.clone().fit(record, start=start)._fitted_base is start._fitted_base
+    assert record.u is not None
+    third_order = sb.Residual(sb.Linear(order=3), sb.GRU(3), settings=SHORT)
+    for other, given in (
+        (network, rig(6, samples=400)),
+        (network, replace(record, u=-record.u)),
+        (third_order, record),
+    ):
+        assert other.clone().fit(given, start=start)._fitted_base is not start._fitted_base
 
 
 @pytest.mark.parametrize("other", [sb.Mean(), sb.Split(sb.GRU(3), sb.GRU(3), Bands(0.5, 1, 2))])
@@ -68,16 +73,6 @@ def test_another_kind_is_refused(other: sb.Forecaster) -> None:
     fitted = other.fit(rig(0)) if not other.random else other
     with pytest.raises(ValueError, match="start must be a trained gru, got"):
         sb.Single(sb.GRU(4), SHORT).fit(rig(0), start=fitted)
-
-
-def test_a_base_is_fitted_again_where_its_inputs_or_its_options_differ() -> None:
-    network = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT)
-    start, record = network.clone().fit(rig(6)), rig(6)
-    assert record.u is not None
-    driven = network.clone().fit(replace(record, u=-record.u), start=start)
-    other = sb.Residual(sb.Linear(order=3), sb.GRU(3), settings=SHORT).fit(record, start=start)
-    assert driven._fitted_base is not start._fitted_base
-    assert other._fitted_base is not start._fitted_base
 
 
 def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:

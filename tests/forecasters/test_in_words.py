@@ -50,11 +50,6 @@ def test_a_base_of_ones_own_is_fitted_and_labelled_by_its_name() -> None:
     assert sorted(model.predict(10).components) == ["network", "nonlinear"]
 
 
-def test_what_knows_nothing_of_a_history_is_no_base() -> None:
-    with pytest.raises(ValueError, match=r"base must say something .* got persistence"):
-        sb.Residual(sb.Persistence(), sb.GRU(2))
-
-
 def test_every_name_is_that_of_its_object() -> None:
     assert all(method.name == name for name, method in NAMES.items())
     assert all(method.in_words() for method in NAMES.values())

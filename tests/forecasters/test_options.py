@@ -90,11 +90,7 @@ def test_its_repr_and_its_clone_make_the_same_forecaster(name: str) -> None:
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        (sb.GRU(32), "sb.GRU(32)"),
         (sb.GRU(32, 2, 1), "sb.GRU(32, ny=2, nu=1)"),
-        (sb.EulerMLP(), "sb.EulerMLP()"),
-        (sb.StateSpace(6, nu=1), "sb.StateSpace(6, nu=1)"),
-        (sb.Bands(), "sb.Bands()"),
         (sb.Bands(0.5, 2, 3).chosen(record().y, 10.0, 20), repr(sb.Bands(0.5, 2, 3))),
         (sb.Function(rig, key="1"), "sb.Function(rig, key='1')"),
         (sb.Function(lambda t: t), "sb.Function(...)"),

@@ -69,13 +69,6 @@ def test_a_network_beside_a_network_begins_with_a_few_samples() -> None:
     assert np.sqrt(np.mean(left**2)) < 2 * np.sqrt(np.mean(known**2))
 
 
-def test_a_saved_network_still_simulates_from_a_few(network: sb.Forecaster, tmp_path: Path) -> None:
-    network.save(tmp_path / "model")
-    test = output(100, 3)
-    before = simulated(network, test, 40 - FEW)
-    np.testing.assert_array_equal(simulated(sb.load(tmp_path / "model"), test, 40 - FEW), before)
-
-
 def test_what_a_file_brings_must_fit(network: sb.Forecaster, tmp_path: Path) -> None:
     forged = network.clone().fit(output(400, 1), seed=0)
     vars(forged)["_prehistory"] = Prehistory(np.zeros((5, 2)), np.zeros((3, 5, 2)), 0.1)

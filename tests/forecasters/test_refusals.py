@@ -108,18 +108,27 @@ def mean() -> Forecaster:
         ),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
+        *(
+            (
+                lambda wrong=wrong: sb.Ensemble(sb.Mean(), seeds=wrong),
+                "seeds must be different numbers from 0 on",
+            )
+            for wrong in ((), (1, 1), (-1, 0))
+        ),
+        (lambda: mean().predict(5, level=0.0), "level must be"),
+        (lambda: mean().predict(5, level=1.0), "level must be"),
+        (lambda: fitted("gru").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
+        (lambda: fitted("linear").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
+        (
+            lambda: sb.Mean().fit(plain(), replace(two_channels(), name="other")),
+            r"other must have the training record's 1 channel\(s\)",
+        ),
         (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
     ],
 )
 def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:
     with pytest.raises((ValueError, TypeError), match=message):
         call()
-
-
-@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, 2.0])
-def test_a_level_is_a_share(level: float) -> None:
-    with pytest.raises(ValueError, match="level must be"):
-        mean().predict(5, level=level)
 
 
 @pytest.mark.parametrize(
@@ -147,18 +156,6 @@ def test_the_time_since_the_training_record_asks_for_its_sampling() -> None:
     with pytest.raises(ValueError, match=r"for harmonic, .* every 0.1 s, got every 0.1005 s"):
         harmonic.predict(5, Record(np.sin(1.005 * t), 1.005 * DT))
     assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(t, 1.005 * DT))
-
-
-@pytest.mark.parametrize("name", ["gru", "linear"])
-def test_inputs_to_come_are_numbers(name: str) -> None:
-    with pytest.raises(ValueError, match="u must hold finite numbers"):
-        fitted(name).predict(2, u=[1.0, np.nan])
-
-
-def test_further_training_records_are_of_the_same_system() -> None:
-    one, two = Record(np.ones(9), DT), Record(np.ones((9, 2)), DT, name="other")
-    with pytest.raises(ValueError, match=r"other must have the training record's 1 channel\(s\)"):
-        sb.Mean().fit(one, two)
 
 
 @pytest.mark.parametrize(

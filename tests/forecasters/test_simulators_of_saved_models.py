@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,11 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
+from tests.support import edit
 
 DT, TRAIN, STEPS = 0.1, 60, 10
 RECORD = sb.Record(np.sin(DT * np.arange(TRAIN)), DT)
 SHORT = sb.Settings(window=30, warmup=5, epochs=1)
-Change = Callable[[dict[str, Any]], Any]
 
 
 def sine(time: Any) -> Any:
@@ -28,11 +27,7 @@ def sine(time: Any) -> Any:
 def made(simulator: sb.Simulator) -> dict[str, sb.Forecaster]:
     """What holds a simulator of its own."""
     hybrid = sb.Residual(simulator, sb.GRU(2), settings=SHORT)
-    return {
-        "simulation": sb.Simulation(simulator),
-        "hybrid": hybrid,
-        "ensemble": sb.Ensemble(hybrid, 2),
-    }
+    return {"simulation": sb.Simulation(simulator), "ensemble": sb.Ensemble(hybrid, 2)}
 
 
 @pytest.fixture
@@ -49,13 +44,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return found
 
 
-def edit(path: Path, change: Change) -> None:
-    description = json.loads(path.read_text())
-    change(description)
-    path.write_text(json.dumps(description))
-
-
-@pytest.mark.parametrize("kind", ["simulation", "hybrid", "ensemble"])
+@pytest.mark.parametrize("kind", ["simulation", "ensemble"])
 def test_an_fmu_is_opened_only_where_it_is_given(
     kind: str, van_der_pol_fmu: Path, tmp_path: Path, opened: list[Any]
 ) -> None:
@@ -113,37 +102,10 @@ def test_a_simulator_with_another_start_is_refused(saved: Any, given: Any, tmp_p
     np.testing.assert_array_equal(again.y, model.predict(STEPS).y)
 
 
-class Constant:
-    """A simulator of the user's own, which has no parameters and says what it is."""
-
-    def simulate(self, time: Any) -> Any:
-        return np.ones(len(time))
-
-    def fingerprint(self) -> str:
-        return "constant"
-
-
-def test_another_kind_of_simulator_is_said_to_be_one(tmp_path: Path) -> None:
-    def lag(t: float, x: Any, u: Any, p: Any) -> list[float]:
-        return [p.k * (1.0 - x[0])]
-
-    ode = sb.Ode(lag, [0.0], parameters={"k": (0.5, 2.0)}, key="lag")
-    sb.GreyBox(ode, starts=1).fit(RECORD).save(tmp_path)
-    with pytest.warns(UserWarning, match="another one than of the kind Ode.* is constant, not lag"):
-        sb.load(tmp_path, simulator=Constant())
-
-
 def test_a_simulator_that_nobody_asks_for_is_refused(tmp_path: Path) -> None:
     sb.Mean().fit(RECORD).save(tmp_path)
     with pytest.raises(ValueError, match="simulator must be left out for mean"):
         sb.load(tmp_path, simulator=sb.Function(sine))
-
-
-def test_output_that_was_recorded_is_saved_and_needs_nothing(tmp_path: Path) -> None:
-    recorded = sb.Recorded(np.sin(DT * np.arange(100)), DT)
-    model = sb.Simulation(recorded).fit(RECORD)
-    model.save(tmp_path)
-    np.testing.assert_array_equal(sb.load(tmp_path).predict(STEPS).y, model.predict(STEPS).y)
 
 
 @pytest.fixture
@@ -158,7 +120,7 @@ def forged(van_der_pol_fmu: Path, tmp_path: Path) -> Path:
         "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
     }  # fmt: skip
     edit(
-        folder / "forecaster.json",
+        folder,
         lambda d: (d.update(facts), d["forecaster"]["fields"].update(simulator=fmu)),
     )
     return folder
@@ -190,7 +152,7 @@ def test_no_file_says_what_is_opened(
 def test_a_description_of_a_simulator_is_checked(change: dict[str, Any], tmp_path: Path) -> None:
     sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
     edit(
-        tmp_path / "forecaster.json",
+        tmp_path,
         lambda d: d["forecaster"]["fields"]["simulator"]["fields"].update(change),
     )
     with pytest.raises(ValueError, match="a simulator must"):
@@ -204,7 +166,7 @@ def test_no_fmu_is_made_of_what_a_file_says(
     for word in ("class", "cell"):
         fmu = {word: "Fmu", "fields": {"path": str(van_der_pol_fmu), "outputs": ["x"]}}
         edit(
-            tmp_path / "forecaster.json",
+            tmp_path,
             lambda d, fmu=fmu: d["forecaster"]["fields"].update(simulator=fmu),  # type: ignore[misc]
         )
         with pytest.raises(ValueError, match="Fmu is not known"):

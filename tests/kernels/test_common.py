@@ -64,15 +64,6 @@ def test_tanh_is_exact_to_four_ulp_and_bounded(dtype: type[np.floating], rtol: f
     assert np.nanmax(np.abs(y)) <= 1 + rtol
 
 
-def test_rows_are_split_evenly_over_the_threads_that_the_work_is_worth(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    assert rollouts.split_rows(5, 100) == [slice(0, 2), slice(2, 5)]
-    assert rollouts.split_rows(1, 100) == [slice(0, 1)]
-    monkeypatch.setattr(rollouts, "_WORTH_A_THREAD", 60)
-    assert rollouts.split_rows(5, 100) == [slice(0, 5)]
-
-
 def test_jobs_that_no_thread_takes_are_done_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     class Lost:
         def submit(self, work: Callable[[], None]) -> Future[None]:

@@ -7,11 +7,11 @@ import numpy.typing as npt
 import pytest
 import scipy.signal
 import torch
-from torch import Tensor, nn
 
 from splitband import GRU, ComplementaryPair, EulerMLP
 from splitband.filters import butterworth
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
+from tests.support import Scripted
 from tests.support import simulated as summed
 
 Array = npt.NDArray[np.float64]
@@ -147,35 +147,17 @@ def test_samples_do_not_depend_on_how_many_follow(name: str, nu: int) -> None:
             np.testing.assert_allclose(found, whole[:steps], rtol=0, atol=2e-6)
 
 
-class _Watched(nn.Module):
+def silent(nu: int) -> Scripted:
     """A cell that says nothing and keeps its inputs."""
-
-    ny = 1
-
-    def __init__(self, nu: int) -> None:
-        super().__init__()
-        self.nu, self.weight = nu, nn.Parameter(torch.zeros(1, dtype=torch.float64))
-        self.inputs: list[Tensor] = []
-
-    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
-        self.inputs = [] if u is None else [*u.unbind(dim=1)]
-        return y_warmup[:, 0] * self.weight
-
-    def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
-        if u is not None:
-            self.inputs.append(u)
-        return h
-
-    def observe(self, h: Tensor) -> Tensor:
-        return h
+    return Scripted(torch.zeros(100, 1, dtype=torch.float64), 0, nu)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3, 7, 10])
 def test_a_slow_band_is_given_the_mean_of_the_inputs_up_to_each_of_its_samples(k: int) -> None:
     """The moving average of SciPy, which stands still before the first sample."""
     for warmup in WARMUPS:
-        low = _Watched(1)
-        model = Split([low, _Watched(1)], PAIR, k).double()
+        low = silent(1)
+        model = Split([low, silent(1)], PAIR, k).double()
         u = torch.from_numpy(U[None, :, :1])
         model.components(Signals(torch.from_numpy(Y[:1, :warmup, :1]), u), STEPS)
         before = np.concatenate([np.full(k - 1, U[0, 0]), U[:, 0]])
@@ -184,20 +166,6 @@ def test_a_slow_band_is_given_the_mean_of_the_inputs_up_to_each_of_its_samples(k
         found = torch.cat(low.inputs)[:, 0].numpy()
         assert warmup // k < len(found) <= len(expected)
         np.testing.assert_allclose(found, expected[: len(found)], rtol=0, atol=1e-12)
-
-
-def test_with_inputs_the_conditioning_is_the_next_sample_and_the_slope_up_to_it() -> None:
-    cell = _Watched(3)
-    model = Residual(cell, conditioned=True).double()
-    model.slope_scale.fill_(0.5)
-    y_sim, warmup = torch.from_numpy(Y_SIM[None, :, :1]), 40
-    u = torch.from_numpy(U[None, :, :1])
-    model.components(Signals(torch.from_numpy(Y[:1, :warmup, :1]), u, y_sim), STEPS)
-    found = torch.cat(cell.inputs).numpy()
-    end = warmup + STEPS
-    value = Y_SIM[1:end, 0]
-    expected = np.stack([U[: end - 1, 0], value, np.diff(Y_SIM[:end, 0]) / 0.5], axis=1)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def test_one_way_filters_have_the_square_root_of_the_gain() -> None:

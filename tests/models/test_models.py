@@ -9,15 +9,15 @@ import numpy.typing as npt
 import pytest
 import scipy.signal
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from splitband import GRU, ComplementaryPair, EulerMLP, Record
+from splitband import GRU, ComplementaryPair, Record
 from splitband.filters import butterworth
 from splitband.forecasters.backtest import Origin, first_origin
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
 from splitband.training import fit
 from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record
-from tests.support import asked, simulated, untrained, with_other_samples
+from tests.support import Scripted, asked, simulated, untrained, with_other_samples
 
 
 def y_sim_of(trajectory: Record) -> npt.NDArray[np.float64]:
@@ -98,10 +98,10 @@ def test_the_parts_of_a_simulation_add_up_in_the_units_of_the_record(kind: str) 
     ahead = [signal[WARMUP:] for signal in (slow, fast)]
     model: Model
     if kind == "split":
-        cells = [_Scripted(signal, 0) for signal in ahead]
+        cells = [Scripted(signal, 0) for signal in ahead]
         model = Split(cells, ComplementaryPair.butterworth(0.8, 10.0), downsampling=1)
     elif kind == "residual":
-        model = Residual(_Scripted(ahead[1], 0))
+        model = Residual(Scripted(ahead[1], 0))
     else:
         y_sim = y
         model = _filtered(ahead[0] + ahead[1], order=1)
@@ -115,19 +115,6 @@ def test_the_parts_of_a_simulation_add_up_in_the_units_of_the_record(kind: str) 
     np.testing.assert_allclose(first + other, found, rtol=0, atol=1e-12)
     if kind != "filtered":
         np.testing.assert_allclose(first, (3.0 + 2.0 * ahead[0]).numpy(), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("method", "ny", "nu"),
-    [*((name, 2, 1) for name in NAMES[:-1]), ("gru", 1, 2), ("split-gru-conditioned", 3, 0)],
-)
-def test_channels_and_inputs_of_any_number(method: Any, ny: Any, nu: Any) -> None:
-    r = record(ny, nu)
-    model = untrained(method, r, SETUP, seed=0)
-    u = None if r.u is None else r.u
-    y = simulated(model, r.y[:WARMUP], 30, u, y_sim_of(r))
-    assert y.shape == (30, ny)
-    assert np.isfinite(y).all()
 
 
 @pytest.mark.parametrize("method", NAMES)
@@ -165,47 +152,17 @@ def test_units_do_not_matter(method: Any, unit: float, offset: float) -> None:
         np.testing.assert_allclose((found[name] - shift) / unit, part, atol=2e-3)
 
 
-def test_the_bands_of_the_split_model_add_up_to_the_record_at_its_ends_too() -> None:
-    known = Signals(torch.tensor(record().y[:TRAIN]))
-    low, high = untrained("split-gru", record(), SETUP, seed=0).double().tasks(known)
-    torch.testing.assert_close(low.target + high.target, known.y, rtol=0, atol=1e-12)
-
-
 def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
     """A network that knows the low band exactly gives it back, up to linear interpolation."""
     t = torch.arange(400, dtype=torch.float64)[:, None]
     slow = torch.sin(2 * torch.pi * t / 200)
     for k in (2, 3, 5):
         for warmup in (30, 31, 32):
-            low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
-            high = _Scripted(torch.zeros(400, 1, dtype=torch.float64), after=0)
+            low = Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
+            high = Scripted(torch.zeros(400, 1, dtype=torch.float64), after=0)
             model = Split([low, high], ComplementaryPair.butterworth(0.8, 10.0), downsampling=k)
             found = model.double().components(Signals(slow[None, :warmup]), 101)["low band"]
             torch.testing.assert_close(found[0], slow[warmup : warmup + 101], rtol=0, atol=4e-3)
-
-
-class _Scripted(nn.Module):
-    """A cell that says what it was told, from entry `after` on, and keeps its inputs."""
-
-    ny = 1
-
-    def __init__(self, script: Tensor, after: int, nu: int = 0) -> None:
-        super().__init__()
-        self.script, self.after, self.nu = nn.Parameter(script), after, nu
-        self.inputs: list[Tensor] = []
-
-    def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> int:
-        self.batch = len(y_warmup)
-        self.inputs = [] if u is None else [*u.unbind(dim=1)]
-        return self.after
-
-    def step(self, h: int, y: Tensor, u: Tensor | None = None) -> int:
-        if u is not None:
-            self.inputs.append(u)
-        return h + 1
-
-    def observe(self, h: int) -> Tensor:
-        return self.script[h].expand(self.batch, 1)
 
 
 def told_of(slow: Tensor, scale: float, driven: bool = False) -> Tensor:
@@ -225,8 +182,8 @@ def test_the_high_network_of_a_conditioned_split_is_told_of_the_low_bands_predic
 ) -> None:
     t = torch.arange(400, dtype=torch.float64)[:, None]
     slow, warmup, steps = torch.sin(t / 30), 31, 41
-    low = _Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
-    high = _Scripted(torch.zeros_like(t), 0, nu=2)
+    low = Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
+    high = Scripted(torch.zeros_like(t), 0, nu=2)
     pair = ComplementaryPair.butterworth(0.8, 10.0)
     model = Split([low, high], pair, k, conditioned=True).double()
     model.slope_scale.fill_(0.25)
@@ -241,8 +198,8 @@ def test_the_high_network_of_a_conditioned_split_is_told_of_the_low_bands_predic
 
 
 def test_in_training_the_high_network_is_told_of_the_low_bands_prediction_too() -> None:
-    low = _Scripted(torch.linspace(-1, 1, 90, dtype=torch.float64)[:, None], after=15)
-    high = _Scripted(torch.zeros(90, 1, dtype=torch.float64), 0, nu=2)
+    low = Scripted(torch.linspace(-1, 1, 90, dtype=torch.float64)[:, None], after=15)
+    high = Scripted(torch.zeros(90, 1, dtype=torch.float64), 0, nu=2)
     model = Split([low, high], BANDS[1], 2, conditioned=True).double()
     task = model.tasks(Signals(torch.tensor(record().y)))[1]
     window = Signals(torch.tensor(record().y[None, :30]))
@@ -261,7 +218,7 @@ def test_the_network_of_a_conditioned_hybrid_is_told_of_the_simulator_behind_its
 ) -> None:
     """Of the whole simulator, in training as in simulation, and not of its low band."""
     r, steps = record(nu=nu), 60
-    cell = _Scripted(torch.zeros(LENGTH, 1, dtype=torch.float64), 0, nu + 2)
+    cell = Scripted(torch.zeros(LENGTH, 1, dtype=torch.float64), 0, nu + 2)
     pair = ComplementaryPair.perfect(*butterworth(0.5, 10.0), 10.0)
     hybrid = Filtered(cell, pair, True) if kind == "filtered" else Residual(cell, True)
     model = hybrid.double()
@@ -302,7 +259,7 @@ def test_slopes_have_unit_deviation_over_the_training_record(name: Any) -> None:
 
 def _filtered(script: Tensor, order: int, conditioned: bool = False) -> Filtered:
     b, a = butterworth(0.5, 20.0, order)
-    cell = _Scripted(script, 0, nu=2 if conditioned else 0)
+    cell = Scripted(script, 0, nu=2 if conditioned else 0)
     return Filtered(cell, ComplementaryPair.perfect(b, a, 20.0), conditioned).double()
 
 
@@ -334,23 +291,6 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
     settled = np.abs((with_added - without)[-200:]).max()
     bound = 1e-6 if slow == "constant" else order * 0.01 * 20.0 / (2 * np.pi * 0.5) * 1.01
     assert settled < bound
-
-
-def test_the_hybrid_prediction_goes_on_from_the_last_measured_sample() -> None:
-    """H + L = 1: a network and a simulator that both know the signal reproduce it."""
-    t = torch.arange(300, dtype=torch.float64)
-    y = (torch.sin(t / 15) + 0.3 * torch.sin(t / 2))[:, None]
-    known = Signals(y[None, :50], y_sim=y[None])
-    low, high = _filtered(y[50:], order=1).components(known, 250).values()
-    torch.testing.assert_close((low + high)[0], y[50:], rtol=0, atol=1e-12)
-
-
-def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
-    r = record()
-    script = torch.linspace(-1, 1, 60, dtype=torch.float64)[:, None]
-    model = Residual(_Scripted(script, 0)).double()
-    y = simulated(model, r.y[:WARMUP], 60, y_sim=y_sim_of(r))
-    np.testing.assert_allclose(y, y_sim_of(r)[WARMUP : WARMUP + 60] + script.numpy(), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +325,6 @@ def test_the_residual_model_adds_its_network_to_the_simulator() -> None:
             "at least 2 ny = 4 inputs.*got nu = 3",
         ),
         (lambda: Split([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
-        (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
     ],
 )
 def test_errors_name_the_argument_and_the_value(call: Any, message: Any) -> None:

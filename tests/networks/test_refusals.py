@@ -1,10 +1,11 @@
 """Sizes, inputs and backends that cannot be: the rule and the value are named."""
 
+import re
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
-from torch import nn
 
 from splitband.networks import GRU, EulerMLP, StateSpace, rollout
 from tests.networks.test_rollout import (
@@ -22,29 +23,11 @@ from tests.networks.test_rollout import (
 )
 
 
-def test_an_unknown_backend_is_named() -> None:
-    unknown: Any = "plian"
-    with pytest.raises(ValueError, match=r"backend must .* 'plian'"):
-        rollout(gru(), noise(BATCH, WARMUP, NY), STEPS, backend=unknown)
-
-
 @pytest.mark.parametrize(("make", "steps"), [(lstm, STEPS), (gru, 0)])
 def test_a_fused_rollout_that_there_is_not_is_refused(make: Make, steps: int) -> None:
     cell = make()
     with pytest.raises(ValueError, match=rf'backend="fused" needs .* {type(cell).__name__} on cpu'):
         rollout(cell, noise(BATCH, WARMUP, NY), steps, backend="fused")
-
-
-@pytest.mark.parametrize("shape", [(WARMUP, NY), (BATCH, WARMUP, NY + 1), (BATCH, 0, NY)])
-def test_a_warmup_of_a_wrong_shape_is_named(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match=r"y_warmup must be .* ny = 2\), got ") as caught:
-        rollout(gru(), noise(*shape), STEPS)
-    assert str(caught.value).endswith(f"got {shape}")
-
-
-def test_negative_steps_are_named() -> None:
-    with pytest.raises(ValueError, match="steps must not be negative, got -1"):
-        rollout(gru(), noise(BATCH, WARMUP, NY), -1)
 
 
 @pytest.mark.parametrize("given", [False, True])
@@ -54,58 +37,56 @@ def test_inputs_are_given_where_the_cell_takes_any(given: bool) -> None:
         rollout(cell, noise(BATCH, WARMUP, NY), STEPS, inputs(NU) if given else None)
 
 
-@pytest.mark.parametrize(
-    "shape", [(BATCH, WARMUP + STEPS, NU + 1), (BATCH + 1, WARMUP + STEPS, NU), (WARMUP, NU)]
-)
-def test_inputs_of_a_wrong_shape_are_named(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match=r"u must be \(batch = 4, time, nu = 3\), got ") as caught:
-        rollout(gru(nu=NU), noise(BATCH, WARMUP, NY), STEPS, noise(*shape))
-    assert str(caught.value).endswith(f"got {shape}")
+def rolled(cell: Any, shape: tuple[int, ...], steps: int = STEPS, u: Any = None, **of: Any) -> Any:
+    return lambda: rollout(cell, noise(*shape), steps, u, **of)
 
 
-@pytest.mark.parametrize("steps", [1, STEPS])
-def test_inputs_too_short_are_named(steps: int) -> None:
-    rows = WARMUP + steps - 2
-    with pytest.raises(ValueError, match=rf"u must cover .* got {rows}$"):
-        rollout(gru(nu=NU), noise(BATCH, WARMUP, NY), steps, inputs(NU, rows))
-
-
-def test_inputs_have_to_cover_the_warmup_even_without_steps() -> None:
-    with pytest.raises(ValueError, match=rf"^u must .* got {WARMUP - 1}$"):
-        rollout(gru(nu=NU), noise(BATCH, WARMUP, NY), 0, inputs(NU, WARMUP - 1))
-
-
-def test_a_warmup_too_short_for_the_recognition_is_named() -> None:
-    with pytest.raises(ValueError, match="warm-up must have at least 4 samples, got 3"):
-        rollout(euler_mlp(), noise(BATCH, 3, NY), STEPS)
+WARM = (BATCH, WARMUP, NY)
 
 
 @pytest.mark.parametrize(
-    ("cell", "name"),
+    ("call", "said"),
     [
-        (GRU, "ny"),
-        (GRU, "hidden_size"),
-        (EulerMLP, "ny"),
-        (EulerMLP, "warmup"),
-        (EulerMLP, "state_size"),
-        (EulerMLP, "hidden_size"),
-        (EulerMLP, "recognition_size"),
-        (StateSpace, "ny"),
-        (StateSpace, "states"),
-        (StateSpace, "layers"),
+        (rolled(gru(), WARM, backend="plian"), r"backend must .* 'plian'"),
+        (rolled(gru(), WARM, -1), "steps must not be negative, got -1"),
+        *(
+            (rolled(gru(), shape), rf"y_warmup must be .* ny = 2\), got {re.escape(str(shape))}$")
+            for shape in [(WARMUP, NY), (BATCH, WARMUP, NY + 1), (BATCH, 0, NY)]
+        ),
+        *(
+            (
+                rolled(gru(nu=NU), WARM, u=noise(*shape)),
+                rf"u must be \(batch = 4, time, nu = 3\), got {re.escape(str(shape))}$",
+            )
+            for shape in [(BATCH, 15, NU + 1), (BATCH + 1, 15, NU), (WARMUP, NU)]
+        ),
+        *(
+            (
+                rolled(gru(nu=NU), WARM, steps, inputs(NU, rows)),
+                rf"^u must .* got {rows}$",
+            )
+            for steps, rows in [(0, WARMUP - 1), (1, WARMUP - 1), (STEPS, WARMUP + STEPS - 2)]
+        ),
+        (rolled(euler_mlp(), (BATCH, 3, NY)), "warm-up must have at least 4 samples, got 3"),
+        (
+            rolled(StateSpace(2, 3, encoded=5).double(), (1, 4, 1), 3),
+            "must have at least 5 samples, got 4",
+        ),
+        (lambda: EulerMLP(ny=3, state_size=2), "state_size must be at least ny = 3, got 2"),
+        (lambda: StateSpace(2, -1), "hidden must not be negative, got -1"),
+        (lambda: StateSpace(3, 6, layers=9999), "layers must be between 1 and 100, got 9999"),
+        *((partial(cell, nu=-1), "nu must .* got -1") for cell in (GRU, EulerMLP, StateSpace)),
+        *(
+            (partial(cell, **{name: 0}), rf"{name} must be between 1 and \d+, got 0")
+            for cell, names in (
+                (GRU, "ny hidden_size"),
+                (EulerMLP, "ny warmup state_size hidden_size recognition_size"),
+                (StateSpace, "ny states layers"),
+            )
+            for name in names.split()
+        ),
     ],
 )
-def test_a_size_below_one_is_named(cell: Callable[..., nn.Module], name: str) -> None:
-    with pytest.raises(ValueError, match=rf"{name} must be between 1 and \d+, got 0"):
-        cell(**{name: 0})
-
-
-@pytest.mark.parametrize("cell", [GRU, EulerMLP, StateSpace])
-def test_a_negative_number_of_inputs_is_named(cell: Callable[..., nn.Module]) -> None:
-    with pytest.raises(ValueError, match=r"nu must .* got -1"):
-        cell(nu=-1)
-
-
-def test_a_state_smaller_than_the_observation_is_named() -> None:
-    with pytest.raises(ValueError, match="state_size must be at least ny = 3, got 2"):
-        EulerMLP(ny=3, state_size=2)
+def test_what_cannot_be_is_named(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        call()

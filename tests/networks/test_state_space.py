@@ -124,21 +124,11 @@ def test_a_matrix_of_a_wrong_shape_is_named() -> None:
         linear().set_linear(A, B, C, np.hstack([D, D]))
 
 
-def test_a_negative_number_of_units_is_named() -> None:
-    with pytest.raises(ValueError, match="hidden must not be negative, got -1"):
-        StateSpace(2, -1)
-
-
 def test_templates_of_other_sizes_begin_with_its_own() -> None:
     found = [cell.sized(2, 4, 10) for cell in StateSpace(3, 8, layers=2).variants()]
     assert (found[0].states, found[0].hidden) == (3, 8)
     assert len({(cell.states, cell.hidden) for cell in found}) == len(found)
     assert {(cell.ny, cell.nu, cell.layers, cell.encoded) for cell in found} == {(2, 4, 2, 10)}
-
-
-def test_a_warmup_that_is_too_short_to_estimate_the_state_is_named() -> None:
-    with pytest.raises(ValueError, match="must have at least 5 samples, got 4"):
-        rollout(StateSpace(2, 3, encoded=5), torch.zeros(1, 4, 1), 3)
 
 
 def test_a_forecaster_learns_with_it_a_nonlinear_system() -> None:
@@ -154,8 +144,3 @@ def test_a_forecaster_learns_with_it_a_nonlinear_system() -> None:
     assert isinstance(model.model, Recurrent)
     error = model.predict(100, u=u[500:, None]).y - x[500:, :1]
     assert np.sqrt(np.mean(error**2)) < 0.05 * x.std()
-
-
-def test_layers_are_few() -> None:
-    with pytest.raises(ValueError, match="layers must be between 1 and 100, got 9999"):
-        StateSpace(3, 6, layers=9999)

@@ -1,6 +1,8 @@
 """What several tests of training share."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,14 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from splitband import Record, Settings
-from splitband.models import Model
+from splitband import GRU, Record, Settings
+from splitband.models import Model, Recurrent, Signals, Task
 from splitband.training import fit
 from splitband.training.optimizers import Adam
-from tests.records import (
-    QUICK,
-    SETUP,
-)
+from tests.records import QUICK, SETUP
 from tests.support import untrained
 
 Array = npt.NDArray[np.float64]
@@ -63,3 +62,20 @@ def fitted(records: Record | Sequence[Record], method: str = "gru", **changes: A
     model = untrained(method, one, SETUP, 2)
     fit(model, records, Settings(**{**vars(QUICK), "epochs": 3, **changes}), seed=2)
     return model
+
+
+class Watched(Recurrent):
+    """Keeps how long each batch of windows was simulated, and their first samples."""
+
+    def __init__(self, hidden_size: int = 4) -> None:
+        super().__init__(GRU(hidden_size, 1))
+        self.asked: list[int] = []
+        self.batches: list[list[int]] = []
+
+    def tasks(self, record: Signals) -> list[Task]:
+        def watched(simulate: Callable[[Signals, int], Tensor], known: Signals, steps: int) -> Any:
+            self.asked.append(steps)
+            self.batches.append([round(float(y)) for y in known.y[:, 0, 0]])
+            return simulate(known, steps)
+
+        return [replace(t, simulate=partial(watched, t.simulate)) for t in super().tasks(record)]

@@ -38,17 +38,13 @@ def test_it_ends_soon_and_its_weights_are_finite(
     assert all(torch.isfinite(weights).all() for weights in model.parameters())
 
 
-def test_without_a_deadline_nothing_is_cut() -> None:
-    history = run(Deadline())[1]
-    assert not history.cut
-    assert not history.notes
-
-
 def test_a_training_that_was_cut_goes_on_as_if_it_had_not_been(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the deadline has ended early is not taken for the end of the training."""
     whole, expected = run(Deadline())
+    assert not expected.cut
+    assert not expected.notes
     with monkeypatch.context() as patch:
         clock = slowed(patch, 1.0)
         assert run(Deadline(clock.at + 10), Checkpoint(tmp_path / "run"))[1].cut

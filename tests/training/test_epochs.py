@@ -1,18 +1,13 @@
 """Which windows an epoch takes, and how many."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from itertools import chain
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from splitband import GRU, Record, Settings
-from splitband.models import Recurrent, Signals, Task
+from splitband.models import Recurrent
 from splitband.training import fit
 from splitband.training.settings import MOST_BATCHES, STEPS
 from tests.records import (
@@ -20,27 +15,12 @@ from tests.records import (
     TRAIN,
     record,
 )
-from tests.training.support import fitted, parameters, seen_by_adam
+from tests.training.support import Watched, fitted, parameters, seen_by_adam
 
 
-class _Watched(Recurrent):
-    """Keeps the first samples of the windows in each batch."""
-
-    def __init__(self) -> None:
-        super().__init__(GRU(2, 1))
-        self.batches: list[list[int]] = []
-
-    def tasks(self, record: Signals) -> list[Task]:
-        def watched(simulate: Callable[[Signals, int], Tensor], known: Signals, steps: int) -> Any:
-            self.batches.append([round(float(y)) for y in known.y[:, 0, 0]])
-            return simulate(known, steps)
-
-        return [replace(t, simulate=partial(watched, t.simulate)) for t in super().tasks(record)]
-
-
-def watched(most: int | None, epochs: int = 4) -> _Watched:
+def watched(most: int | None, epochs: int = 4) -> Watched:
     torch.manual_seed(0)
-    model = _Watched()
+    model = Watched(2)
     count = Record(np.arange(100.0), DT)
     few = Settings(20, 5, epochs, 10, 1e-4, normalize=False, most_batches=most)
     history = fit(model, count, few, seed=1)
@@ -95,8 +75,3 @@ def test_the_default_recipe_takes_about_as_many_steps_of_any_record(samples: int
     steps = recipe.epochs * min(whole, MOST_BATCHES)
     assert recipe.most_batches == min(whole, MOST_BATCHES)
     assert abs(steps - STEPS) <= 0.05 * STEPS
-
-
-def test_no_batches_at_all_are_refused() -> None:
-    with pytest.raises(ValueError, match="most_batches must be at least 1, got 0"):
-        Settings(most_batches=0)

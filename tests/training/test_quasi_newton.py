@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from splitband import Record, Settings, Single, StateSpace
-from splitband.models import Model
-from splitband.training import History, Progress, fit, quasi_newton
+from splitband.training import fit, quasi_newton
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.quasi_newton import QuasiNewton, end_to_end
 from tests.records import SETUP, TRAIN, holed, record, standing_in
@@ -36,16 +35,10 @@ def run(finish: QuasiNewton, rounds: int = 30) -> list[float]:
 def test_it_finds_the_minimum_that_scipy_finds() -> None:
     begin = np.array([-1.2, 1.0, 0.5, 2.0])
     at = nn.Parameter(torch.tensor(begin))
-    run(QuasiNewton([at], lambda: rosenbrock(at)))
+    losses = run(QuasiNewton([at], lambda: rosenbrock(at)))
+    assert losses == sorted(losses, reverse=True)  # a round never raises the error
     expected = scipy.optimize.minimize(scipy.optimize.rosen, begin, method="BFGS", tol=1e-10).x
     np.testing.assert_allclose(at.detach().numpy(), expected, atol=1e-5)
-
-
-def test_a_round_never_raises_the_error() -> None:
-    at = nn.Parameter(torch.tensor([-1.2, 1.0, 0.5, 2.0], dtype=torch.float64))
-    losses = run(QuasiNewton([at], lambda: rosenbrock(at)))
-    assert losses == sorted(losses, reverse=True)
-    assert losses[-1] == pytest.approx(float(rosenbrock(at).detach()) ** 0.5, abs=1e-12)
 
 
 def test_where_the_error_is_not_finite_the_weights_stay() -> None:
@@ -103,27 +96,29 @@ def test_it_gets_further_than_as_many_epochs() -> None:
         assert losses[-1] < 0.9 * by_adam.losses[name][-1]
 
 
-def cut_off(
-    folder: Path, die_after: int, settings: Settings
-) -> tuple[Model, History, list[Progress]]:
-    """A training that is killed, and its second part from the checkpoint."""
-    file = folder / "training.safetensors"
-    with pytest.raises(Killed):
-        trained(Checkpoint(file), die_after, settings=settings)
-    return trained(Checkpoint(file), settings=settings)
-
-
-@pytest.mark.parametrize("die_after", [2, 7])
+@pytest.mark.parametrize(
+    ("converged", "die_after"),
+    # Of each network an epoch and three rounds; or two rounds in either precision, none of which
+    # makes enough progress.
+    [*((None, after) for after in (2, 7)), *((1.0, after) for after in (2, 4, 5, 9))],
+)
 def test_a_training_that_was_cut_off_ends_with_the_same_bits(
-    die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    converged: float | None, die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
-    whole, history, seen = trained(settings=FINISHED)
-    assert len(seen) == 8  # of each network an epoch and three rounds
-    model, resumed, again = cut_off(tmp_path, die_after, FINISHED)
+    if converged is not None:
+        monkeypatch.setattr(quasi_newton, "CONVERGED", converged)
+    recipe = replace(FINISHED, quasi_newton=50 if converged is None else 200)
+    whole, history, seen = trained(settings=recipe)
+    assert len(seen) == (8 if converged is None else 10)
+    file = tmp_path / "training.safetensors"
+    with pytest.raises(Killed):
+        trained(Checkpoint(file), die_after, settings=recipe)
+    model, resumed, again = trained(Checkpoint(file), settings=recipe)
     assert_same(model, whole)
     assert resumed.losses == history.losses
-    assert len(again) == 8 - (die_after - 1)
+    assert len(again) == len(seen) - (die_after - 1)
+    assert {weight.dtype for weight in model.parameters()} == {torch.float32}
 
 
 def test_where_rounding_ends_the_descent_in_float32_it_goes_on_in_float64() -> None:
@@ -163,21 +158,6 @@ def test_a_cell_that_computes_in_float32_alone_ends_where_it_settles(
     assert len(fitted.predict(10)) == 10
 
 
-@pytest.mark.parametrize("die_after", [2, 4, 5, 9])
-def test_a_training_that_was_cut_off_goes_on_in_its_precision(
-    die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
-    monkeypatch.setattr(quasi_newton, "CONVERGED", 1.0)  # no round makes enough progress
-    recipe = replace(RECIPE, epochs=1, quasi_newton=200)
-    whole, history, seen = trained(settings=recipe)
-    assert len(seen) == 10  # of each network an epoch, and two rounds in either precision
-    model, resumed, _ = cut_off(tmp_path, die_after, recipe)
-    assert_same(model, whole)
-    assert resumed.losses == history.losses
-    assert {weight.dtype for weight in model.parameters()} == {torch.float32}
-
-
 def test_what_was_not_measured_counts_for_nothing() -> None:
     y = holed(record()[:TRAIN].y, slice(40, 44), 61)
     models = []
@@ -187,8 +167,3 @@ def test_what_was_not_measured_counts_for_nothing() -> None:
         fit(model, training, FINISHED)
         models.append(model)
     assert_same(*models)
-
-
-def test_its_iterations_are_checked() -> None:
-    with pytest.raises(ValueError, match="quasi_newton must be at least 1, got 0"):
-        Settings(quasi_newton=0)

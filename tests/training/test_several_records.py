@@ -18,12 +18,6 @@ from tests.support import asked, compare, untrained
 from tests.training.support import GAPS, fitted, parameters
 
 
-@pytest.mark.parametrize("method", ["gru", "split-gru-conditioned", "residual-gru-conditioned"])
-def test_a_record_by_itself_is_a_list_of_one(method: str) -> None:
-    r = record()[:TRAIN]
-    assert torch.equal(parameters(fitted(r, method)), parameters(fitted([r], method)))
-
-
 def test_the_units_are_those_of_all_records() -> None:
     a, b = (holed(record(2, 1, seed).y, *GAPS, channel=seed) for seed in (0, 1))
     b = 3 * b + 5
@@ -50,12 +44,6 @@ def test_several_records_train_another_model_than_each_alone() -> None:
     compared = compare(record(), ["gru"], SETUP, others=[b])
     np.testing.assert_array_equal(found, compared.fits["gru"][0].ahead)
     assert not np.array_equal(found, asked("gru", record(), SETUP).ahead)
-
-
-def test_a_record_shorter_than_a_window_is_refused_with_its_length() -> None:
-    with pytest.raises(ValueError, match="training record of 39 samples, got 40"):
-        fitted([record()[:TRAIN], record()[:39]])
-    fitted([record()[:TRAIN], record()[:40]])
 
 
 @pytest.mark.parametrize(
