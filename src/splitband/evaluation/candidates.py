@@ -86,8 +86,11 @@ class Candidate:
 
     @property
     def final_seconds(self) -> float:
-        """Return how long its final training takes: what its share of the iterations took."""
-        took = sum(fit.seconds for fit in self.fits[: self.best + 1])
+        """Return how long its final training takes: what its share of the iterations took.
+
+        Without the forecasts after it.
+        """
+        took = sum(fit.report.seconds for fit in self.fits[: self.best + 1])
         return SETTLING * took / (1 - HELD_OUT_SHARE)
 
     @property

@@ -166,12 +166,14 @@ class Search:
 
     @property
     def seconds_with_finals(self) -> float:
-        """Return the seconds by which a second of a round delays the end of the comparison.
+        """Return the seconds by which a second of this round delays the end of the comparison.
 
-        The final trainings take a share of what a round adds to the best candidates.
+        Each job of a round takes its share of it, and the final trainings a share of what it adds
+        to the best candidates.
         """
-        members = len(next(iter(self.trials.values()), [None]))
-        return 1 + max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
+        members, jobs = len(next(iter(self.trials.values()), [None])), max(len(self._asked), 1)
+        of_each = min(self._cores, jobs) / jobs
+        return 1 + of_each * max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
 
     def _members(self, method: str) -> list[Candidate]:
         """Return the candidates of a method whose median is handed out, the best one first.
