@@ -44,7 +44,8 @@ class Trainer:
         model._trained_by = settings  # type: ignore[attr-defined]
         losses = [1.0] * (settings.epochs + settings.rounds)
         model.fitted = replace(
-            Fitted.of([RECORD], job.seed), report=FitReport(losses={"network": losses})
+            Fitted.of([RECORD], job.seed),
+            report=FitReport(seconds=0.9 * self.seconds, losses={"network": losses}),
         )
         self.models.append(model)  # so that no identity is used again
         self.done[id(model)] = rounds
