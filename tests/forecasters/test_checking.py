@@ -11,7 +11,7 @@ import scipy
 
 import splitband as sb
 from benchmarks import residuals
-from splitband.forecasters.checking import LAGS, ResidualTests, residual_tests
+from splitband.forecasters.residuals import LAGS, ResidualTests, residual_tests
 
 Array = npt.NDArray[np.float64]
 

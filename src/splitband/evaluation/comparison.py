@@ -17,9 +17,10 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.checking import ResidualTests, tests_of, tests_on
+from splitband.forecasters.checking import tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction, median_of
+from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 from splitband.runtime.errors import InputError
 

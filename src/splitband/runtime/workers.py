@@ -40,7 +40,7 @@ class Workers(Executor):
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._folder = tempfile.TemporaryDirectory(prefix="splitband-", ignore_cleanup_errors=True)
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._pool: ProcessPool | None = None
 
     def submit(
@@ -52,6 +52,10 @@ class Workers(Executor):
     ) -> Future[Result]:
         """Submit a job; `Future.cancel` also ends one that runs."""
         if self._pool is None:
+            # Made with the processes, which remove it if this one is killed.
+            self._folder = tempfile.TemporaryDirectory(
+                prefix="splitband-", ignore_cleanup_errors=True
+            )
             given = self._folder.name, dict(os.environ)
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPool(self._count, 0, _begin, given, context)
@@ -65,7 +69,8 @@ class Workers(Executor):
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
             self._pool.join()
-        self._folder.cleanup()
+        if self._folder is not None:
+            self._folder.cleanup()
 
 
 @contextmanager

@@ -11,7 +11,8 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import parts_of
-from splitband.forecasters.checking import LEVEL, ModelCheck, ResidualTests, Responses
+from splitband.forecasters.checking import ModelCheck, Responses
+from splitband.forecasters.residuals import LEVEL, ResidualTests
 from splitband.models.labels import SLOW
 from splitband.report import table, words
 from splitband.report.environment import environment

@@ -12,8 +12,9 @@ from splitband.data import Record
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.forecasters.backtest import Fit
-from splitband.forecasters.checking import Correlation, Responses
+from splitband.forecasters.checking import Responses
 from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.residuals import Correlation
 from splitband.metrics import cumulative_rmse
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, percent, squared

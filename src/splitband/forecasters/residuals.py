@@ -1,0 +1,294 @@
+"""Test the residuals of a model: the record minus the simulation.
+
+See L. Ljung, System Identification: Theory for the User (2nd ed., 1999, section 16.6). If residuals
+depend on past inputs, the model misses dynamics that the inputs drive. If they depend on their own
+past alone, a disturbance acts.
+
+Whether they depend on the inputs is an F test of nested regressions, after C. W. J. Granger (1969):
+do past inputs help to predict the residuals, beyond their own past? Under the hypothesis the inputs
+may be anything, a single step or a few sinusoids, as the regression is conditional on them. Powers
+of the simulated output are tested with them, as in the RESET test of J. B. Ramsey (1969): a static
+nonlinearity that the model misses need not be correlated with the inputs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from splitband.runtime.arrays import Array
+
+LEVEL = 0.99
+"""Confidence level: for an adequate model, 1 test in 100 is rejected by chance. As in MATLAB's
+`resid`."""
+SIGNIFICANT = 0.005
+"""p-value below which residuals depend on the inputs. With 1,000 samples and inputs of all kinds
+(`benchmarks.residuals`), 1.5 % of right models have a p-value below 1 %."""
+LAGS = 25
+"""Largest lag of the correlations, in samples, as in MATLAB's `resid`."""
+MAX_ORDER = 20
+"""Largest order of the autoregressive model of the residuals. By eye."""
+MAX_LAG, LAG_MEANS = 100, 12
+"""Past inputs in the regression: up to this lag in samples, or a tenth of the record if that is
+less, as means over so many intervals whose lengths grow with the lag. By eye."""
+POWERS, POWER_LAG, POWER_MEANS = (2, 3), 30, 4
+"""The same for the powers of the simulated output. By eye."""
+SMALL_COMPONENT = 1e-3
+"""Regressors have to differ: principal components whose singular value is below this share of the
+largest one are left out. By eye."""
+COLLINEAR = 1e-8
+"""The same for several inputs together. By eye."""
+EXPLAINED = 1e-12
+"""Share of the residuals' energy below which nothing is left of them. By eye."""
+EXACT = 1e-6
+"""Residuals below this share of the signal's deviation are rounding errors. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Hold the correlation of residuals with their own past, or with that of an input.
+
+    Attributes
+    ----------
+    of : "residuals", or the input's name.
+    values : By lag: from 1 on for residuals, from 0 on for an input.
+    band : Confidence limit: without correlation, `LEVEL` of the values lie within +- this.
+    p : The p-value of the test.
+    """
+
+    of: str
+    values: tuple[float, ...]
+    band: float
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTests:
+    """Hold the tests of one output's residuals.
+
+    Attributes
+    ----------
+    output : Its name.
+    whiteness : Correlation with their own past, and the Ljung-Box test.
+    inputs : For each input that changes: correlation with its past, both filtered by the
+        autoregressive model of the residuals, and the F test of this input beside the others.
+    p : The p-value of the F test of all inputs together.
+    """
+
+    output: str
+    whiteness: Correlation
+    inputs: tuple[Correlation, ...]
+    p: float = 1.0
+
+    @property
+    def white(self) -> bool:
+        """Return whether the residuals may be white noise."""
+        return self.whiteness.p >= 1 - LEVEL
+
+    @property
+    def dependent(self) -> list[str]:
+        """Return the inputs that the residuals depend on; `LEVEL` holds for all of them together.
+
+        Where all inputs together are significant and none beside the others, all are returned.
+        """
+        if self.p >= SIGNIFICANT:
+            return []
+        least = SIGNIFICANT / max(len(self.inputs), 1)
+        return [each.of for each in self.inputs if each.p < least] or [i.of for i in self.inputs]
+
+    @property
+    def accepted(self) -> bool:
+        """Return whether the residuals do not depend on the inputs or, without any, are white."""
+        return not self.dependent if self.inputs else self.white
+
+    def verdict(self) -> str:
+        """Return the result of the tests, in a sentence."""
+        if self.dependent:
+            *first, last = (f"`{name}`" for name in self.dependent)
+            names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
+            return (
+                f"Rejected at {100 * LEVEL:.0f} %: the residuals of {self.output} still depend on "
+                f"{names}, so the model does not capture {whose} full effect."
+            )
+        if self.inputs:
+            noise = " and are white noise." if self.white else (
+                ". They are not white: a disturbance acts, too.")  # fmt: skip
+            return f"Accepted: the residuals of {self.output} do not depend on the inputs{noise}"
+        if self.white:
+            return f"Accepted: the residuals of {self.output} are white noise."
+        return f"The residuals of {self.output} are not white: a better model may exist."
+
+
+def residual_tests(
+    residuals: Array,
+    u: Array | None,
+    columns: Sequence[str],
+    inputs: Sequence[str],
+    simulated: Array | None = None,
+) -> tuple[ResidualTests, ...]:
+    """Test the residuals of each output.
+
+    Parameters
+    ----------
+    residuals : `(time, ny)`, NaN in gaps.
+    u : The inputs, `(time, nu)`; they may begin earlier, and end with the residuals.
+    columns, inputs : Names of outputs and inputs.
+    simulated : The output of the model, `(time, ny)`, whose powers are tested, too.
+    """
+    found = []
+    simulated = np.zeros_like(residuals) if simulated is None else simulated
+    for column, e, y in zip(columns, residuals.T, simulated.T, strict=True):
+        pairs = [] if u is None else zip(inputs, u.T, strict=True)
+        driven = {name: x for name, x in pairs if np.ptp(x[-len(e) - MAX_LAG :]) > 0}
+        p, tested = _dependence(e, y, driven) if driven else (1.0, ())
+        found.append(ResidualTests(column, _whiteness(e), tested, p))
+    return tuple(found)
+
+
+def _whiteness(e: Array) -> Correlation:
+    """Return the autocorrelation, and the test of Ljung and Box (1978)."""
+    x, samples = _centred(e)
+    r = _correlation(x, x)[1:]
+    lags = np.arange(1, LAGS + 1)
+    statistic = samples * (samples + 2) * np.sum(r**2 / np.maximum(samples - lags, 1))
+    return _correlated("residuals", r, samples, float(scipy.stats.chi2.sf(statistic, LAGS)))
+
+
+def _dependence(
+    e: Array, simulated: Array, inputs: Mapping[str, Array]
+) -> tuple[float, tuple[Correlation, ...]]:
+    """Return the p-value of the test of all inputs, and the tests of each of them."""
+    x, samples = _centred(e)
+    past, rows = _own_past(x, ~np.isnan(e))
+    y, longest = x[rows], min(MAX_LAG, len(x) // 10)
+    most = max(len(y) // (4 * len(inputs)), 1)
+    of_inputs = [
+        _components(_lag_means(u, len(x), longest, LAG_MEANS)[rows], most) for u in inputs.values()
+    ]
+    powers = _components(_powers(simulated)[rows], len(y) // 8)
+    test = _NestedTest(y, past, [*of_inputs, powers])
+    if math.sqrt(y @ y) <= EXACT * float(np.linalg.norm(_centred(e + simulated)[0])):
+        chances = [1.0] * (1 + len(inputs))
+    else:
+        every = [*range(len(inputs) + 1)]
+        chances = [test.p([]), *(test.p([k for k in every if k != i]) for i in every[:-1])]
+    a = np.append(1.0, -np.linalg.lstsq(past[:, : test.order], y, rcond=None)[0])
+    white = scipy.signal.lfilter(a, [1.0], x)
+    tests = []
+    for (name, u), p in zip(inputs.items(), chances[1:], strict=True):
+        r = _correlation(white, scipy.signal.lfilter(a, [1.0], u - u.mean())[-len(x) :])
+        tests.append(_correlated(name, r, samples, p))
+    return chances[0], tuple(tests)
+
+
+class _NestedTest:
+    """Test by F which groups of regressors help to predict a signal beside its own past.
+
+    The autoregression has all orders there are, as choosing the order raises the level: by AIC to
+    2 %, and by BIC, for a slow disturbance with white noise and 5 steps, to 15 %. Where nothing is
+    left beside all groups, it has the first order that does: a higher one would explain sinusoids
+    alone.
+    """
+
+    def __init__(self, y: Array, past: Array, groups: Sequence[Array]) -> None:
+        self._y, self._past, self._groups = y, past, groups
+        self._span = self._basis(range(len(groups)))
+        q, _ = np.linalg.qr(_outside(self._span, past))
+        explained = np.cumsum((q.T @ y) ** 2)
+        left = float(np.sum(_outside(self._span, y) ** 2)) - np.append(0.0, explained)
+        least = EXPLAINED * float(y @ y) + np.finfo(float).tiny
+        self.order = int(np.argmax(np.append(left[:-1] <= least, True)))
+        self._left = max(float(left[self.order]), least)
+
+    def p(self, kept: Sequence[int]) -> float:
+        """Return the p-value of the hypothesis that the `kept` groups alone do as well."""
+        span = self._basis(kept)
+        fewer = self._span.shape[1] - span.shape[1]
+        freedom = len(self._y) - self._span.shape[1] - self.order
+        if fewer < 1 or freedom < 1:
+            return 1.0
+        q, _ = np.linalg.qr(_outside(span, self._past[:, : self.order]))
+        left = _outside(q, _outside(span, self._y))
+        ratio = (float(left @ left) - self._left) / fewer / (self._left / freedom)
+        return float(scipy.stats.f.sf(ratio, fewer, freedom))
+
+    def _basis(self, kept: Iterable[int]) -> Array:
+        """Return an orthonormal basis of a constant and the groups."""
+        constant = np.full((len(self._y), 1), len(self._y) ** -0.5)
+        every = np.hstack([constant, *(self._groups[i] for i in kept)])
+        return _span(every, COLLINEAR)
+
+
+def _own_past(x: Array, known: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the past of a signal, `(rows, order)`, and the rows where it is measured.
+
+    Gaps limit the order: half of the measured samples remain at least.
+    """
+    rows, past = known, list[Array]()
+    for k in range(1, min(MAX_ORDER, len(x) // 10) + 1):
+        fewer = rows & np.append(np.zeros(k, dtype=bool), known[:-k])
+        if 2 * fewer.sum() < known.sum():
+            break
+        rows, past = fewer, [*past, np.append(np.zeros(k), x[:-k])]
+    return np.stack([*past, x], axis=1)[rows, :-1], rows
+
+
+def _lag_means(u: Array, samples: int, longest: int, means: int) -> Array:
+    """Return means of a signal's past by lag, `(samples, means)`, over longer and longer intervals.
+
+    Before its first sample, it is assumed to have been constant.
+    """
+    edges = np.unique(np.append(0, np.geomspace(1, max(longest, 2), means).round().astype(int)))
+    begun = np.append(np.full(edges[-1], u[0]), u)
+    total = np.append(0.0, np.cumsum(begun))
+    end = len(begun) + 1 - samples + np.arange(samples)
+    ahead, behind = edges[:-1, None], edges[1:, None]
+    return np.asarray((total[end - ahead] - total[end - behind]) / (behind - ahead)).T
+
+
+def _powers(simulated: Array) -> Array:
+    """Return means of the past of the output's powers, `(time, means)`; 0 for a constant output."""
+    size = float(np.ptp(simulated))
+    z = (simulated - simulated.mean()) / size if size else np.zeros(len(simulated))
+    means = [_lag_means(z**k, len(z), POWER_LAG, POWER_MEANS) for k in POWERS]
+    return np.hstack(means)
+
+
+def _components(x: Array, most: int) -> Array:
+    """Return the principal components of columns, `(rows, up to most)`, without constant ones."""
+    return _span(x - x.mean(axis=0), SMALL_COMPONENT)[:, :most]
+
+
+def _span(x: Array, least: float) -> Array:
+    """Return an orthonormal basis of columns, without components below this share of the first."""
+    u, s, _ = np.linalg.svd(x, full_matrices=False)
+    return np.asarray(u[:, s > max(least * s[0], np.finfo(float).tiny)])
+
+
+def _outside(basis: Array, x: Array) -> Array:
+    """Return what is orthogonal to an orthonormal basis."""
+    return np.asarray(x - basis @ (basis.T @ x))
+
+
+def _correlated(of: str, r: Array, samples: int, p: float) -> Correlation:
+    band = float(scipy.special.ndtri(0.5 + LEVEL / 2)) / math.sqrt(samples)
+    return Correlation(of, tuple(map(float, r)), band, p)
+
+
+def _centred(x: Array) -> tuple[Array, int]:
+    """Return a signal minus its mean, 0 in gaps, and the number of measured samples."""
+    known = ~np.isnan(x)
+    return np.where(known, x - x[known].mean(), 0.0), max(int(known.sum()), 1)
+
+
+def _correlation(later: Array, earlier: Array) -> Array:
+    """Return the correlation of `later` with `earlier`, from 0 to `LAGS` samples before it."""
+    n = len(later)
+    size = math.sqrt(float(later @ later) * float(earlier @ earlier))
+    r = np.array([later[k:] @ earlier[: n - k] for k in range(LAGS + 1)])
+    return r / size if size else r
