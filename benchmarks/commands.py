@@ -55,6 +55,7 @@ RECORDS: dict[str, Callable[[Path], list[str]]] = {
     "five inputs, two outputs": partial(alone, kinds.five_inputs),
     "65,000 samples, no inputs": partial(alone, partial(kinds.two_tones, samples=65_000)),
     "200 samples, no inputs": partial(alone, partial(kinds.two_tones, samples=200)),
+    "drill string": lambda _: ["drill-string"],
     "crane": lambda _: ["overhead-crane"],
     "pendulum": equation,
     "Wiener-Hammerstein": wiener_hammerstein,
