@@ -65,7 +65,7 @@ RECORDS: dict[str, Callable[[Path], list[str]]] = {
 def _written(record: Record, path: Path) -> list[str]:
     names = ["time", *record.inputs, *record.columns]
     u = np.empty((len(record), 0)) if record.u is None else record.u
-    table = np.column_stack([record.sampling_time * np.arange(len(record)), u, record.seen])
+    table = np.column_stack([record.sampling_time * np.arange(len(record)), u, record.y_with_gaps])
     np.savetxt(path, table, "%.12g", ",", header=",".join(names), comments="")
     return [str(path), *(["--inputs", ",".join(record.inputs)] if record.inputs else [])]
 

@@ -217,10 +217,10 @@ def field() -> None:
     record, test = load(SETS["tanks"].training), load(SETS["tanks"].tests[0])
     assert record.u is not None
     assert test.u is not None
-    model, seconds = fitted([(record.seen, record.u)])
+    model, seconds = fitted([(record.y_with_gaps, record.u)])
     for known in (5, 50):
-        ahead, _ = model.continued(test.u, test.seen[:known])
-        error = np.sqrt(np.mean((ahead[known:] - test.seen[known:]) ** 2))
+        ahead, _ = model.continued(test.u, test.y_with_gaps[:known])
+        error = np.sqrt(np.mean((ahead[known:] - test.y_with_gaps[known:]) ** 2))
         print(f"cascaded tanks from {known} samples: {model}; {error:.3f} V, {seconds:.1f} s")
 
 

@@ -92,7 +92,7 @@ def trained(name: str, seed: int) -> dict[str, Array]:
         train, truth, ways = record, test.y[WARMUP:], driven_ways()
     else:
         record = kinds.drawn(kind, seed, SAMPLES + AHEAD)
-        train, truth, ways = record[:SAMPLES], record.seen[SAMPLES:], undriven_ways()
+        train, truth, ways = record[:SAMPLES], record.y_with_gaps[SAMPLES:], undriven_ways()
 
     def simulated(model: sb.Forecaster) -> Array:
         if kind != name:
@@ -103,9 +103,9 @@ def trained(name: str, seed: int) -> dict[str, Array]:
 
     origins = [FITTED + i * (SAMPLES - FITTED) // 3 for i in range(3)]
     found = {
-        "held": np.concatenate([train.seen[o:].ravel() for o in origins]),
+        "held": np.concatenate([train.y_with_gaps[o:].ravel() for o in origins]),
         "test": truth.ravel(),
-        "scale": np.array([train.seen.std(), truth.std()]),
+        "scale": np.array([train.y_with_gaps.std(), truth.std()]),
     }
     for way, network in ways.items():
         for s in range(SEEDS):

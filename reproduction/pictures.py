@@ -81,7 +81,7 @@ def components(
     for ax, (name, channel) in zip(grid, rows, strict=True):
         warmup = setup.settings.warmup
         start = len(record) - len(next(iter(parts[name].values())))
-        seen = record.seen[:, channel]
+        seen = record.y_with_gaps[:, channel]
         ax.plot(times, seen - np.nanmean(seen), color=MEASURED, lw=0.8, label="measured")
         for color, (part, values) in zip(PALETTE, parts[name].items(), strict=False):
             y = values[:, channel] - values[:, channel].mean()
@@ -110,7 +110,7 @@ def rollouts(comparison: Comparison) -> Figure:
             y = prediction(medians[name])[:, channel]
             begin = len(record) - len(y)
             first = max(begin - setup.settings.warmup, 0)
-            ax.plot(times[first:], record.seen[first:, channel], color=MEASURED, lw=0.8)
+            ax.plot(times[first:], record.y_with_gaps[first:, channel], color=MEASURED, lw=0.8)
             ax.plot(times[begin:], y, color=color, lw=1.2)
             ax.axvspan(times[first], times[begin - 1], color="0.93", zorder=0)
             if setup.train < len(record):
@@ -120,7 +120,7 @@ def rollouts(comparison: Comparison) -> Figure:
             ax.margins(x=0.01)
         axes[0].set_ylabel(literal(record.columns[channel]))
     # A method that diverges must not set the scale.
-    seen = record.seen[np.isfinite(record.seen)]
+    seen = record.y_with_gaps[np.isfinite(record.y_with_gaps)]
     if record.ny == 1:
         grid[0, 0].set_ylim(seen.min() - np.ptp(seen) / 4, seen.max() + np.ptp(seen) / 4)
     for ax in grid[-1]:

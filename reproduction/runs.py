@@ -20,7 +20,7 @@ import torch
 from reproduction.jobs import Job
 from reproduction.settings import Setup
 from splitband.data import Record
-from splitband.forecasters.backtest import Fit, Origin, Question, backtest, first_origin
+from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, backtest, first_origin
 from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
@@ -228,8 +228,8 @@ def run(
     checkpoint = None
     if checkpoints is not None and forecaster.random:
         checkpoint = Checkpoint(checkpoints / f"{job.method}-{job.seed}.safetensors")
-    question = Question(record, [first, forecast], len(record))
-    done = backtest(forecaster, question, job.seed, checkpoint=checkpoint)
+    spec = BacktestSpec(record, [first, forecast], len(record))
+    done = backtest(forecaster, spec, job.seed, checkpoint=checkpoint)
     sliced = None
     if job.splits:
         assert done.fitted._network is not None

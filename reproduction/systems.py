@@ -14,7 +14,7 @@ import scipy
 from splitband.data import Record
 from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 from splitband.simulators import Ode, run
 
 Array = npt.NDArray[np.float64]
@@ -51,7 +51,7 @@ class MassSpringOracle(Forecaster):
         """See `Forecaster`."""
         return True
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """See `Forecaster`."""
         time = self._time((known.begin or 0.0) + len(known.y), known.steps)
         return np.asarray(self._basis(time, self.frequencies) @ self.coefficients)

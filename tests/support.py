@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from splitband import Forecaster, Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.run import compare as compared
-from splitband.forecasters.backtest import Fit, Origin, Question, backtest, first_origin
+from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, backtest, first_origin
 from splitband.forecasters.network import Network
 from splitband.forecasters.saving import load_with_facts
 from splitband.models import Model
@@ -54,7 +54,7 @@ def asked(
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
-    return backtest(forecaster, Question(record, sorted(origins), len(record), others), seed)
+    return backtest(forecaster, BacktestSpec(record, sorted(origins), len(record), others), seed)
 
 
 def compare(

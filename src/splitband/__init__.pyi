@@ -24,7 +24,7 @@ from .filters import ComplementaryPair as ComplementaryPair
 from .forecasters.backtest import (
     Fit as Fit,
     Origin as Origin,
-    Question as Question,
+    BacktestSpec as BacktestSpec,
     backtest as backtest,
 )
 from .forecasters.bands import Bands as Bands
@@ -50,7 +50,7 @@ from .forecasters.learned import (
 )
 from .forecasters.linear import Linear as Linear
 from .forecasters.prediction import (
-    Known as Known,
+    ForecastContext as ForecastContext,
     Prediction as Prediction,
 )
 from .forecasters.saving import load as load

@@ -83,7 +83,7 @@ def spread(y: npt.ArrayLike) -> Array:
     return np.asarray(np.where(_varies(y), np.nanstd(y, axis=0), 1.0))
 
 
-FARTHEST = 3.0
+DIVERGED = 3.0
 """Largest distance of a prediction from the middle of the training range, in multiples of half its
 width. By eye."""
 
@@ -91,13 +91,13 @@ width. By eye."""
 def leaves_range(training: Array, prediction: Array) -> int | None:
     """Return how many samples of a prediction `(time, ny)` come before it leaves the range.
 
-    Each channel's range is `FARTHEST` times as wide as that in training, about the same middle. A
+    Each channel's range is `DIVERGED` times as wide as that in training, about the same middle. A
     channel that was constant in training has no range to leave, but must be finite. None where the
     prediction stays inside.
     """
     low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
     reach = np.where(high > low, (high - low) / 2, np.inf)
-    outside = ~(abs(prediction - (low + high) / 2) <= FARTHEST * reach) | ~np.isfinite(prediction)
+    outside = ~(abs(prediction - (low + high) / 2) <= DIVERGED * reach) | ~np.isfinite(prediction)
     rows_outside = np.flatnonzero(outside.any(axis=1))
     return int(rows_outside[0]) if len(rows_outside) else None
 
@@ -105,7 +105,7 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
 def leaving(samples: int) -> str:
     """Describe a prediction that leaves the range of the training samples."""
     return (
-        f"leaves {FARTHEST:g} times the range of the training samples after {samples} samples: do "
+        f"leaves {DIVERGED:g} times the range of the training samples after {samples} samples: do "
         "not rely on it beyond that"
     )
 

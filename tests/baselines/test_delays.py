@@ -82,16 +82,16 @@ def test_a_record_without_dead_time_has_none(make: object) -> None:
     assert callable(make)
     record = make(np.random.default_rng(0))[:1200]
     assert record.u is not None
-    assert input_delays([(record.seen, record.u)]) == (0,)
+    assert input_delays([(record.y_with_gaps, record.u)]) == (0,)
 
 
 def test_a_delay_is_found_from_several_records_and_beside_gaps() -> None:
     one, other = late(15)[:300], late(15, seed=1)[:300]
-    seen = other.seen.copy()
+    seen = other.y_with_gaps.copy()
     seen[50:80] = np.nan
     assert one.u is not None
     assert other.u is not None
-    assert input_delays([(one.seen, one.u), (seen, other.u)]) == (15,)
+    assert input_delays([(one.y_with_gaps, one.u), (seen, other.u)]) == (15,)
 
 
 @pytest.mark.parametrize("samples", [2, 5, 30])

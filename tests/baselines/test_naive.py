@@ -12,7 +12,7 @@ from splitband.baselines.seasonal import LastPeriod
 from splitband.baselines.sinusoids import SinusoidRegression, harmonic
 from splitband.data.named import double_mass_spring
 from splitband.forecasters.closed_form import ByTime, Persistence
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 
 Array = npt.NDArray[Any]
 
@@ -83,10 +83,10 @@ def true_form_fit(y: Array, frequencies: Array) -> tuple[Array, Array]:
 
 def test_persistence_holds_the_last_measured_sample_of_each_channel() -> None:
     y = np.array([[1.0, 2.0], [3.0, -1.0], [4.0, np.nan]])
-    found = Persistence().extrapolate(Known(y, 4))
+    found = Persistence().extrapolate(ForecastContext(y, 4))
     np.testing.assert_array_equal(found, [[4.0, -1.0]] * 4)
     with pytest.raises(ValueError, match="history must have a measured sample in every channel"):
-        Persistence().extrapolate(Known(y[2:], 4))
+        Persistence().extrapolate(ForecastContext(y[2:], 4))
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def test_what_is_seen_is_what_is_finite(y: Array, begin: int, samples: int) -> N
     y[begin % len(y)] = 1.0  # so that every channel has a value
     whole = with_gaps(y)
     expected = np.where(np.isfinite(y), y, NAN)
-    np.testing.assert_array_equal(whole.seen, expected)
+    np.testing.assert_array_equal(whole.y_with_gaps, expected)
     np.testing.assert_array_equal(whole.truth, expected)
     assert whole.complete.tolist() == [all(map(np.isfinite, row)) for row in y]
     assert (whole.measured is None) == np.isfinite(y).all()
@@ -45,7 +45,7 @@ def test_what_is_seen_is_what_is_finite(y: Array, begin: int, samples: int) -> N
     assert (whole.y <= np.nanmax(expected, axis=0)).all()
     begin = min(begin, len(y) - 2)
     part = whole[begin : begin + samples]
-    np.testing.assert_array_equal(part.seen, expected[begin : begin + samples])
+    np.testing.assert_array_equal(part.y_with_gaps, expected[begin : begin + samples])
 
 
 def test_straight_lines_and_held_ends_stand_in_for_gaps() -> None:
@@ -61,7 +61,7 @@ def test_a_sample_whose_input_is_not_known_does_not_count_as_measured() -> None:
     with pytest.warns(UserWarning, match=r"input 'u[01]' .* 1 of 5 .*row [13]\)"):
         found = with_gaps(holed(y, 4, channel=1), u=u)
     np.testing.assert_array_equal(
-        found.seen, [[0, 1], [NAN, NAN], [NAN, NAN], [NAN, NAN], [NAN, NAN]]
+        found.y_with_gaps, [[0, 1], [NAN, NAN], [NAN, NAN], [NAN, NAN], [NAN, NAN]]
     )  # fmt: skip
     np.testing.assert_array_equal(found.u, [[1, 0], [1, 0], [3, 0], [3, 0], [3, 1]])
 

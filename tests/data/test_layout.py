@@ -140,7 +140,7 @@ def test_cells_in_quotes_may_hold_separators_quotes_and_line_breaks(tmp_path: Pa
     assert "row 3 holds 'bad' (line 7)" in message(path)
     with pytest.warns(ReadingWarning, match="'note'"):
         found = read(path, missing="bad", gaps="mask")
-    np.testing.assert_array_equal(found.seen[:, 0], [1, 2, 4, np.nan])
+    np.testing.assert_array_equal(found.y_with_gaps[:, 0], [1, 2, 4, np.nan])
 
 
 @pytest.mark.parametrize(
@@ -158,13 +158,13 @@ def test_words_for_missing_values(
     tmp_path: Path, text: str, missing: Any, values: list[float]
 ) -> None:
     found = read(text_file(tmp_path, text), missing=missing, gaps="mask")
-    np.testing.assert_array_equal(found.seen[:, 0], values)
+    np.testing.assert_array_equal(found.y_with_gaps[:, 0], values)
 
 
 def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
     frame = pd.DataFrame({"t": [0, 1, 2], "y": [1, "Bad", 3]})
     np.testing.assert_array_equal(
-        read(frame, missing="Bad", gaps="mask").seen[:, 0], [1, np.nan, 3]
+        read(frame, missing="Bad", gaps="mask").y_with_gaps[:, 0], [1, np.nan, 3]
     )
     with pytest.raises(ValueError, match="skip_rows and header_row are for text"):
         read(frame, skip_rows=1)

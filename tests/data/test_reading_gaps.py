@@ -15,7 +15,7 @@ from tests.records import NAN, holed
 def test_cells_without_a_number_are_gaps(tmp_path: Path, cell: str) -> None:
     path = text_file(tmp_path, f"t,a,b\n0.0,1,5\n0.1,{cell},6\n0.2,3,7\n0.3,5,8\n")
     found = read(path, gaps="mask")
-    np.testing.assert_array_equal(found.seen, [[1, 5], [NAN, 6], [3, 7], [5, 8]])
+    np.testing.assert_array_equal(found.y_with_gaps, [[1, 5], [NAN, 6], [3, 7], [5, 8]])
     assert found.y[1, 0] == 2
     said = message(path)
     assert "column 'a' must be finite: 1 bad value" in said
@@ -43,7 +43,7 @@ def test_rows_missing_between_stamps_are_gaps(
         found = read(path, inputs="force", gaps="mask")
     assert found.sampling_time == pytest.approx(step, rel=1e-9)
     driven = [*missing, 5, 10]  # an input acts on the sample after it, too
-    np.testing.assert_array_equal(found.seen, holed(np.arange(12.0)[:, None], *driven))
+    np.testing.assert_array_equal(found.y_with_gaps, holed(np.arange(12.0)[:, None], *driven))
     np.testing.assert_allclose(found.y[:, 0], np.arange(12), rtol=1e-12)
     assert found.u is not None
     held = [0, 1, 2, 2, 2, 5, 6, 7, 8, 8, 10, 11]
@@ -57,7 +57,7 @@ def test_rows_missing_between_stamps_are_gaps(
 def test_cells_and_rows_may_be_missing_from_one_file(tmp_path: Path) -> None:
     path = text_file(tmp_path, "t,y\n0,\n1,1\n4,nan\n5,5\n6,6\n7,7\n")
     found = read(path, gaps="mask")
-    np.testing.assert_array_equal(found.seen[:, 0], [NAN, 1, NAN, NAN, NAN, 5, 6, 7])
+    np.testing.assert_array_equal(found.y_with_gaps[:, 0], [NAN, 1, NAN, NAN, NAN, 5, 6, 7])
     np.testing.assert_array_equal(found.y[:, 0], [1, 1, 2, 3, 4, 5, 6, 7])
 
 
@@ -117,4 +117,4 @@ def test_a_logger_may_start_again_between_two_rows(tmp_path: Path) -> None:
     stamps = [0, 1, 2, 3, 7.4, 8.4, 9.4, 10.4]
     found = read(stamped(tmp_path, stamps), gaps="mask")
     assert found.sampling_time == 1
-    np.testing.assert_array_equal(np.isnan(found.seen[:, 0]), [*[0] * 4, *[1] * 3, *[0] * 4])
+    np.testing.assert_array_equal(np.isnan(found.y_with_gaps[:, 0]), [*[0] * 4, *[1] * 3, *[0] * 4])

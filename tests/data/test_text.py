@@ -77,13 +77,13 @@ def test_dates_with_dots_beside_decimal_commas(tmp_path: Path) -> None:
 def test_a_first_row_of_numbers_and_missing_values_is_data(tmp_path: Path, text: str) -> None:
     found = read(text_file(tmp_path, text), sampling_time=1, gaps="mask")
     assert found.columns == ("0", "1", "2")
-    np.testing.assert_array_equal(found.seen, [[np.nan, 1, 2], [3, 4, 5], [6, 7, 8]])
+    np.testing.assert_array_equal(found.y_with_gaps, [[np.nan, 1, 2], [3, 4, 5], [6, 7, 8]])
 
 
 @pytest.mark.parametrize("name", ["record.csv", "record.txt"])
 def test_an_error_of_a_spreadsheets_cell_begins_no_comment(tmp_path: Path, name: str) -> None:
     path = text_file(tmp_path, "# of a pump\na,b\n1,2\n#N/A,3\n5,#N/A\n", name)
     found = read(path, sampling_time=1, gaps="mask")
-    np.testing.assert_array_equal(found.seen, [[1, 2], [np.nan, 3], [5, np.nan]])
+    np.testing.assert_array_equal(found.y_with_gaps, [[1, 2], [np.nan, 3], [5, np.nan]])
     path = text_file(tmp_path, "a,b\n1,2\n#DIV/0!,3\n", name)
     assert "column 'a' must be numeric: row 1 holds '#DIV/0!'" in message(path, sampling_time=1)

@@ -9,7 +9,7 @@ import scipy
 from splitband import Record, Settings
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
-from splitband.forecasters.backtest import Origin, Question, backtest, for_trial
+from splitband.forecasters.backtest import BacktestSpec, Origin, backtest, for_trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
@@ -144,8 +144,8 @@ def test_several_seeds_are_tried_out_by_their_median() -> None:
     trial = compare(r, ["gru"], SETUP, seeds=2).require_trial()
     part, shorter = r[:TRAIN], SETUP.forecaster("gru")._for_samples(90, 120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
-    question = Question(part, origins, TRAIN)
-    found = [backtest(shorter, question, seed).forecasts for seed in (0, 1)]
+    spec = BacktestSpec(part, origins, TRAIN)
+    found = [backtest(shorter, spec, seed).forecasts for seed in (0, 1)]
     medians = {o.at: np.median([each[o].y for each in found], axis=0) for o in origins}
     left = np.concatenate([part.y[start:] - y for start, y in medians.items()])
     assert trial.errors["gru"] == pytest.approx((np.sqrt(np.mean(left**2)),), rel=1e-5)

@@ -47,7 +47,7 @@ def test_errors_and_coverage_do_not_depend_on_what_stands_in_for_later_gaps() ->
         half = trials[0].intervals[method].half_widths(len(left))
         inside = [abs(e) <= h for e, h in zip(left.flat, half.flat, strict=True) if not np.isnan(e)]
         for each, trial in zip(records, trials, strict=True):
-            covered = trial.intervals[method].coverage(each.seen[TRAIN:] - a.ahead)
+            covered = trial.intervals[method].coverage(each.y_with_gaps[TRAIN:] - a.ahead)
             assert covered == pytest.approx(np.mean(inside))
     assert trials[0].errors == trials[1].errors
     assert trials[0].intervals == trials[1].intervals

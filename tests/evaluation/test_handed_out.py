@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Forecaster, Known, Record, Settings
+from splitband import GRU, Bands, ForecastContext, Forecaster, Record, Settings
 from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.workers import Workers
@@ -68,7 +68,7 @@ class Fickle(sb.Forecaster):
 
     name, random, refits = "fickle", True, False
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         return np.full((known.steps, 1), float(len(self.require_fitted().record) >= TRAIN))
 
 
@@ -90,7 +90,7 @@ class Wild(Fickle):
 
     name = "wild"
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         return np.full((known.steps, 1), 100.0 * (self.require_fitted().report.seed == 1))
 
 
@@ -188,7 +188,7 @@ class _Diverging(Forecaster):
             raise FloatingPointError("it diverged")
         self.value = float(seed)
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         return np.full((known.steps, 1), self.value)
 
 

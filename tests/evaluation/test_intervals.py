@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 import scipy
 
-from splitband import Forecaster, Known
+from splitband import ForecastContext, Forecaster
 from splitband.data import Record
 from splitband.evaluation.run import compare
 from splitband.forecasters.intervals import HeldOut, Interval
@@ -178,7 +178,7 @@ class Changing(Forecaster):
     name, random, refits = "changing", True, False
     final: tuple[float, ...] = ()
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         fitted = self.require_fitted()
         whole = len(fitted.record) == 400
         return np.full((known.steps, 1), self.final[fitted.report.seed] if whole else 0.0)

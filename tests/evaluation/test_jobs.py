@@ -11,9 +11,9 @@ from threading import Event
 import numpy as np
 import pytest
 
-from splitband import GRU, Known, Ode, Residual, Simulation
+from splitband import GRU, ForecastContext, Ode, Residual, Simulation
 from splitband.evaluation.jobs import LATE, Job, Runner
-from splitband.forecasters.backtest import Fit, Origin, Question
+from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.deadlines import NEVER, Deadline
 from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
@@ -22,8 +22,8 @@ from tests.support import slowed
 
 def job(name: str = "filtered-gru", seed: int = 0, **changes: object) -> Job:
     origins = [Origin(TRAIN, 12), Origin(TRAIN, TRAIN)]
-    question = Question(record(), origins, LENGTH, tests=[record(seed=1)], warmup=12)
-    return Job(SETUP.forecaster(name), replace(question, **changes), seed)  # type: ignore[arg-type]
+    spec = BacktestSpec(record(), origins, LENGTH, tests=[record(seed=1)], warmup=12)
+    return Job(SETUP.forecaster(name), replace(spec, **changes), seed)  # type: ignore[arg-type]
 
 
 def run(asked: Job, folder: Path, deadline: Deadline = NEVER) -> tuple[Fit, int]:
@@ -68,7 +68,7 @@ def test_a_job_on_an_edited_equation_is_another_one() -> None:
     for rate in (1.0, 2.0, 1.0):
         lag = Ode(lambda t, x, u, p, k=rate: [-k * p.c * x[0]], [1.0], parameters={"c": (0.1, 1.0)})
         network = Residual(lag, GRU(3), settings=QUICK)
-        keys.append(Job(network, Question(record(), origins, LENGTH)).key)
+        keys.append(Job(network, BacktestSpec(record(), origins, LENGTH)).key)
     assert keys[0] == keys[2] != keys[1]
 
 
@@ -146,7 +146,7 @@ class Own(Forecaster):
         if self.error is not None:
             raise self.error("it is\nbroken")
 
-    def extrapolate(self, known: Known) -> np.ndarray:
+    def extrapolate(self, known: ForecastContext) -> np.ndarray:
         return np.zeros((known.steps, known.y.shape[1]))
 
 

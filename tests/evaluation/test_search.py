@@ -49,12 +49,14 @@ class Trainer:
         )
         self.models.append(model)  # so that no identity is used again
         self.done[id(model)] = rounds
-        error, whole = self.error(job, rounds), job.question.record
+        error, whole = self.error(job, rounds), job.spec.record
         forecasts = {
             at: Prediction(
-                whole.seen[at.at :] + error, replace(whole.grid, samples=len(whole) - at.at), ("y",)
+                whole.y_with_gaps[at.at :] + error,
+                replace(whole.grid, samples=len(whole) - at.at),
+                ("y",),
             )
-            for at in job.question.origins
+            for at in job.spec.origins
         }
         return Fit(job.method, job.seed, model, forecasts, seconds=self.seconds)
 
@@ -154,7 +156,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
         assert job.start is not None
         trained = FIRST_ROUND * 5 ** (trainer.done[id(job.start)] - 1)
         assert settings_of(job).quasi_newton == round(0.25 * trained)
-        assert job.question.origins[-1].fitted == TRAIN
+        assert job.spec.origins[-1].fitted == TRAIN
     assert all(seconds > 0 for _, seconds in search.finals())
 
 

@@ -137,7 +137,7 @@ def test_a_good_model_is_accepted_with_its_fits_on_a_record_with_gaps() -> None:
     assert [*found.fits] == ["simulation", "1 step ahead", "10 steps ahead"]
     (fit,) = found.fits["simulation"]
     simulated = model.predict(360, other[:40], other_record=True).y
-    assert fit == pytest.approx(sb.fit_percent(gaps.seen[40:], simulated)[0])
+    assert fit == pytest.approx(sb.fit_percent(gaps.y_with_gaps[40:], simulated)[0])
     assert "stays in range" in str(found)
 
 
@@ -146,7 +146,7 @@ class Growing(sb.Forecaster):
 
     name = "growing"
 
-    def extrapolate(self, known: sb.Known) -> Array:
+    def extrapolate(self, known: sb.ForecastContext) -> Array:
         return np.asarray(known.y[-1] * 2.0 ** (np.arange(1, known.steps + 1)[:, None] / 100))
 
 

@@ -13,10 +13,10 @@ from splitband.forecasters.names import NAMES
 class NonLinear(sb.Forecaster):
     name = "nonlinear"
 
-    def trajectory(self, known: sb.Known) -> npt.NDArray[np.float64]:
+    def trajectory(self, known: sb.ForecastContext) -> npt.NDArray[np.float64]:
         return np.zeros((len(known.y) + known.steps, 1))
 
-    def extrapolate(self, known: sb.Known) -> npt.NDArray[np.float64]:
+    def extrapolate(self, known: sb.ForecastContext) -> npt.NDArray[np.float64]:
         return self.trajectory(known)[len(known.y) :]
 
 

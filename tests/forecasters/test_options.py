@@ -10,7 +10,7 @@ import pytest
 from torch import nn
 
 import splitband as sb
-from splitband import Forecaster, Known, Record
+from splitband import ForecastContext, Forecaster, Record
 
 SETTINGS = sb.Settings(40, 10, 3, quasi_newton=20, clip=1.0, milestones=((2, 1e-4),))
 SHORT = sb.Settings(40, 10, 1)
@@ -43,7 +43,7 @@ class Mine(Forecaster):
     def __init__(self, weight: float, parts: tuple[Forecaster, ...] = ()) -> None:
         self.weight, self.parts = weight, parts
 
-    def extrapolate(self, known: Known) -> npt.NDArray[np.float64]:
+    def extrapolate(self, known: ForecastContext) -> npt.NDArray[np.float64]:
         return np.zeros((known.steps, 1))
 
 

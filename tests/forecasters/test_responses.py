@@ -91,7 +91,7 @@ class Squared(sb.Forecaster):
     name = "squared"
     needs = frozenset({"inputs"})
 
-    def extrapolate(self, known: sb.Known) -> Any:
+    def extrapolate(self, known: sb.ForecastContext) -> Any:
         assert known.u is not None
         return known.u[len(known.y) :] ** 2
 

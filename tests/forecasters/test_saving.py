@@ -105,7 +105,7 @@ class OwnForecaster(sb.Forecaster):
         self.found = {"levels": (np.array([[np.nan, 2.0]]), float("inf")), "day": None}
         self.of_inner = self.inner.clone().fit(*records)
 
-    def extrapolate(self, known: sb.Known) -> Array:
+    def extrapolate(self, known: sb.ForecastContext) -> Array:
         parts = self.of_inner.extrapolate(known)
         values = sum(parts.values()) if isinstance(parts, dict) else parts
         return self.factor * np.asarray(values)

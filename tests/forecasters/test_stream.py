@@ -81,7 +81,7 @@ class Twice(sb.Forecaster):
 
     name = "twice"
 
-    def extrapolate(self, known: sb.Known) -> Array:
+    def extrapolate(self, known: sb.ForecastContext) -> Array:
         return np.tile(2 * known.y[-1], (known.steps, 1))
 
 

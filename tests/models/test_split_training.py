@@ -62,8 +62,8 @@ def test_eq_10_slices_the_filtered_training_record(records: list[Record]) -> Non
 def scipys_bands(record: Record) -> list[Array]:
     """L and H of a whole record, whose gaps are filled by straight lines."""
     y, n = record.y[:, 0], np.arange(len(record))
-    seen = ~np.isnan(record.seen[:, 0])
-    np.testing.assert_allclose(y, np.interp(n, n[seen], record.seen[seen, 0]))
+    seen = ~np.isnan(record.y_with_gaps[:, 0])
+    np.testing.assert_allclose(y, np.interp(n, n[seen], record.y_with_gaps[seen, 0]))
     kinds = (scipy.signal.butter(ORDER, CUTOFF, kind, fs=1 / DT) for kind in ("low", "high"))
     return [scipy.signal.filtfilt(b, a, y) for b, a in kinds]
 

@@ -152,7 +152,7 @@ def test_the_text_names_the_scores_that_were_compared() -> None:
     assert said.startswith("No other method was tried.")
     both = comparisons.compared(r, ["mean", "seasonal-naive"]).require_trial()
     said = " ".join(words.why(both, comparisons.TRAIN))
-    assert all(number(both.worth(name)) in said for name in ("seasonal-naive", "mean"))
+    assert all(number(both.penalized_score(name)) in said for name in ("seasonal-naive", "mean"))
 
 
 def test_a_channel_that_was_never_measured_after_training_has_no_number() -> None:

@@ -25,7 +25,7 @@ from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
 from splitband.models import Signals, Split
 from splitband.training import Checkpoint
@@ -282,7 +282,7 @@ def test_an_own_record_takes_the_place_of_an_unpublished_one(
 
 def oracle_on(record: Record) -> Array:
     """What the oracle that knows 250 samples says of the whole record."""
-    known = Known(record.y[:0], len(record))
+    known = ForecastContext(record.y[:0], len(record))
     return MassSpringOracle().fit(record[:250]).extrapolate(known)
 
 

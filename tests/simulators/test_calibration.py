@@ -208,7 +208,7 @@ def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
     found = model.applied
     assert found.delay == pytest.approx(delay, abs=WITHIN["delay"])
     assert found.clock == pytest.approx(clock, abs=WITHIN["clock"])
-    missing = int((found.places(SAMPLES, DT) > SAMPLES + spare - 0.5).sum())
+    missing = int((found.positions(SAMPLES, DT) > SAMPLES + spare - 0.5).sum())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         prediction = model.predict(SAMPLES - TRAIN)
@@ -228,8 +228,8 @@ def test_a_part_of_a_record_is_calibrated_as_in_the_whole(delay: float, clock: f
     y_sim, found = simulation(2 * SAMPLES), Calibration(delay=delay, clock=clock)
     whole, begin = found.apply(y_sim, SAMPLES, DT), 25
     np.testing.assert_array_equal(found.apply(y_sim, 60, DT, begin), whole[begin : begin + 60])
-    places = found.places(60, DT, begin)
-    first, last = int(places[0]), int(np.ceil(places[-1] - 1e-9))
+    positions = found.positions(60, DT, begin)
+    first, last = int(positions[0]), int(np.ceil(positions[-1] - 1e-9))
     # A spline through a few samples more, as its ends are bent otherwise.
     near = slice(max(first - 10, 0), last + 11)
     part = found.apply(y_sim[near], 60, DT, begin, near.start)

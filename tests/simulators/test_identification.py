@@ -241,7 +241,7 @@ def test_parameters_are_read_as_the_command_line_has_them() -> None:
     assert Parameters.read(str(read)) == read
     assert read.logarithmic("k")
     assert not read.logarithmic("x0_2")
-    assert read.at("k", 0.5) == pytest.approx(1.0)
+    assert read.value_at("k", 0.5) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

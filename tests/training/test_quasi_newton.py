@@ -73,7 +73,7 @@ def test_every_sample_after_the_first_warmup_is_in_a_window(
     samples: int, window: int, warmup: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for halved in (0, 10_000):
-        monkeypatch.setattr(quasi_newton, "HALVED", halved)
+        monkeypatch.setattr(quasi_newton, "MAX_WINDOWS_WITH_OVERLAP", halved)
         chosen = end_to_end(torch.arange(samples - window + 1), window, warmup, 10_000)
         predicted = {n for start in chosen.tolist() for n in range(start + warmup, start + window)}
         assert predicted == set(range(warmup, samples))

@@ -95,10 +95,10 @@ class Units:
         """Return a record with delayed inputs for a fit."""
         outputs = ((y - self.y_mean) / self.y_scale).T
         inputs = (delayed(u, delays) - self.u_mean) / self.u_scale
-        seen = (~np.isnan(outputs)).astype(np.float64)
+        measured = (~np.isnan(outputs)).astype(np.float64)
         if 0 < (late := max(delays, default=0)) < len(y) // 2:
-            seen[:, :late] = 0.0  # the inputs that act here are not known
-        return Run(np.ascontiguousarray(inputs.T), np.where(seen > 0, outputs, 0.0), seen)
+            measured[:, :late] = 0.0  # the inputs that act here are not known
+        return Run(np.ascontiguousarray(inputs.T), np.where(measured > 0, outputs, 0.0), measured)
 
     def outputs(self, some: Sequence[int]) -> Units:
         """Return the units of some outputs."""
@@ -186,7 +186,7 @@ def _one_delay(
 
 def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     """Return the information criterion of the best model of a low order, per sample."""
-    found = subspace([(np.where(r.seen > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
+    found = subspace([(np.where(r.measured > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
     costs = []
     for order in _DELAY_ORDERS if found is not None else ():
         assert found is not None
@@ -255,9 +255,9 @@ def _acts_before(
             continue
         index = np.arange(begin, len(y))[:, None]
         others = [u[index - np.arange(past + 1), i] for i in range(nu) if i != input_]
-        seen = [y[index - np.arange(1, past + 1), i] for i in range(y.shape[1])]
+        measured = [y[index - np.arange(1, past + 1), i] for i in range(y.shape[1])]
         own = [u[index - tested, input_], u[index - later, input_]]
-        row = np.hstack([*own, *others, *seen, np.ones((len(index), 1))])
+        row = np.hstack([*own, *others, *measured, np.ones((len(index), 1))])
         whole = ~np.isnan(row).any(axis=1) & ~np.isnan(y[begin:, output])
         rows.append(row[whole][:_ARX_ROWS])
         wanted.append(y[begin:, output][whole][:_ARX_ROWS])

@@ -194,14 +194,14 @@ def _model_of(
     x = [states(a, u @ b.T + drift, into @ start) for u, start in zip(inputs, first, strict=True)]
     visited = np.clip(np.nan_to_num(np.concatenate(x)), -1e150, 1e150)
     centre, spread = visited.mean(axis=0), np.cov(visited.T, bias=True).reshape(a.shape)
-    errors, seen = [e.T for e in at.errors], [run.seen.T for run in runs]
-    gain = fitted_gain(a, c, spread, errors, seen) if gain is None else into @ gain
+    errors, measured = [e.T for e in at.errors], [run.measured.T for run in runs]
+    gain = fitted_gain(a, c, spread, errors, measured) if gain is None else into @ gain
     pairs = sum((e[1:] * e[:-1]).sum(axis=0) for e in errors)
-    both = sum((s[1:] * s[:-1]).sum(axis=0) for s in seen)
+    both = sum((s[1:] * s[:-1]).sum(axis=0) for s in measured)
     alike = pairs / np.maximum(both, 1) / np.maximum(at.scale**2, 1e-300)
     alike = np.clip(alike, 0, _MOST_CORRELATED)
     return LinearModel(
-        a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, seen),
+        a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, measured),
         np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny,
         into @ first[0], into @ first[0], centre, root_of(spread),
         at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny),
@@ -281,7 +281,7 @@ def prediction_error(
     """
     filled = []
     for run, y in zip(runs, simulated, strict=True):
-        whole = np.where(run.seen > 0, run.y, y)
+        whole = np.where(run.measured > 0, run.y, y)
         filled.append(run._replace(u=np.vstack([run.u, whole])))
     begin = linear_solution(blocks_of(a - gain @ c, c, [*direct, *[False] * len(c)]), filled)
     at = refined(begin.blocks, filled, _ITERATIONS, begin.first, MAX_OBSERVER_POLE)

@@ -112,13 +112,13 @@ def innovations(a: Array, c: Array, gain: Array, errors: Array) -> Array:
 
 @np.errstate(all="ignore")
 def covariance(
-    a: Array, c: Array, gain: Array, errors: Sequence[Array], seen: Sequence[Array]
+    a: Array, c: Array, gain: Array, errors: Sequence[Array], measured: Sequence[Array]
 ) -> Array:
     """Return the covariance of prediction errors `(ny, ny)`; arguments as of `fitted_gain`."""
     left = np.concatenate(
-        [innovations(a, c, gain, e) * s for e, s in zip(errors, seen, strict=True)]
+        [innovations(a, c, gain, e) * s for e, s in zip(errors, measured, strict=True)]
     )
-    return np.asarray(left.T @ left / np.maximum(np.concatenate(seen).sum(axis=0), 1))
+    return np.asarray(left.T @ left / np.maximum(np.concatenate(measured).sum(axis=0), 1))
 
 
 def fitted_gain(
@@ -126,7 +126,7 @@ def fitted_gain(
     c: Array,
     spread: Array,
     errors: Sequence[Array],
-    seen: Sequence[Array],
+    measured: Sequence[Array],
 ) -> Array:
     """Return the gain K `(states, ny)` that predicts best, for the errors of a simulation.
 
@@ -137,15 +137,15 @@ def fitted_gain(
     ----------
     a, c : Of the simulated system.
     spread : Covariance of its states in the record, `(states, states)`.
-    errors, seen : Simulation errors of each record, 0 in gaps, and 1 where outputs were measured,
-        `(time, ny)` each.
+    errors, measured : Simulation errors of each record, 0 in gaps, and 1 where outputs were
+        measured, `(time, ny)` each.
     """
 
     def cost(gain: Array) -> float:
         observer = a - gain @ c
         if len(a) and abs(np.linalg.eigvals(observer)).max() > MAX_OBSERVER_POLE and gain.any():
             return np.inf
-        power = np.diag(covariance(a, c, gain, errors, seen))
+        power = np.diag(covariance(a, c, gain, errors, measured))
         return float(np.log(np.maximum(power, 1e-24)).sum()) if np.isfinite(power).all() else np.inf
 
     together = np.concatenate(errors)

@@ -217,11 +217,11 @@ class LinearModel:
         x = self._run(tapped[:known], self.first)[1] if expected else self.centre
         tapped = tapped[known:]
         ages = np.arange(len(y))[:, None] + known
-        seen = ~np.isnan(y) & (ages >= np.asarray(self.late))
-        if not seen.any():
+        measured = ~np.isnan(y) & (ages >= np.asarray(self.late))
+        if not measured.any():
             return self._run(tapped, x)[0], x
         usual = np.array(0.0 if expected else 1.0)
-        whole = bool(seen.all())
+        whole = bool(measured.all())
         if whole:
             answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
             errors, _ = self._observed(tapped[: len(y)], y, x)
@@ -230,9 +230,9 @@ class LinearModel:
             left = (errors[: len(answers)] @ white.T).ravel()
             information, towards = rows.T @ rows, rows.T @ left
         else:
-            information, towards = self._with_gaps(tapped, y, seen, x)
+            information, towards = self._with_gaps(tapped, y, measured, x)
         x = x + self.root @ most_probable(information, towards, usual)
-        return self._followed(tapped, y, seen, x)
+        return self._followed(tapped, y, measured, x)
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
@@ -242,11 +242,11 @@ class LinearModel:
         x = states(a, forced, first)
         return left - x @ self.c.T, a @ x[-1] + forced[-1]
 
-    def _with_gaps(self, tapped: Array, y: Array, seen: Any, x: Array) -> tuple[Array, Array]:
+    def _with_gaps(self, tapped: Array, y: Array, measured: Any, x: Array) -> tuple[Array, Array]:
         """Return `information` and `towards` of `most_probable`, sample by sample."""
         answers, white = self.root, self.whitener()
         information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
-        for row, value, known in zip(tapped[: len(y)], y, seen, strict=True):
+        for row, value, known in zip(tapped[: len(y)], y, measured, strict=True):
             response = self.c @ answers
             left = np.where(known, value - self.c @ x - self.d @ row - self.offset, 0.0)
             counted = white @ (response * known[:, None])
@@ -256,14 +256,14 @@ class LinearModel:
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
         return information, towards
 
-    def _followed(self, tapped: Array, y: Array, seen: Any, x: Array) -> tuple[Array, Array]:
+    def _followed(self, tapped: Array, y: Array, measured: Any, x: Array) -> tuple[Array, Array]:
         """Return predictions of all samples, observing the history from the state x."""
-        if seen.all():
+        if measured.all():
             errors, after = self._observed(tapped[: len(y)], y, x)
             ahead = self._run(tapped[len(y) :], after)[0]
             return np.concatenate([y - errors, ahead]), after
         found = np.empty((len(y), self.ny))
-        for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, seen, strict=True)):
+        for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, measured, strict=True)):
             found[n] = self.c @ x + self.d @ row + self.offset
             left = np.where(known, value - found[n], 0.0)
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left

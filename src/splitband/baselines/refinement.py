@@ -47,12 +47,12 @@ _EXACT = 1e-10
 class Run(NamedTuple):
     """Hold a record for a fit: inputs `(nu, time)`, outputs `(ny, time)` with 0 in gaps.
 
-    `seen` `(ny, time)` is 1 where an output was measured, else 0.
+    `measured` `(ny, time)` is 1 where an output was measured, else 0.
     """
 
     u: Array
     y: Array
-    seen: Array
+    measured: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,10 +375,10 @@ def evaluated(blocks: Blocks, runs: Sequence[Run], first: Sequence[Array]) -> So
     """Return the errors of a system."""
     errors, total, count = [], np.zeros(len(blocks.offset)), np.zeros(len(blocks.offset))
     for run, x in zip(runs, first, strict=True):
-        left = (run.y - blocks.simulate(run, x)) * run.seen
+        left = (run.y - blocks.simulate(run, x)) * run.measured
         errors.append(left)
         total += (left**2).sum(axis=1)
-        count += run.seen.sum(axis=1)
+        count += run.measured.sum(axis=1)
     scale = np.sqrt(total / np.maximum(count, 1))
     return Solution(blocks, tuple(first), tuple(errors), scale)
 
@@ -404,7 +404,7 @@ def segments(runs: Sequence[Run], count: int) -> list[tuple[int, int, int]]:
     for i, run in enumerate(runs):
         edges = np.linspace(0, run.u.shape[1], max(round(count * run.u.shape[1] / time), 1) + 1)
         found += [(i, a, b) for a, b in pairwise(edges.astype(int).tolist())
-                  if run.seen[:, a:b].any()]  # fmt: skip
+                  if run.measured[:, a:b].any()]  # fmt: skip
     return found
 
 
@@ -436,8 +436,8 @@ def by_segment(
             through = one * responses[:, 0] + two * responses[:, 1]
             rows = np.concatenate([*through, *states, run.u, constant])[columns >= 0]
             columns = columns[columns >= 0]
-            if not run.seen[k].all():
-                rows *= run.seen[k]
+            if not run.measured[k].all():
+                rows *= run.measured[k]
             for i, (_, begin, end) in enumerate(here):
                 part = rows[:, begin:end]
                 n[i][np.ix_(columns, columns)] += w * (part @ part.T)
@@ -515,7 +515,7 @@ def refined(
         at = linear_solution(blocks, runs)
     else:
         at = evaluated(blocks, runs, [*first] or zero)
-    samples = sum(float(run.seen.sum()) for run in runs) / len(at.scale)
+    samples = sum(float(run.measured.sum()) for run in runs) / len(at.scale)
     damping, free = 1e-4, blocks.free
     for _ in range(iterations):
         found = equations(at, runs, free)

@@ -134,7 +134,7 @@ class Search:
     def __post_init__(self) -> None:
         """Compute the subspaces."""
         ny, nu = len(self.runs[0].y), len(self.runs[0].u)
-        samples = sum(float(run.seen.sum()) for run in self.runs) / ny
+        samples = sum(float(run.measured.sum()) for run in self.runs) / ny
         largest = int((samples / _SAMPLES_EACH - nu - 1) * ny / (nu + ny))
         largest = max(min(largest, _MOST if ny == 1 else _MOST_FOR_SEVERAL), 1)
         self.most = largest if self.most is None else min(self.most, largest)
@@ -225,7 +225,7 @@ class Search:
         """Yield by order the information criterion (BIC) of the subspace's poles."""
         assert self.most is not None
         ny, least, misses = len(self.runs[0].y), np.inf, 0
-        samples = sum(float(run.seen.sum()) for run in self.runs) / ny
+        samples = sum(float(run.measured.sum()) for run in self.runs) / ny
         for order in (n for n in _ORDERS if n <= self.most):
             if current().over or (start := self._start(order)) is None:
                 return
@@ -312,18 +312,18 @@ def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
         run = Run(*(signal[:, :end] for signal in runs[record]))
         with np.errstate(over="ignore", invalid="ignore"):
             y = moved.simulate(run, solution.first[record] + first.reshape(-1, 2))
-            left = ((run.y - y) * run.seen)[:, begin:]
-            seen = run.seen[:, begin:].sum(axis=1)
-            power = (left**2).sum(axis=1) / np.maximum(seen, 1)
+            left = ((run.y - y) * run.measured)[:, begin:]
+            measured = run.measured[:, begin:].sum(axis=1)
+            power = (left**2).sum(axis=1) / np.maximum(measured, 1)
         power = np.minimum(np.nan_to_num(power, nan=_DIVERGED, posinf=_DIVERGED), _DIVERGED)
-        found.append(np.where(seen > 0, power, np.nan))
+        found.append(np.where(measured > 0, power, np.nan))
     return np.array(found)
 
 
 def _subspaces(runs: Sequence[Run], most: int) -> Iterator[Subspace]:
     """Yield the subspaces of the records at several rates."""
     ny, nu = len(runs[0].y), len(runs[0].u)
-    records = [(np.where(run.seen > 0, run.y, np.nan).T, run.u.T) for run in runs]
+    records = [(np.where(run.measured > 0, run.y, np.nan).T, run.u.T) for run in runs]
     samples = sum(run.u.shape[1] for run in runs)
     for stride in _STRIDES:
         fits = samples // stride // (3 * (ny + nu))

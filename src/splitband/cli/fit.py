@@ -171,4 +171,4 @@ def _training_error(forecaster: Forecaster) -> float | None:
         return None
     with showing.without_warnings():
         y = forecaster.predict(len(record) - start, record[:start]).y
-    return rmse(record.seen[start:], np.asarray(y))
+    return rmse(record.y_with_gaps[start:], np.asarray(y))

@@ -91,7 +91,7 @@ def in_words(state: Run) -> str:
     if state.trials:
         trial = state.trial
         best = trial.recommended
-        said.append(f"best so far: {best}, held-out score {trial.worth(best):.3g}")
+        said.append(f"best so far: {best}, held-out score {trial.penalized_score(best):.3g}")
     if state.clock.limit is not None:
         said.append(f"{state.clock.left:.0f} s left")
     return "; ".join(said)

@@ -17,7 +17,7 @@ from splitband.cli.options.values import names
 from splitband.data import Record, aligned, read, resampled
 from splitband.data.named import RECORDS
 from splitband.data.reading import ColumnError
-from splitband.data.signals import ReadingWarning, described, places, same_names
+from splitband.data.signals import ReadingWarning, described, row_ranges, same_names
 from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.errors import InputError
@@ -82,7 +82,7 @@ def _of_file(path: str, reading: RecordOptions, like: Forecaster | None) -> Reco
         missing = ~record.complete
         showing.console.print(
             f"{path}: {missing.sum()} of {len(missing)} samples have missing values "
-            f"and are masked: {places(missing)}"
+            f"and are masked: {row_ranges(missing)}"
         )
     announce(record, path)
     return record

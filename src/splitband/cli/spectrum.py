@@ -133,10 +133,10 @@ def _beside(
     record: Record, y_sim: Array, cutoff: float, order: int
 ) -> tuple[dict[str, Any], Table, str]:
     """Return how a simulator compares with the record: as facts, as a table, in a sentence."""
-    rate, total = record.sampling_rate, rmse(record.seen, y_sim)
+    rate, total = record.sampling_rate, rmse(record.y_with_gaps, y_sim)
     cutoffs = {f"{each:g} Hz": each for each in (*oracle_cutoffs(len(record), rate), cutoff)}
     of = {
-        name: oracle(record.y, y_sim, rate, each, order, record.seen)
+        name: oracle(record.y, y_sim, rate, each, order, record.y_with_gaps)
         for name, each in sorted(cutoffs.items(), key=lambda pair: pair[1])
     }
     perfect = {name: check.perfect_network for name, check in of.items()}
@@ -165,7 +165,7 @@ def _nothing_to_learn(
     """Return the oracle check on training samples; if it fails, also a calibrated one, and why."""
     assert record.y_sim is not None
     rate = record.sampling_rate
-    found = oracle(record.y, record.y_sim, rate, cutoff, order, record.seen)
+    found = oracle(record.y, record.y_sim, rate, cutoff, order, record.y_with_gaps)
     facts: dict[str, Any] = {"oracle": asdict(found), "nothing_to_learn": found.nothing_to_learn}
     if not found.nothing_to_learn:
         return facts, []
@@ -173,7 +173,7 @@ def _nothing_to_learn(
     simulation.fit(record)
     y_sim = simulation.on(record).y_sim
     assert y_sim is not None
-    mended = oracle(record.y, y_sim, rate, cutoff, order, record.seen)
+    mended = oracle(record.y, y_sim, rate, cutoff, order, record.y_with_gaps)
     return facts | {"oracle_calibrated": asdict(mended)}, [
         f"{found.describe()}, to which training does not lead then; calibrated "
         f"(--calibrate), the simulator has {mended.no_network:.3g} and "

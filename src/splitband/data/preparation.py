@@ -88,7 +88,7 @@ class Detrended(Preparation):
         begin = float(time[0]) if order else 0.0
         fits = [
             _line(time - begin, signal, order)
-            for of in (record.seen, record.u)
+            for of in (record.y_with_gaps, record.u)
             if of is not None
             for signal in of.T
         ]
@@ -140,7 +140,7 @@ class Clipped(Preparation):
     @classmethod
     def of(cls, record: Record, deviations: float) -> Clipped:
         """Return limits of `deviations` robust standard deviations around the median."""
-        seen = record.seen
+        seen = record.y_with_gaps
         middle = np.nanmedian(seen, axis=0)
         # The factor turns the median deviation into the standard deviation of a Gaussian.
         reach = deviations * 1.4826 * np.nanmedian(abs(seen - middle), axis=0)

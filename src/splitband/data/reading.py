@@ -153,8 +153,8 @@ def read(  # noqa: PLR0913
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
         if spaced.newest_first:
             table = {name: column.iloc[::-1] for name, column in table.items()}
-        y = _matrix(table, picked.measured, gaps, spaced.places)
-        u = _matrix(table, picked.known, gaps, spaced.places) if picked.known else None
+        y = _matrix(table, picked.measured, gaps, spaced.grid_rows)
+        u = _matrix(table, picked.known, gaps, spaced.grid_rows) if picked.known else None
         record = Record.with_gaps(
             y, spaced.step, u=u, name=path.stem if frame is None else "", start=spaced.start,
             columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
@@ -278,7 +278,7 @@ def _check_orientation(names: Sequence[str], rows: int) -> None:
 
 
 def _matrix(
-    table: Table, names: Sequence[str], gaps: Gaps, places: NDArray[np.int_] | None
+    table: Table, names: Sequence[str], gaps: Gaps, grid_rows: NDArray[np.int_] | None
 ) -> Array:
     """Check every cell of some columns, and return them as a matrix, with NaN in missing rows."""
     matrix = np.column_stack([_values(name, table[name]) for name in names])
@@ -288,12 +288,12 @@ def _matrix(
         except InputError as error:
             hint = "; gaps='mask' (--gaps mask) goes around them"
             raise InputError(f"{error}{'' if np.isfinite(matrix).all() else hint}") from None
-    if places is None:
+    if grid_rows is None:
         return matrix
-    rows = int(places[-1]) + 1
+    rows = int(grid_rows[-1]) + 1
     check_size(8 * rows * len(names))
     spread = np.full((rows, len(names)), np.nan)
-    spread[places] = matrix
+    spread[grid_rows] = matrix
     return spread
 
 
@@ -359,7 +359,7 @@ def _spacing(
         spaced = spacing(what, stamps[0], column, gaps, given or fallback)
         if given is None:
             return spaced
-        rows = len(column) if spaced.places is None else int(spaced.places[-1]) + 1
+        rows = len(column) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1
         if not (given > 0 and same_sampling(given, spaced.step, rows)):
             raise InputError(
                 f"sampling_time (--sampling-time) is {given} s, but {what} steps by "

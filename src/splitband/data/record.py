@@ -16,9 +16,9 @@ from splitband.data.signals import (
     described,
     filled,
     numbered,
-    places,
     positive_seconds,
     require_finite,
+    row_ranges,
     same_names,
     signal_of,
     unit_of,
@@ -158,8 +158,8 @@ class Record:
             if lacks.any():
                 warnings.warn(
                     f"{record.name or 'the record'}: input {name!r} is missing in {lacks.sum()} of "
-                    f"{len(record)} samples ({places(lacks)}) and is held there at its last value; "
-                    "interpolate it beforehand if it changes smoothly",
+                    f"{len(record)} samples ({row_ranges(lacks)}) and is held there at its last "
+                    "value; interpolate it beforehand if it changes smoothly",
                     ReadingWarning,
                     stacklevel=2,
                 )
@@ -188,7 +188,7 @@ class Record:
             # Gaps are filled again, from the samples of the slice only.
             known = measured.any(axis=0)
             y = y.copy()
-            y[:, known] = filled("y", self.seen[key][:, known])[0]
+            y[:, known] = filled("y", self.y_with_gaps[key][:, known])[0]
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
@@ -199,7 +199,7 @@ class Record:
 
     def to_frame(self) -> pd.DataFrame:
         """Return a table of time stamps, inputs and outputs, with NaN in gaps."""
-        named = dict(zip(self.columns, self.seen.T, strict=True))
+        named = dict(zip(self.columns, self.y_with_gaps.T, strict=True))
         known = {} if self.u is None else dict(zip(self.inputs, self.u.T, strict=True))
         header = "time (s)" if "time" in (*named, *known) else "time"
         return pd.DataFrame({header: self.stamps, **known, **named})
@@ -279,14 +279,14 @@ class Record:
         return f"<Record {self.name or 'without a name'}: {'; '.join(parts)}>"
 
     @property
-    def seen(self) -> Array:
+    def y_with_gaps(self) -> Array:
         """Return the measured samples, (time, ny), with NaN in gaps."""
         return self.y if self.measured is None else np.where(self.measured, self.y, np.nan)
 
     @property
     def truth(self) -> Array:
-        """Return the reference for predictions, (time, ny): `y_true` if known, else `seen`."""
-        return self.seen if self.y_true is None else self.y_true
+        """Return what predictions are compared with, (time, ny): `y_true` or `y_with_gaps`."""
+        return self.y_with_gaps if self.y_true is None else self.y_true
 
     @property
     def complete(self) -> Flags:

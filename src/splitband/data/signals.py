@@ -70,7 +70,11 @@ def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> Non
         raise InputError(
             f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
             f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
-            + (f"; {places(np.asarray(~np.isfinite(values).all(axis=1)))}" if len(bad) > 1 else "")
+            + (
+                f"; {row_ranges(np.asarray(~np.isfinite(values).all(axis=1)))}"
+                if len(bad) > 1
+                else ""
+            )
         )
     largest = np.abs(values).max(axis=0, initial=0.0)
     with np.errstate(over="ignore"):
@@ -147,7 +151,7 @@ def stretches(rows: Flags) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def places(rows: Flags, most: int = 6) -> str:
+def row_ranges(rows: Flags, most: int = 6) -> str:
     """Describe the stretches of true values for a message: "rows 3, 7 to 9"."""
     gaps = stretches(rows)
     named = ", ".join(str(a) if a == b else f"{a} to {b}" for a, b in gaps[:most])

@@ -150,14 +150,14 @@ class Spacing:
     ----------
     step : In s.
     start : Time stamp of its first row; None for a file without time stamps.
-    places : Grid index of each row of the file, `(time,)`; None if no rows are missing.
+    grid_rows : Grid index of each row of the file, `(time,)`; None if no rows are missing.
     newest_first : Whether the rows of the file are to be reversed.
     note : Message about how the stamps were interpreted; empty if that is certain.
     """
 
     step: float
     start: Stamp | None = None
-    places: NDArray[np.int_] | None = None
+    grid_rows: NDArray[np.int_] | None = None
     newest_first: bool = False
     note: str = ""
 

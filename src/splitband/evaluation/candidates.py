@@ -19,8 +19,8 @@ FIRST_STEPS = 300
 """Steps of Adam before L-BFGS takes over, from random weights."""
 FIRST_ROUND, FIRST_SAMPLES = 100, 20_000
 """Iterations of L-BFGS in the first round of a candidate, and samples in each of them. On records
-of more than `SHORT` samples, networks that begin as a linear model have `LONGER` times as many, as
-an iteration of such a small network is quick."""
+of more than `SHORT_RECORD` samples, networks that begin as a linear model have `LONGER` times as
+many, as an iteration of such a small network is quick."""
 LONGER = 4
 """A round trains this many times as long as all rounds before it together."""
 FREE_RUN_FROM_LINEAR = 150
@@ -29,10 +29,10 @@ beside the recipe's window."""
 FREE_RUNS_FROM_RANDOM = 100, 50
 """Predicted samples of the shorter windows that are tried for networks that begin with random
 weights, beside the recipe's window."""
-SHORT = 3000
+SHORT_RECORD = 3000
 """Longest record, in samples, for which one window over all of it is tried, too."""
 PENALTIES = 1e-4, 1e-3
-"""Penalties to try; the second one only on records of up to `SHORT` samples."""
+"""Penalties to try; the second one only on records of up to `SHORT_RECORD` samples."""
 
 
 SETTLED = 0.01
@@ -178,12 +178,12 @@ def candidates(
     size, *sizes = _sizes(forecaster) if sized else [forecaster]
     if record.nu and all(isinstance(cell, LinearPart) for cell in cells_of(forecaster).values()):
         window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
-        iterations = FIRST_ROUND * (1 if samples <= SHORT else LONGER)
+        iterations = FIRST_ROUND * (1 if samples <= SHORT_RECORD else LONGER)
         base = replace(first, window=window, epochs=0, quasi_newton=iterations)
         settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
-        if samples <= SHORT:
+        if samples <= SHORT_RECORD:
             settings.append(replace(base, penalty=PENALTIES[1]))
-        if samples <= min([SHORT, *map(len, others)]):
+        if samples <= min([SHORT_RECORD, *map(len, others)]):
             settings.append(replace(base, window=samples, penalty=PENALTIES[0]))
         settings.append(replace(base, epochs=steps, linear_start=False))
         every = [(size, each) for each in settings] + [(other, base) for other in sizes]

@@ -174,12 +174,12 @@ class Comparison:
 
         NaN without a forecast.
         """
-        errors = self.record.seen[self.plan.train :] - self.medians[name].ahead
+        errors = self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead
         return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
         """Return `covers` for each channel."""
-        errors = self.record.seen[self.plan.train :] - self.medians[name].ahead
+        errors = self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead
         return self.require_trial().intervals[name].coverages(errors)
 
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from splitband.data import Record
-from splitband.forecasters.backtest import Fit, Origin, Question, as_it_is, backtest
+from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, as_it_is, backtest
 from splitband.forecasters.base import Forecaster, cells_of
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import simulations, with_simulators_of
@@ -45,7 +45,7 @@ class Job:
     Attributes
     ----------
     forecaster : With its settings; not fitted.
-    question : What to fit it to and to forecast.
+    spec : What to fit it to and to forecast.
     seed : Of the fit.
     start : The trained forecaster from which its training goes on; None for a new one.
     trains : False to forecast with `start` as it is.
@@ -53,7 +53,7 @@ class Job:
     """
 
     forecaster: Forecaster
-    question: Question
+    spec: BacktestSpec
     seed: int = 0
     start: Forecaster | None = None
     trains: bool = True
@@ -71,7 +71,7 @@ class Job:
         Raises ValueError for a forecaster of the user that cannot be described.
         """
         digest = hashlib.sha256(version("splitband").encode())
-        asked = self.question
+        asked = self.spec
         plain = {
             "seed": self.seed, "end": asked.end, "warmup": asked.warmup, "initial": asked.initial,
             "origins": [(each.fitted, each.at) for each in asked.origins], "trains": self.trains,
@@ -90,8 +90,8 @@ class Job:
         began, failure = now(), ""
         try:
             if not self.trains and self.start is not None:
-                return as_it_is(self.start, self.question, self.seed)
-            return backtest(self.forecaster, self.question, self.seed, self.start)
+                return as_it_is(self.start, self.spec, self.seed)
+            return backtest(self.forecaster, self.spec, self.seed, self.start)
         except DeadlineError:
             return self.late()
         except (FloatingPointError, ValueError) as error:
@@ -221,9 +221,9 @@ class Runner:
             # A saved model holds the end of its training record only, and no simulator.
             whole = replace(
                 model.require_fitted(),
-                record=job.question.record[: said["samples"]],
+                record=job.spec.record[: said["samples"]],
                 begin=0,
-                others=tuple(job.question.others),
+                others=tuple(job.spec.others),
                 whole=True,
             )
             model.fitted = whole

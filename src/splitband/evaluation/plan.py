@@ -13,8 +13,8 @@ import numpy as np
 from splitband.data import Record, check_alike, require_records
 from splitband.data.signals import first_after
 from splitband.forecasters.backtest import (
+    BacktestSpec,
     Origin,
-    Question,
     first_held_out,
     first_origin,
     for_trial,
@@ -56,7 +56,7 @@ class Plan:
     extended : Whether a network on the best baseline is a method, too, if it is the best one.
     others : Further records to train on.
     tests : Records that nothing is fitted to, with distinct names.
-    initial : Known samples at the beginning of a test record; None: the warm-up.
+    initial : ForecastContext samples at the beginning of a test record; None: the warm-up.
     simulator : Simulator whose parameters are fitted, for methods without one.
     budget : Wall time of the whole comparison in s; None: no limit.
     rounds : Rounds of the search, in place of a time limit; None: as many as the time allows.
@@ -95,7 +95,7 @@ class Plan:
         """Return the names of the methods."""
         return [method.name for method in self.methods]
 
-    def question(self, forecaster: Forecaster) -> Question:
+    def spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the predictions by which methods are compared.
 
         *From the start*: warm up on the first samples, simulate to the end. *Forecast*: warm up on
@@ -105,7 +105,7 @@ class Plan:
         train, warmup = self.train, self.settings.warmup
         first = first_origin(self.record, train, forecaster.warmup or warmup)
         origins = [first, Origin(train, train)][: 1 + (self.horizon > 0)]
-        return Question(
+        return BacktestSpec(
             self.record,
             origins,
             train + self.horizon,
@@ -115,11 +115,11 @@ class Plan:
             self.initial,
         )
 
-    def held_out_question(self, forecaster: Forecaster) -> Question:
+    def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
         record = replace(self.training, y_true=None)
         origins = held_out_origins(forecaster, record)
-        return Question(record, origins, self.train + self.horizon, self.others)
+        return BacktestSpec(record, origins, self.train + self.horizon, self.others)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.
@@ -179,7 +179,7 @@ def plan(  # noqa: PLR0913
     others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to; each is simulated to its end after
         a warm-up on its first samples.
-    initial : Known samples at the beginning of a test record, by default the warm-up.
+    initial : ForecastContext samples at the beginning of a test record, by default the warm-up.
     settings : Training settings of the networks, or some of them, such as `{"epochs": 5}`. All but
         `warmup` fix how networks are trained. By default that is searched on the last quarter of
         the training part.

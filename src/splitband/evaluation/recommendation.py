@@ -78,7 +78,7 @@ class Trial:
         """
         names = [*(self.final or self.scores)]
         able = [name for name in names if name not in self.left_out]
-        return min(able or names, key=self.worth)
+        return min(able or names, key=self.penalized_score)
 
     @property
     def without_result(self) -> dict[str, str]:
@@ -91,7 +91,7 @@ class Trial:
         networks = [method for method in self.scores if method in self.trained]
         return min(networks, key=lambda method: self.scores[method], default=None)
 
-    def worth(self, method: str) -> float:
+    def penalized_score(self, method: str) -> float:
         """Return the score by which methods are ranked in `recommended`; lower is better."""
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
 
@@ -170,8 +170,8 @@ def _from_start(fit: Fit, training: Record) -> float:
     """Return the RMSE of the simulation of the training record, channels scaled; 0 if empty."""
     first = min(fit.forecasts, key=lambda origin: origin.at)
     y = fit.forecasts[first].y[: max(len(training) - first.at, 0)]
-    scale = spread(training.seen)
-    return rmse(training.seen[first.at :] / scale, y / scale) if len(y) else 0.0
+    scale = spread(training.y_with_gaps)
+    return rmse(training.y_with_gaps[first.at :] / scale, y / scale) if len(y) else 0.0
 
 
 def _of_channels(errors: Sequence[Array]) -> tuple[float, ...]:

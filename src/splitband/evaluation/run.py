@@ -15,9 +15,9 @@ from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged, without_failed
 from splitband.forecasters.backtest import (
+    BacktestSpec,
     Fit,
     Origin,
-    Question,
     for_trial,
 )
 from splitband.forecasters.base import Forecaster
@@ -193,7 +193,7 @@ class Run:
         for forecaster in at_once:
             self._try(forecaster)
         for forecaster in at_once:
-            self._keep_final(Job(forecaster, self.plan.question(forecaster)))
+            self._keep_final(Job(forecaster, self.plan.spec(forecaster)))
         # Workers load torch while the first table is shown and written.
         self._runner.start([f for f in self._ready if f.random])
         if slow:
@@ -201,13 +201,13 @@ class Run:
         until = self._half()
         prepared = [f for f in self._ready if f not in at_once]
         for forecaster in prepared:
-            question = self.plan.held_out_question(forecaster)
-            for samples in sorted({origin.fitted for origin in question.origins}):
-                records = [question.record[:samples], *question.others]
+            spec = self.plan.held_out_spec(forecaster)
+            for samples in sorted({origin.fitted for origin in spec.origins}):
+                records = [spec.record[:samples], *spec.others]
                 prepare([forecaster], records, self._runner, until)
         for forecaster in slow:
             self._try(forecaster)
-            self._keep_final(Job(forecaster, self.plan.question(forecaster)))
+            self._keep_final(Job(forecaster, self.plan.spec(forecaster)))
         if self.finals and len(quick) < len(self._ready):
             self._report("baselines", new_table=True)
 
@@ -287,12 +287,12 @@ class Run:
             if name in self.finals:
                 continue
             if not method.random:
-                self._keep_final(Job(method, self.plan.question(method)))
+                self._keep_final(Job(method, self.plan.spec(method)))
                 continue
-            question = self.plan.question(held[0].fitted)
+            spec = self.plan.spec(held[0].fitted)
             best = self._search is not None and name == next(iter(self._search.trials))
             models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
-            jobs = [Job(method, question, i, each, trains=False) for i, each in enumerate(models)]
+            jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
             if self.clock.interrupted:  # which has ended the workers
                 fits = [job.run() for job in jobs]
             else:
@@ -338,16 +338,16 @@ class Run:
         record, others = self.plan.record, self.plan.others
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
-        question = Question(record, [Origin(samples, samples - 1)], samples, others)
+        spec = BacktestSpec(record, [Origin(samples, samples - 1)], samples, others)
         kept = {id(fit.model) for fit in self.fits()[name]}
         jobs = [
-            Job(job.forecaster, question, job.seed, None if job.start is None else fit.model)
+            Job(job.forecaster, spec, job.seed, None if job.start is None else fit.model)
             for job, fit in zip(self._final_jobs.get(name, []), self.finals[name], strict=False)
             if id(fit.model) in kept
         ]
         ready = next(f for f in self._ready if f.name == name)
         if not ready.random:
-            jobs = [Job(ready, question, needed=True)]
+            jobs = [Job(ready, spec, needed=True)]
         fits = self._trained(jobs, self.clock.deadline, "refit")
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
@@ -381,7 +381,7 @@ class Run:
     def _try(self, forecaster: Forecaster) -> None:
         """Fit a quick method to three quarters of the training part, in this process."""
         shorter = for_trial(forecaster, self.plan.train)
-        fit = self._at_once(Job(shorter, self.plan.held_out_question(shorter)))
+        fit = self._at_once(Job(shorter, self.plan.held_out_spec(shorter)))
         if fit.model is not None:
             self.trials[forecaster.name] = [fit]
         else:

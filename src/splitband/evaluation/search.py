@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.evaluation.candidates import SETTLING, SHORT, Candidate, candidates, combined
+from splitband.evaluation.candidates import SETTLING, SHORT_RECORD, Candidate, candidates, combined
 from splitband.evaluation.clock import HALF
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import Plan
@@ -32,8 +32,9 @@ from splitband.forecasters.network import Network
 MOST_MEMBERS = 8
 """Largest number of trainings whose median is handed out, and of seeds of one choice."""
 LEAST_MEMBERS = 3
-"""Smallest number of them on records of up to `SHORT` samples: the median of fewer is their mean,
-which one of them can spoil. On longer ones, held-out errors tell which training is best."""
+"""Smallest number of them on records of up to `SHORT_RECORD` samples: the median of fewer is
+their mean, which one of them can spoil. On longer ones, held-out errors tell which training is
+best."""
 GIVEN_SEEDS = 3
 """Default number of trainings of a network whose settings are given."""
 
@@ -185,7 +186,7 @@ class Search:
         ranked = sorted(of_method, key=lambda c: c.error)[:MOST_MEMBERS]
         if self._plan.seeds is not None:
             return ranked[: self._plan.seeds]
-        least = LEAST_MEMBERS if len(self._record) <= SHORT else 1
+        least = LEAST_MEMBERS if len(self._record) <= SHORT_RECORD else 1
         counts = range(min(least, len(ranked)), len(ranked) + 1)
         medians = [ranked[:n] for n in counts if n]
         return min(
@@ -205,14 +206,14 @@ class Search:
         for place, (name, fits) in enumerate(self.trials.items()):
             if name in given:
                 method, took = given[name], fits[0].seconds / (1 - HELD_OUT_SHARE)
-                jobs = [Job(method, self._plan.question(method), seed) for seed in self._seeds()]
+                jobs = [Job(method, self._plan.spec(method), seed) for seed in self._seeds()]
                 found += [(job, took) for job in jobs]
                 continue
             for number, candidate in enumerate(self.members[name][: None if place == 0 else 1]):
                 network, last = candidate.final(), candidate.fits[candidate.best]
-                question = self._plan.question(network)
+                spec = self._plan.spec(network)
                 seed = self._plan.seed * MOST_MEMBERS + number
-                job = Job(network, question, seed, last.model)
+                job = Job(network, spec, seed, last.model)
                 found.append((job, candidate.final_seconds))
         return found
 
@@ -281,11 +282,11 @@ class Search:
     def _job(self, candidate: Candidate) -> Job:
         network = for_trial(candidate.next(), len(self._record))
         start = candidate.fits[-1].model if candidate.fits else None
-        return Job(network, self._plan.held_out_question(network), candidate.seed, start)
+        return Job(network, self._plan.held_out_spec(network), candidate.seed, start)
 
     def _jobs_as_given(self, method: Forecaster) -> list[Job]:
         shorter = for_trial(method, len(self._record))
-        return [Job(shorter, self._plan.held_out_question(shorter), seed) for seed in self._seeds()]
+        return [Job(shorter, self._plan.held_out_spec(shorter), seed) for seed in self._seeds()]
 
     def _seeds(self) -> range:
         first, count = self._plan.seed, self._plan.seeds or GIVEN_SEEDS

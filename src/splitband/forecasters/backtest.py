@@ -58,7 +58,7 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class BacktestSpec:
     """Specify forecasts of a record.
 
     Attributes
@@ -94,7 +94,7 @@ class Fit:
     method : The forecaster's name.
     seed : Of the fit.
     model : The forecaster that was fitted to the most samples; None where the fit failed.
-    forecasts : By origin, in the order of the question's, all up to the same last sample.
+    forecasts : By origin, in the order of the spec's, all up to the same last sample.
     tests : Simulations of the test records, to their ends; empty where one of them is impossible.
     unfiltered : Signals before a model's filters, for the forecast that begins inside the training
         part; empty for a model without filters, and without such a forecast.
@@ -151,7 +151,7 @@ class Fit:
 
 def backtest(
     forecaster: Forecaster,
-    question: Question,
+    spec: BacktestSpec,
     seed: int = 0,
     start: Forecaster | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -164,16 +164,16 @@ def backtest(
 
     `seed`, `start`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
-    record, began = question.record, now()
+    record, began = spec.record, now()
     forecasts: dict[Origin, Prediction] = {}
     unfiltered: Mapping[str, Array] = {}
     cut = False
     last: Forecaster | None = None
-    for samples, of_fit in groupby(question.origins, key=lambda origin: origin.fitted):
+    for samples, of_fit in groupby(spec.origins, key=lambda origin: origin.fitted):
         try:
             fitted = forecaster.clone().fit(
                 record[:samples],
-                *question.others,
+                *spec.others,
                 seed=seed,
                 start=start,
                 progress=progress,
@@ -184,56 +184,56 @@ def backtest(
                 raise
             cut = True
             break
-        said, signals = predicted(fitted, question, [*of_fit])
+        said, signals = predicted(fitted, spec, [*of_fit])
         forecasts |= said
         unfiltered = signals or unfiltered
         if last is None or samples > len(last.require_fitted().record):
             last = fitted
-        if current().over and len(forecasts) < len(question.origins):
+        if current().over and len(forecasts) < len(spec.origins):
             cut = True
             break
     if last is None:
         raise InputError("origins must be one or several, got none")
-    tests, untested = _tested(last, question)
+    tests, untested = _tested(last, spec)
     cut = cut or last.require_fitted().report.cut
     notes = (untested,) if untested else ()
     found = Fit(forecaster.name, seed, last, forecasts, tests, unfiltered, notes=notes, cut=cut)
     return replace(found, seconds=now() - began)
 
 
-def as_it_is(model: Forecaster, question: Question, seed: int) -> Fit:
+def as_it_is(model: Forecaster, spec: BacktestSpec, seed: int) -> Fit:
     """Forecast a record with a model that was fitted to fewer samples, without another fit."""
     began = now()
-    forecasts, unfiltered = predicted(model, question, question.origins)
-    tests, untested = _tested(model, question)
+    forecasts, unfiltered = predicted(model, spec, spec.origins)
+    tests, untested = _tested(model, spec)
     notes = tuple(filter(None, (untested, "trained on three quarters of the training samples")))
     return Fit(model.name, seed, model, forecasts, tests, unfiltered, now() - began, notes)
 
 
 def predicted(
-    fitted: Forecaster, question: Question, origins: Sequence[Origin]
+    fitted: Forecaster, spec: BacktestSpec, origins: Sequence[Origin]
 ) -> tuple[dict[Origin, Prediction], Mapping[str, Array]]:
     """Return a model's forecasts from these origins, and the last one's unfiltered signals."""
-    record, forecasts = question.record, dict[Origin, Prediction]()
+    record, forecasts = spec.record, dict[Origin, Prediction]()
     unfiltered: Mapping[str, Array] = {}
     for origin in origins:
         history = record[: origin.at]
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
-            forecasts[origin] = fitted.predict(question.end - origin.at, history)
+            forecasts[origin] = fitted.predict(spec.end - origin.at, history)
         if origin.at < origin.fitted:
-            unfiltered = fitted._unfiltered(question.end - origin.at, history)
+            unfiltered = fitted._unfiltered(spec.end - origin.at, history)
     return forecasts, unfiltered
 
 
-def _tested(fitted: Forecaster, question: Question) -> tuple[list[Prediction], str]:
+def _tested(fitted: Forecaster, spec: BacktestSpec) -> tuple[list[Prediction], str]:
     """Return simulations of the test records from their first samples; or none, with the reason."""
     predictions: list[Prediction] = []
-    simulated = "simulator" not in fitted.needs or all(t.y_sim is not None for t in question.tests)
+    simulated = "simulator" not in fitted.needs or all(t.y_sim is not None for t in spec.tests)
     if fitted.anchored or not simulated:
         return predictions, ""
-    for test in question.tests:
+    for test in spec.tests:
         try:
-            at = first_origin(test, 0, question.initial or fitted.warmup or question.warmup).at
+            at = first_origin(test, 0, spec.initial or fitted.warmup or spec.warmup).at
             with without_warnings(ExtrapolationWarning):
                 history = test[:at]
                 predictions.append(fitted.predict(len(test) - at, history, other_record=True))
@@ -260,7 +260,7 @@ def first_held_out(samples: int) -> int:
 
 def check_held_out(record: Record) -> None:
     """Raise ValueError for a channel without a measured sample in a record's last quarter."""
-    held_out = record.seen[first_held_out(len(record)) :]
+    held_out = record.y_with_gaps[first_held_out(len(record)) :]
     for column, channel in zip(record.columns, held_out.T, strict=True):
         if np.isnan(channel).all():
             raise InputError(
@@ -286,7 +286,7 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     samples = len(record)
     held_out = [max(1, round(share * samples)) for share in HELD_OUT_SHARES]
     fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
-    measured = np.cumsum(~np.isnan(record.seen), axis=0)
+    measured = np.cumsum(~np.isnan(record.y_with_gaps), axis=0)
     early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
     if not forecaster._refits:
         held = samples - fitted
@@ -305,7 +305,7 @@ def held_out_errors(
     forecast sample h + 1. With `earlier`, return the errors of the forecasts that begin before that
     quarter instead.
     """
-    seen, first = record.seen, first_held_out(len(record))
+    seen, first = record.y_with_gaps, first_held_out(len(record))
     return [
         seen[origin.at :] - y[: len(record) - origin.at]
         for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
@@ -317,7 +317,7 @@ def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOu
     """Return the held-out errors of a record, from which intervals beyond it follow."""
     scored = held_out_errors(record, forecasts)
     longer = held_out_errors(record, forecasts, earlier=True)[::-1]
-    return HeldOut.of(_sound(scored, longer, spread(record.seen)), record.seen)
+    return HeldOut.of(_sound(scored, longer, spread(record.y_with_gaps)), record.y_with_gaps)
 
 
 def held_out_of(forecaster: Forecaster) -> HeldOut:
@@ -337,8 +337,8 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
         )
     shorter = for_trial(forecaster, len(record))
     origins = held_out_origins(forecaster, record)
-    question = Question(record, origins, len(record), fitted.others)
-    done = backtest(shorter, question, fitted.report.seed)
+    spec = BacktestSpec(record, origins, len(record), fitted.others)
+    done = backtest(shorter, spec, fitted.report.seed)
     forecaster.held_out = interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
     return forecaster.held_out
 
@@ -354,7 +354,7 @@ def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:
 def held_out_score(record: Record, fits: Sequence[Fit]) -> float:
     """Return the RMSE of the fits' median forecast of a record's last quarter, channels scaled."""
     check_held_out(record)
-    errors, scale = held_out_errors(record, median_forecasts(fits)), spread(record.seen)
+    errors, scale = held_out_errors(record, median_forecasts(fits)), spread(record.y_with_gaps)
     return root_mean_square([error / scale for error in errors])
 
 

@@ -22,7 +22,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import (
-    Known,
+    ForecastContext,
     Prediction,
     known_at_origin,
     known_of,
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from splitband.forecasters.differentiable import TorchSimulation
     from splitband.forecasters.network import Network
 
-SHORT = 20_000
+MAX_SAVED_SAMPLES = 20_000
 """Longest training record with a simulator's output, in samples, that is saved whole. By eye."""
 
 
@@ -74,10 +74,10 @@ class Forecaster(WithRepr, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
-    (`extrapolate`). What `extrapolate` receives (`Known`: history, inputs, simulator's output) is
-    already aligned in time. The constructor keeps each argument under an attribute of the same
-    name, which `fit` does not change. All other attributes are set by `fit`, which first removes
-    those of an earlier fit.
+    (`extrapolate`). What `extrapolate` receives (`ForecastContext`: history, inputs, simulator's
+    output) is already aligned in time. The constructor keeps each argument under an attribute of
+    the same name, which `fit` does not change. All other attributes are set by `fit`, which first
+    removes those of an earlier fit.
 
     Attributes
     ----------
@@ -158,10 +158,10 @@ class Forecaster(WithRepr, ABC):
         """
 
     @abstractmethod
-    def extrapolate(self, known: Known) -> Array | dict[str, Array]:
+    def extrapolate(self, known: ForecastContext) -> Array | dict[str, Array]:
         """Return the forecast after `known.y`, `(steps, ny)`, or its components by name."""
 
-    def trajectory(self, known: Known) -> Array:
+    def trajectory(self, known: ForecastContext) -> Array:
         """Return its simulation of the history and of the forecast, `(time + steps, ny)`.
 
         A forecaster with this method can be the slow component of a hybrid.
@@ -172,11 +172,11 @@ class Forecaster(WithRepr, ABC):
         """Return the result of the fit, in a few words for a table."""
         return ""
 
-    def doubts(self, known: Known) -> list[str]:
+    def doubts(self, known: ForecastContext) -> list[str]:
         """Return the method's own reasons to doubt its forecast, in sentences."""
         return []
 
-    def differentiable(self, known: Known) -> nn.Module:
+    def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
         if not self.affine:
             raise InputError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
@@ -440,7 +440,7 @@ class Forecaster(WithRepr, ABC):
     def on(self, record: Record, first: bool = True) -> Record:
         """Return a training record, the `first` or another, with the trajectory as `y_sim`."""
         begin = 0.0 if first else None
-        known = Known(record.seen, 0, begin, record.u, record.y_sim, record.grid)
+        known = ForecastContext(record.y_with_gaps, 0, begin, record.u, record.y_sim, record.grid)
         return replace(record, y_sim=self.trajectory(known), beyond=None)
 
     def to(self, device: str | torch.device) -> Self:
@@ -618,9 +618,9 @@ class Forecaster(WithRepr, ABC):
     def _first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs."""
         record = self.require_fitted().record
-        if "simulator" in self.needs and len(record) <= SHORT:
+        if "simulator" in self.needs and len(record) <= MAX_SAVED_SAMPLES:
             return 0
-        measured = ~np.isnan(record.seen)
+        measured = ~np.isnan(record.y_with_gaps)
         first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
         if self.warmup:
             start = last_before(record.complete, self.warmup, len(record))

@@ -144,7 +144,7 @@ def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]
     """
     if len(simulated) < 2 * LAGS:
         return ()
-    left = record.seen[len(record) - len(simulated) :] - simulated.y
+    left = record.y_with_gaps[len(record) - len(simulated) :] - simulated.y
     return residual_tests(left, record.u, record.columns, record.inputs, simulated.y)
 
 

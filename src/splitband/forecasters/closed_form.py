@@ -14,7 +14,7 @@ from splitband.baselines.sinusoids import harmonic
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import Part, State
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -42,9 +42,9 @@ class Mean(Forecaster):
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Compute the mean of all records."""
-        self.level = np.nanmean(np.concatenate([record.seen for record in records]), axis=0)
+        self.level = np.nanmean(np.concatenate([record.y_with_gaps for record in records]), axis=0)
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
@@ -65,7 +65,7 @@ class Constant(Part):
     def __init__(self, level: Array) -> None:
         self.level = level
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return an empty state."""
         return {}
 
@@ -81,7 +81,7 @@ class Persistence(Forecaster):
     affine = True
     name = "persistence"
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """Return the last sample; raises ValueError where a channel has not been measured yet."""
         measured = ~np.isnan(known.y)
         if not measured.any(axis=0).all():
@@ -106,7 +106,7 @@ class Held(Part):
     def __init__(self, ny: int) -> None:
         self.ny = ny
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return a state without a measured value."""
         return {"last": np.full(self.ny, np.nan)}
 
@@ -114,7 +114,7 @@ class Held(Part):
         """Return rows that read the held value: 0, with a derivative of 1 by it."""
         return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
 
-    def learn(self, state: State, row: Array, y: Array) -> State:
+    def correct(self, state: State, row: Array, y: Array) -> State:
         """Return the state with the new values of the channels that were measured."""
         return {"last": np.where(np.isnan(y), state["last"], y)}
 
@@ -139,15 +139,15 @@ class _ByTime(Forecaster):
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
-        seen = records[0].seen
+        seen = records[0].y_with_gaps
         self.baseline = self.fitted_function(seen)
         self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """Return the values of the function after the history."""
         return self.baseline.predict(_whole(known.begin) + len(known.y), known.steps)
 
-    def trajectory(self, known: Known) -> Array:
+    def trajectory(self, known: ForecastContext) -> Array:
         """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
 
@@ -155,7 +155,7 @@ class _ByTime(Forecaster):
         """Return the function of time."""
         return InTime(self.baseline)
 
-    def doubts(self, known: Known) -> list[str]:
+    def doubts(self, known: ForecastContext) -> list[str]:
         """Return a warning where it disagrees with the history, unless that is `known.own`."""
         if known.own:
             return []
@@ -181,7 +181,7 @@ class InTime(Part):
     def __init__(self, function: ByTime) -> None:
         self.function = function
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return the time of the first sample."""
         begin = 0.0 if known is None or known.begin is None else known.begin
         return {"time": np.array(float(begin))}
@@ -216,7 +216,7 @@ class Repeated(Part):
     def __init__(self, last: LastPeriod) -> None:
         self.last = last
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return the time of the first sample, and the period from there on."""
         begin = 0 if known is None or known.begin is None else round(known.begin)
         rolled = np.roll(self.last.period, (self.last.end - begin) % self.last.lag, axis=0)

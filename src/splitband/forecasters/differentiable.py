@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from splitband.forecasters.prediction import Known, continued, median, total
+from splitband.forecasters.prediction import ForecastContext, continued, median, total
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -72,7 +72,7 @@ class Affine(nn.Module):
     known : The data at the origin, with `steps` 0.
     """
 
-    def __init__(self, forecaster: Forecaster, known: Known) -> None:
+    def __init__(self, forecaster: Forecaster, known: ForecastContext) -> None:
         super().__init__()
         self._forecaster, self._known = forecaster, known
 

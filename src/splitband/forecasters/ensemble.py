@@ -10,7 +10,7 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.prediction import Known, median_components, total
+from splitband.forecasters.prediction import ForecastContext, median_components, total
 from splitband.forecasters.stepping import Medians, Recursion
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -165,7 +165,7 @@ class Ensemble(Forecaster):
             raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
         return members
 
-    def extrapolate(self, known: Known) -> dict[str, Array]:
+    def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
         """Return the median of the members, by component where all have the same components.
 
         At each sample the components are those of the members in the middle, so that they add up.
@@ -182,13 +182,13 @@ class Ensemble(Forecaster):
         """Return the recursion that predicts the median of the members."""
         return Medians([member._stepped(outside) for member in self.members])
 
-    def differentiable(self, known: Known) -> nn.Module:
+    def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return the module that simulates the median of the members."""
         from splitband.forecasters.differentiable import Median  # noqa: PLC0415  needs torch
 
         return Median([member.differentiable(known) for member in self.members])
 
-    def doubts(self, known: Known) -> list[str]:
+    def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""
         said = [doubt for member in self.members for doubt in member.doubts(known)]
         return [*dict.fromkeys(said)]

@@ -94,7 +94,7 @@ class Fitted:
     @classmethod
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:
         """Return records, ranges and an empty report, before the fit."""
-        seen = np.concatenate([record.seen for record in records])
+        seen = np.concatenate([record.y_with_gaps for record in records])
         inputs = [record.u for record in records if record.u is not None]
         return cls(
             records[0],

@@ -12,7 +12,7 @@ import numpy as np
 
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.simulation import Given
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
 from splitband.metrics import rmse
@@ -172,14 +172,14 @@ class GreyBox(Forecaster):
         """Return the simulator for the channels and inputs of a record."""
         return matched(self.simulator, record.columns, record.inputs)
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation from the state estimated from the last samples of the history."""
         memory = min(self.memory or len(known.y), len(known.y))
         if memory == len(known.y):
             return self.trajectory(known)[len(known.y) :]
         return self._ahead(self._experiment(known), len(known.y), memory)
 
-    def trajectory(self, known: Known) -> Array:
+    def trajectory(self, known: ForecastContext) -> Array:
         """Return the simulation over the history and the forecast, `(time + steps, ny)`.
 
         Where all inputs since the first sample of the training record are known, it starts from the
@@ -216,7 +216,7 @@ class GreyBox(Forecaster):
         """Return the values with standard errors, and those that the record does not determine."""
         return str(self.estimate)
 
-    def _anchored(self, known: Known) -> bool:
+    def _anchored(self, known: ForecastContext) -> bool:
         """Return whether all inputs since the first sample of the training record are known."""
         begin, most = known.begin, np.inf if self.u is None else len(self.u)
         return begin is not None and begin % 1 == 0 and 0 <= begin <= most
@@ -233,13 +233,13 @@ class GreyBox(Forecaster):
         assert self.adjusted is not None
         return replace(self.adjusted, simulator=self._matched(self.require_fitted().record))
 
-    def _experiment(self, known: Known) -> Experiment:
+    def _experiment(self, known: ForecastContext) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""
         ahead = np.full((known.steps, known.y.shape[1]), np.nan)
         time = self._times(self._place(known), len(known.y) + known.steps)
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)
 
-    def _place(self, known: Known) -> float:
+    def _place(self, known: ForecastContext) -> float:
         """Return where a history begins, in samples after the first one of training."""
         if known.begin is not None:
             return known.begin
@@ -295,7 +295,7 @@ class _Solved(Part):
             raise NotSteppedError(f"{model.name} has a simulator that does not go on from a state")
         self.model, self.adjusted = model, model._adjusted()
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return the state at the last sample before the history; None before the first of all.
 
         Raises NotSteppedError where the inputs before it are not known: the initial state is then
@@ -347,7 +347,7 @@ class _FromMemory(Recursion):
         self.model, self.simulator, self.memory = model, _Solved(model), model.memory
         self.ny, self.nu = model.require_fitted().record.ny, model.require_fitted().record.nu
 
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state before a history.
 
         Raises NotSteppedError where the state has to be estimated from all samples.
@@ -375,7 +375,7 @@ class _FromMemory(Recursion):
             if run is None and part is not None:
                 run = part["now"]
             else:
-                run = self.simulator.moved(run or self._told(state), inputs)
+                run = self.simulator.moved(run or self._network_inputs(state), inputs)
             predicted = run["y"]
         begin = max(len(state["y"]) + 1 - self.memory, 0)
         new = {
@@ -388,7 +388,7 @@ class _FromMemory(Recursion):
         }
         return new, predicted, True
 
-    def _told(self, state: State) -> State:
+    def _network_inputs(self, state: State) -> State:
         """Return the state at the last sample, estimated on the samples in memory."""
         y, u = state["y"], state["u"] if self.nu else None
         first = state["next"] - len(y)

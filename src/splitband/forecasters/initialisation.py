@@ -72,7 +72,7 @@ def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, se
         rows = [models.with_next_input(u).numpy() for u in inputs]
         plain = [u.numpy() for u in inputs]
         targets = [
-            np.where(np.isnan(record.seen), np.nan, task.target.double().numpy())
+            np.where(np.isnan(record.y_with_gaps), np.nan, task.target.double().numpy())
             for record, task in zip(records, tasks, strict=True)
         ]
         _set(cell, targets, plain, rows, seed)

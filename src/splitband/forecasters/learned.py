@@ -135,7 +135,7 @@ class Split(Network):
             said += "each band, the output of the second high-passed"
         else:
             said += "the low band and one for the high band"
-        return said + self._conditioned_in_words
+        return said + self._conditioning_note
 
     def _shortest_warmup(self) -> int:
         return 3 * ((self.bands.order or 1) + 1)
@@ -211,7 +211,7 @@ class Filtered(Network):
         """Return a description."""
         slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
         words = f"{slow} in the low band, {network} network in the high band"
-        return words + self._conditioned_in_words
+        return words + self._conditioning_note
 
     def _shortest_warmup(self) -> int:
         return (self.bands.order or 1) - 1
@@ -223,7 +223,7 @@ class Filtered(Network):
         assert bands.order is not None
         assert record.y_sim is not None
         reachable = oracle(record.y, record.y_sim, record.sampling_rate, bands.cutoff, bands.order,
-                       record.seen)  # fmt: skip
+                       record.y_with_gaps)  # fmt: skip
         if not reachable.nothing_to_learn:
             return []
         advice = "" if self._calibrates else "; calibrating it may change that"
@@ -274,7 +274,7 @@ class Residual(Network):
         """Return a description."""
         slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
         words = f"{slow} plus {network} network that learns its error"
-        return words + self._conditioned_in_words
+        return words + self._conditioning_note
 
     def _derived_name(self) -> str:
         return _name("residual", self.base, self.cell, self.conditioned)

@@ -18,7 +18,7 @@ from splitband.baselines.kalman import most_probable
 from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import DelayLine, Part, State
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -84,7 +84,7 @@ class Linear(Forecaster):
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the model to all records."""
-        seen = [(r.seen, r.u) for r in records if r.u is not None]  # all: see `check`
+        seen = [(r.y_with_gaps, r.u) for r in records if r.u is not None]  # all: see `check`
         self.u = seen[0][1]
         integrators = None if self.integrators == "auto" else self.integrators
         self.model = identified(seen, self.order, self._delays(records[0]), integrators)
@@ -95,7 +95,7 @@ class Linear(Forecaster):
                          stable=stable)  # fmt: skip
         self.fitted = replace(fitted, report=report)
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation after the history, from the state at its end."""
         assert known.u is not None
         time, before = len(known.y), self._before(known)
@@ -103,7 +103,7 @@ class Linear(Forecaster):
             return self.model.continued(known.u, known.y, before)[0][time:]
         return self.model.simulate(known.u, self.model.last, before, time)
 
-    def trajectory(self, known: Known) -> Array:
+    def trajectory(self, known: ForecastContext) -> Array:
         """Return its simulation over history and forecast, from a state estimated on the history.
 
         Where all inputs since the first sample of the training record are known, the prior of this
@@ -182,7 +182,7 @@ class Linear(Forecaster):
         late = fitted.late_inputs(self.delays)
         return "; ".join(filter(None, [str(self.model), late, *fitted.report.notes]))
 
-    def _before(self, known: Known) -> Array | None:
+    def _before(self, known: ForecastContext) -> Array | None:
         """Return the inputs from the first training sample to the history; None if unknown."""
         begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
         return self.u[:begin] if 0 <= begin <= len(self.u) else None
@@ -231,7 +231,7 @@ class Driven(Part):
         self.white = model.whitener()
         self.late = np.array(model.late, dtype=np.float64)
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return the expected state: simulated from the training record, or the training mean."""
         model, n = self.model, self.model.order
         begin = -1 if known is None or known.begin is None or known.begin % 1 else int(known.begin)
@@ -265,7 +265,7 @@ class Driven(Part):
         x = model.a @ x + model.b @ acting + model.drift
         return state | {"line": line, "x": x, "answers": model.a @ answers}, row[None]
 
-    def learn(self, state: State, row: Array, y: Array) -> State:
+    def correct(self, state: State, row: Array, y: Array) -> State:
         """Return the state after a measured sample."""
         gain = self.model.gain
         left = y - row[:, 0]

@@ -23,7 +23,7 @@ from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training, cells_of
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.initialisation import begin_as_linear
-from splitband.forecasters.prediction import Known, known_of, total
+from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
 from splitband.models.labels import FAST, SLOW
@@ -34,9 +34,9 @@ from splitband.runtime.options import UNKNOWN
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
-from splitband.training.places import checked_starts
 from splitband.training.recipes import recipe_settings
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
+from splitband.training.window_starts import checked_starts
 
 if TYPE_CHECKING:
     import torch
@@ -129,7 +129,7 @@ class Network(Forecaster):
     _slow_part = "network"
 
     @property
-    def _conditioned_in_words(self) -> str:
+    def _conditioning_note(self) -> str:
         """Return the words on conditioning, which end `in_words`."""
         seen = ", with the slower part's output as an input"
         return seen if self.conditioned else ""
@@ -290,7 +290,7 @@ class Network(Forecaster):
         report = FitReport(seed, history.seconds, history.losses, notes, cut, stable)
         self.fitted = replace(self.require_fitted(), report=report)
 
-    def extrapolate(self, known: Known) -> dict[str, Array]:
+    def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
         """Return the forecast after a history by component, `(steps, ny)` each.
 
         It warms up on the last `warmup` samples without a gap. Where the history is shorter, the
@@ -303,7 +303,7 @@ class Network(Forecaster):
         known = known_of(self, steps, history, None, None)[0]
         return self._run(self._trained().simulate_unfiltered, known)
 
-    def trajectory(self, known: Known) -> Array:
+    def trajectory(self, known: ForecastContext) -> Array:
         """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
 
         The samples before the run are the measured ones.
@@ -318,7 +318,7 @@ class Network(Forecaster):
         begun = replace(known, y=known.y[:start], steps=steps)
         return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
 
-    def doubts(self, known: Known) -> list[str]:
+    def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
         doubts = [] if self._fitted_base is None else self._fitted_base.doubts(known)
         if self._short(known):
@@ -338,7 +338,7 @@ class Network(Forecaster):
         part = None if self._fitted_base is None else self._fitted_base._part(outside)
         return Warmed(model, part, self.warmup, self.delays)
 
-    def differentiable(self, known: Known) -> nn.Module:
+    def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return model and base as a torch module, warmed up."""
         from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
             ModelSimulation,
@@ -395,7 +395,7 @@ class Network(Forecaster):
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
-            driven = [(r.seen, r.u) for r in records if r.u is not None]
+            driven = [(r.y_with_gaps, r.u) for r in records if r.u is not None]
             self.delays = delays_of(driven) if start is None else start.delays
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
@@ -444,12 +444,14 @@ class Network(Forecaster):
         assert self.model is not None
         return self.model
 
-    def _short(self, known: Known) -> bool:
+    def _short(self, known: ForecastContext) -> bool:
         """Return whether the history is shorter than the warm-up and can be completed."""
         short = 0 < len(known.y) < self.warmup
         return short and self._prehistory is not None and not np.isnan(known.y).any()
 
-    def _run(self, simulate: Callable[..., dict[str, Array]], known: Known) -> dict[str, Array]:
+    def _run(
+        self, simulate: Callable[..., dict[str, Array]], known: ForecastContext
+    ) -> dict[str, Array]:
         """Return what a simulation of the model gives after the history, by component.
 
         The base labels the slow one.
@@ -466,7 +468,7 @@ class Network(Forecaster):
             found[label] = values[since:]
         return found
 
-    def _warmed(self, known: Known) -> tuple[Array, Array | None, Array | None, int]:
+    def _warmed(self, known: ForecastContext) -> tuple[Array, Array | None, Array | None, int]:
         """Return the last warm-up without a gap, and the samples between its end and the origin.
 
         The warm-up holds the measured samples `(warmup, ny)`, and the inputs and the base's output
@@ -512,4 +514,4 @@ def _same(one: Any, other: Any) -> bool:
 
 def _samples(records: Sequence[Record]) -> str:
     """Return a hash of what a base is fitted to: times, outputs, inputs, the simulator's output."""
-    return key_of(*(part for r in records for part in (r.grid, r.seen, r.u, r.y_sim)))
+    return key_of(*(part for r in records for part in (r.grid, r.y_with_gaps, r.u, r.y_sim)))

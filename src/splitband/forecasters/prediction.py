@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class ForecastContext:
     """Hold the data that a forecaster may use for a forecast.
 
     Attributes
@@ -256,7 +256,7 @@ def known_of(
     u: npt.ArrayLike | None,
     y_sim: npt.ArrayLike | None,
     other_record: bool = False,
-) -> tuple[Known, Record]:
+) -> tuple[ForecastContext, Record]:
     """Return the data for a forecast of `steps` samples, and the history; see `predict`."""
     fitted = forecaster.require_fitted()
     if other_record and forecaster.anchored:
@@ -289,12 +289,12 @@ def known_of(
             )
         simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
     own = history is None and not other_record
-    return Known(past.seen, steps, begin, inputs, simulated, past.grid, own), past
+    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own), past
 
 
 def known_at_origin(
     forecaster: Forecaster, history: Record | None, other_record: bool = False
-) -> Known:
+) -> ForecastContext:
     """Return the data at the end of a history, by default of the training record."""
     past = forecaster.require_fitted().record if history is None else history
     u = None if past.u is None else past.u[:0]
@@ -302,7 +302,7 @@ def known_at_origin(
     return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
 
 
-def predicted(forecaster: Forecaster, known: Known, past: Record) -> Prediction:
+def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> Prediction:
     """Return the prediction of a forecaster, with the reasons to doubt it."""
     fitted, steps = forecaster.require_fitted(), known.steps
     extrapolated = forecaster.extrapolate(known)

@@ -13,7 +13,7 @@ from splitband.data import Aligned, Grid, Record, check_alike
 from splitband.data.timing import in_words, stamp_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import NEAR_ROW, first_only
-from splitband.forecasters.prediction import Known
+from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import NotSteppedError, Part, State
 from splitband.models.labels import SLOW
 from splitband.runtime.arrays import Array
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 calibrated = cached(calibrate)
 """Calibrates once: forecasters, seeds and trials need the same calibration, which takes seconds."""
-LONGEST = 10**8
+MAX_SIMULATED_SAMPLES = 10**8
 """Most samples of a simulator's run, counted from the first training sample: bounds the memory.
 By eye."""
-NEAR_PLACE = 1e-6
+ON_A_SAMPLE = 1e-6
 """Tolerance in samples: the simulator's output this close to a sample is taken at the sample.
 By eye."""
 MARGIN = 30
@@ -189,11 +189,11 @@ class SimulatorForecaster(Forecaster):
         if self.simulator is None or self._driven:
             self.u = records[0].u
 
-    def extrapolate(self, known: Known) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         """Return the output after the history."""
         return self.trajectory(replace(known, since=len(known.y)))[len(known.y) :]
 
-    def trajectory(self, known: Known) -> Array:
+    def trajectory(self, known: ForecastContext) -> Array:
         """Return the output over history and forecast, `(time + steps, ny)`.
 
         Recorded output is only read from the row `known.since` on; the rows before it are NaN.
@@ -207,13 +207,14 @@ class SimulatorForecaster(Forecaster):
             return self._recorded(self.simulator, known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
-            places = self.applied.places(samples, record.sampling_time, begin)
-            if not places[-1] < LONGEST:
+            positions = self.applied.positions(samples, record.sampling_time, begin)
+            if not positions[-1] < MAX_SIMULATED_SAMPLES:
                 raise InputError(
-                    f"history must lie so that {self.name} is run for at most {LONGEST} samples, "
-                    f"got {places[-1]:.3g}; without time stamps it begins with the training record"
+                    f"history must lie so that {self.name} is run for at most "
+                    f"{MAX_SIMULATED_SAMPLES} samples, got {positions[-1]:.3g}; without time "
+                    "stamps it begins with the training record"
                 )
-            times, needed = self._times(known), int(np.ceil(places[-1] - 1e-6)) + 1
+            times, needed = self._times(known), int(np.ceil(positions[-1] - 1e-6)) + 1
             begin_sim = min(begin, 0.0)  # an earlier history moves the start of the simulation
             if begin_sim and times.start is not None:
                 earlier = stamp_after(times.start, begin_sim * record.sampling_time)
@@ -236,7 +237,7 @@ class SimulatorForecaster(Forecaster):
             return None
         return record.u if record.u_beyond is None else np.concatenate([record.u, record.u_beyond])
 
-    def _driving_until(self, known: Known, begin: float) -> Array | None:
+    def _driving_until(self, known: ForecastContext, begin: float) -> Array | None:
         """Return the inputs from the start of the simulation on, if they drive it.
 
         Raises ValueError where those before the history are not known.
@@ -260,19 +261,19 @@ class SimulatorForecaster(Forecaster):
         """Return whether the simulator is recorded output, which is interpolated."""
         return getattr(self.simulator, "own_times", False)
 
-    def _recorded(self, simulator: Any, known: Known, begin: float) -> Array:
+    def _recorded(self, simulator: Any, known: ForecastContext, begin: float) -> Array:
         """Return the trajectory from recorded output, see `trajectory`; its end is held (`doubts`).
 
         It is read at whole steps from the history's samples, so that it is interpolated only once.
         """
         times, step = self._times(known), self.require_fitted().record.sampling_time
         count, start = len(known.y) + known.steps - known.since, begin + known.since
-        places, first = self.applied.places(count, step, start), 0.0
+        positions, first = self.applied.positions(count, step, start), 0.0
         if times.start is not None and simulator.start is not None:
-            first = begin + math.floor(places[0] - begin + NEAR_PLACE)
+            first = begin + math.floor(positions[0] - begin + ON_A_SAMPLE)
             times = replace(times, start=stamp_after(times.start, first * step))
-        samples = math.ceil(places[-1] - first - NEAR_PLACE) + 1
-        least = math.ceil(start + count - first - NEAR_PLACE)
+        samples = math.ceil(positions[-1] - first - ON_A_SAMPLE) + 1
+        least = math.ceil(start + count - first - ON_A_SAMPLE)
         samples = min(samples, max(least, simulator.reach(times)))
         y_sim = simulator.on(replace(times, samples=samples)).values
         y = self.applied.apply(y_sim, count, step, start, first)
@@ -293,7 +294,7 @@ class SimulatorForecaster(Forecaster):
         gain, offset = self.applied.gain or [1.0] * ny, self.applied.offset or [0.0] * ny
         return Given(np.array(gain), np.array(offset), self.trajectory)
 
-    def _before(self, known: Known) -> str:
+    def _before(self, known: ForecastContext) -> str:
         """Return the error message for a history that begins before the training record."""
         fitted = self.require_fitted()
         began = "" if fitted.start is None else f", at {in_words(fitted.start)}"
@@ -310,7 +311,7 @@ class SimulatorForecaster(Forecaster):
         y_sim = self.applied.apply(y_sim, len(record), record.sampling_time)
         return replace(record, y_sim=y_sim, beyond=None)
 
-    def doubts(self, known: Known) -> list[str]:
+    def doubts(self, known: ForecastContext) -> list[str]:
         """Return a warning where a calibrated clock or delay needs more output than there is."""
         begin, samples = known.begin or 0.0, len(known.y) + known.steps
         if self._at_own_times:
@@ -329,7 +330,7 @@ class SimulatorForecaster(Forecaster):
         """Return the calibration of its output."""
         return str(self.applied)
 
-    def _times(self, known: Known) -> Grid:
+    def _times(self, known: ForecastContext) -> Grid:
         """Return the times of its own simulator: from the first training sample on."""
         fitted = self.require_fitted()
         if known.begin is None and known.grid is not None:  # another record has its own clock
@@ -368,7 +369,7 @@ class SimulatorForecaster(Forecaster):
         simulator = matched(self.simulator, record.columns, record.inputs)
         return run(simulator, grid.samples, grid.step, record.ny, start=grid.start, u=u)
 
-    def differentiable(self, known: Known) -> nn.Module:
+    def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return the module from inputs to outputs; see `Forecaster.differentiable`."""
         if self._driven:
             raise InputError(f"{self.name} cannot be run by torch: its simulator is not")
@@ -466,7 +467,7 @@ class Calibrated(SimulatorForecaster):
 
     def _fitted_to(self, record: Record) -> Calibration:
         terms = () if self.terms is None else (self.terms,)
-        return calibrated(self._output(record), record.seen, record.sampling_time, *terms)
+        return calibrated(self._output(record), record.y_with_gaps, record.sampling_time, *terms)
 
 
 class Given(Part):
@@ -477,10 +478,12 @@ class Given(Part):
 
     simulated = True
 
-    def __init__(self, gain: Array, offset: Array, trajectory: Callable[[Known], Array]) -> None:
+    def __init__(
+        self, gain: Array, offset: Array, trajectory: Callable[[ForecastContext], Array]
+    ) -> None:
         self.gain, self.offset, self.trajectory = gain, offset, trajectory
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return an empty state."""
         return {}
 
@@ -488,7 +491,7 @@ class Given(Part):
         """Return the calibrated output."""
         return state, (y_sim[: 1 + ahead] * self.gain + self.offset)[..., None]
 
-    def simulated_over(self, known: Known, ahead: int) -> Array | None:
+    def simulated_over(self, known: ForecastContext, ahead: int) -> Array | None:
         """Return the output before calibration; its last known sample is held beyond its end."""
         known = replace(known, steps=0)
         if ahead and known.y_sim is not None and len(known.y_sim) > len(known.y):
@@ -505,10 +508,10 @@ class RunAhead(Part):
     `trajectory`: see `Forecaster.trajectory`.
     """
 
-    def __init__(self, trajectory: Callable[[Known], Array]) -> None:
+    def __init__(self, trajectory: Callable[[ForecastContext], Array]) -> None:
         self.trajectory = trajectory
 
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return a sample count of 0, after a run over the history, if there is one."""
         if known is not None:
             self.known = known

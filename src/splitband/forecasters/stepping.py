@@ -19,7 +19,13 @@ import numpy.typing as npt
 from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
 from splitband.data.signals import last_before
-from splitband.forecasters.prediction import Known, known_at_origin, known_of, median, predicted
+from splitband.forecasters.prediction import (
+    ForecastContext,
+    known_at_origin,
+    known_of,
+    median,
+    predicted,
+)
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -62,7 +68,7 @@ class Recursion(ABC):
     part: Part | None = None
 
     @abstractmethod
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state before the first sample of a history; None is for another record."""
 
     @abstractmethod
@@ -77,11 +83,11 @@ class Recursion(ABC):
         y_sim : A simulator's output at the sample and at `ahead` more, `(1 + ahead, ny)`.
         """
 
-    def first_row(self, known: Known) -> int:
+    def first_row(self, known: ForecastContext) -> int:
         """Return the first sample of a history on which the forecast depends."""
         return 0
 
-    def followed(self, known: Known) -> State:
+    def followed(self, known: ForecastContext) -> State:
         """Return the state after a history, from which a forecast starts."""
         begin, rows, part = self.first_row(known), len(known.y), self.part
         u = np.zeros((rows, 0)) if known.u is None else known.u
@@ -105,14 +111,14 @@ class Part(ABC):
     simulated = False
 
     @abstractmethod
-    def initial(self, known: Known | None) -> State:
+    def initial(self, known: ForecastContext | None) -> State:
         """Return the state before the first sample of a history; None is for another record."""
 
     @abstractmethod
     def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
         """Return the next state and the rows of a sample and `ahead` more, `(1 + ahead, ny, n)`."""
 
-    def learn(self, state: State, row: Array, y: Array) -> State:
+    def correct(self, state: State, row: Array, y: Array) -> State:
         """Return the state updated with a sample, `(ny,)`, NaN where it was not measured."""
         return state
 
@@ -120,7 +126,7 @@ class Part(ABC):
         """Return the parameters estimated from the samples so far, `(ny, n - 1)`."""
         return np.zeros((1, 0))
 
-    def simulated_over(self, known: Known, ahead: int) -> Array | None:
+    def simulated_over(self, known: ForecastContext, ahead: int) -> Array | None:
         """Return the simulator's output over a history and `ahead` more samples, `(time, ny)`."""
         return None
 
@@ -144,7 +150,7 @@ class Extrapolated(Recursion):
     def __init__(self, part: Part, ny: int, nu: int) -> None:
         self.part, self.ny, self.nu, self.simulated = part, ny, nu, part.simulated
 
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state of the part, and its parameters before the first sample."""
         part = self.part.initial(known)
         return {"part": part, "settled": self.part.settle(part), "stale": np.ones(())}
@@ -160,7 +166,7 @@ class Extrapolated(Recursion):
         )
         predicted = read(rows, settled)[0]
         stale = np.where(missing.all(), np.where(missing.any(), 0.0, state["stale"]), 1.0)
-        new = {"part": self.part.learn(part, rows[0], y), "settled": settled, "stale": stale}
+        new = {"part": self.part.correct(part, rows[0], y), "settled": settled, "stale": stale}
         return new, predicted, np.logical_not(np.isnan(predicted).any())
 
 
@@ -203,7 +209,7 @@ class Warmed(Recursion):
         self.simulated = part is not None and part.simulated
         self.ahead = model.ahead if part is not None else 0
 
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state before any measurement."""
         part = {} if self.part is None else self.part.initial(known)
         y_sim = np.zeros((1 + self.ahead, self.ny))
@@ -253,7 +259,7 @@ class Warmed(Recursion):
         )
         new = {
             "line": line,
-            "part": part if self.part is None else self.part.learn(part, rows[0], y),
+            "part": part if self.part is None else self.part.correct(part, rows[0], y),
             "y": np.concatenate([state["y"][1:], y[None]]),
             "u": inputs[1:],
             "rows": window[1 : self.warmup + 1] if self.part else state["rows"],
@@ -264,7 +270,7 @@ class Warmed(Recursion):
         }
         return new, predicted, runs
 
-    def first_row(self, known: Known) -> int:
+    def first_row(self, known: ForecastContext) -> int:
         """Return the first sample that the warm-up and delayed inputs need."""
         if self.part is not None:
             return 0
@@ -288,7 +294,7 @@ class Medians(Recursion):
         self.ahead = max(member.ahead for member in members)
         self.warmup = max(member.warmup for member in members)
 
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the states of the members."""
         return {"members": [member.initial(known) for member in self.members]}
 
@@ -304,7 +310,7 @@ class Medians(Recursion):
         predicted = median([each for _, each, _ in ticks], np.minimum, np.maximum)
         return {"members": [new for new, _, _ in ticks]}, predicted, ready
 
-    def followed(self, known: Known) -> State:
+    def followed(self, known: ForecastContext) -> State:
         """Return the states of the members after the history."""
         return {"members": [member.followed(known) for member in self.members]}
 
@@ -474,7 +480,7 @@ def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | No
 class Repredicted(Recursion):
     """Predict each sample anew, which takes longer the longer the history is.
 
-    `begin`: where the history begins, see `Known`.
+    `begin`: where the history begins, see `ForecastContext`.
     """
 
     def __init__(self, forecaster: Forecaster, history: Record, begin: float | None) -> None:
@@ -482,16 +488,16 @@ class Repredicted(Recursion):
         self.simulated = "simulator" in forecaster.needs
         self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
 
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the history."""
         past = self.history
         return {
-            "y": past.seen,
+            "y": past.y_with_gaps,
             "u": np.zeros((len(past), 0)) if past.u is None else past.u,
             "y_sim": past.y_sim if self.simulated else np.zeros((len(past), 0)),
         }
 
-    def followed(self, known: Known) -> State:
+    def followed(self, known: ForecastContext) -> State:
         """Return the history, which is the whole state."""
         return self.initial(known)
 
@@ -541,11 +547,11 @@ class InUnits(Recursion):
         self.ny, self.nu, self.ahead = inner.ny, inner.nu, inner.ahead
         self.simulated, self.warmup = inner.simulated, inner.warmup
 
-    def initial(self, known: Known | None = None) -> State:
+    def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state of the inner recursion, and the number of samples so far."""
         return {"inner": self.inner.initial(known), "samples": np.zeros(())}
 
-    def followed(self, known: Known) -> State:
+    def followed(self, known: ForecastContext) -> State:
         """Return the state after a prepared history."""
         return {"inner": self.inner.followed(known), "samples": np.array(float(len(known.y)))}
 

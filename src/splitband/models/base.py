@@ -103,7 +103,7 @@ class Model(nn.Module, ABC):
         ----------
         y_warmup : Measured samples `(R, ny)`.
         steps : How many samples to simulate.
-        u : Known inputs over warm-up and simulation, `(R + steps, nu)`.
+        u : ForecastContext inputs over warm-up and simulation, `(R + steps, nu)`.
         y_sim : A simulator's output over both, `(R + steps, ny)`, where one is used.
         """
         with torch.no_grad():
@@ -146,7 +146,7 @@ class Model(nn.Module, ABC):
         inputs = [record.u for record in records if record.u is not None]
         if not normalize or self.units_kept:
             return
-        for name, signals in (("y", [record.seen for record in records]), ("u", inputs)):
+        for name, signals in (("y", [record.y_with_gaps for record in records]), ("u", inputs)):
             if signals:
                 values = np.concatenate(signals)
                 getattr(self, f"{name}_mean").copy_(torch.from_numpy(np.nanmean(values, axis=0)))

@@ -85,12 +85,12 @@ class SteppedFiltered(Stepped):
         measured = y[warmup - order :]
         left = measured - low[warmup - order : warmup]
         high_state = state_after(pair.b_high, pair.a, measured, left)
-        net = self.cell.begin(y, self._told(self._rows(u), slow))
+        net = self.cell.begin(y, self._network_inputs(self._rows(u), slow))
         return self._filtered({"net": net, "low": low_state, "high": high_state}, low[warmup])
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         low_state, low = filtered(self.pair.b_low, self.pair.a, run["low"], slow[1])
-        net = self.cell.advance(run["net"], self._told(self._rows(u), slow)[0])
+        net = self.cell.advance(run["net"], self._network_inputs(self._rows(u), slow)[0])
         return self._filtered({"net": net, "low": low_state, "high": run["high"]}, low)
 
     def _filtered(self, run: Run, low: Array) -> tuple[Run, Array]:
@@ -174,11 +174,11 @@ class SteppedResidual(Stepped):
         self.cell = SteppedCell(model.cell)
 
     def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.begin(y - slow[: len(y)], self._told(self._rows(u), slow))
+        run = self.cell.begin(y - slow[: len(y)], self._network_inputs(self._rows(u), slow))
         return run, run["y"] + slow[len(y)]
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.advance(run, self._told(self._rows(u), slow)[0])
+        run = self.cell.advance(run, self._network_inputs(self._rows(u), slow)[0])
         return run, run["y"] + slow[1]
 
 

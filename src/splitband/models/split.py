@@ -89,7 +89,7 @@ class SteppedSplit(Stepped):
     def _beside(self, before: Array, run: Run, u: Array) -> Array:
         """Return the inputs of the fast network, after the low band `before`."""
         rows = self._rows(u)
-        return self._told(
+        return self._network_inputs(
             rows, np.concatenate([before, *self._low(run)]) if self.conditioned else before
         )
 

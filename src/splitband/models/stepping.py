@@ -79,7 +79,7 @@ class Stepped(ABC):
         """Return the inputs of the steps between samples, see `models.base.with_next_input`."""
         return np.concatenate([u[:-1], u[1:]], axis=1) if self.feedthrough else u[:-1]
 
-    def _told(self, rows: Array, slow: Array) -> Array:
+    def _network_inputs(self, rows: Array, slow: Array) -> Array:
         """Return the inputs, if conditioned followed by value and slope of the slow component.
 
         See `models.base.conditioning`.

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
-FARTHEST = -999.0
+LOWEST_FIT = -999.0
 """Percent: a worse fit is shown as less than this."""
 _SMALLEST, _LARGEST = 1e-3, 1e5
 """Range of the numbers that are written without an exponent."""
@@ -31,7 +31,7 @@ def percent(share: float) -> str:
 
 def tenths(value: float) -> str:
     """Return a number with one decimal place; a fit in percent far below 0 as less than that."""
-    return f"{round(value, 1) + 0.0:.1f}" if value >= FARTHEST else f"< {FARTHEST:.0f}"
+    return f"{round(value, 1) + 0.0:.1f}" if value >= LOWEST_FIT else f"< {LOWEST_FIT:.0f}"
 
 
 def decimals(values: Sequence[float]) -> int:

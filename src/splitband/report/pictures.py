@@ -83,7 +83,7 @@ def _draw(
         ax.plot(at, y, color=color, lw=2 if small else 3, label="predicted")  # shows behind
         title = f"fit {tenths(fit_percent(truth, y))} %"
         title += "" if small else f", RMSE {number(rmse(truth, y))}{unit}"
-    seen = record.seen[shown.first :, channel]
+    seen = record.y_with_gaps[shown.first :, channel]
     ax.plot(times[shown.first :], seen, color=MEASURED, lw=0.6 if small else 0.9, label="measured")
     low, high = float(np.nanmin(seen)), float(np.nanmax(seen))
     margin = 0.25 * (high - low or 1.0)

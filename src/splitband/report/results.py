@@ -121,7 +121,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         "methods": {
             name: _method(comparison, name)
             | {
-                "score": trial.worth(name),
+                "score": trial.penalized_score(name),
                 "held_out_rmse": math.hypot(*trial.errors[name]),
                 "interval": _interval(comparison, name),
                 "median_of_seeds": _errors(comparison, comparison.medians[name]),
@@ -143,7 +143,7 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
     record = every[0].record
     table: dict[str, Any] = {time_header(record.columns): record.stamps}
     for i, column in enumerate(record.columns):
-        table[column] = record.seen[:, i]
+        table[column] = record.y_with_gaps[:, i]
         for each in every:
             what = "forecast" if each.protocol == "forecast" else "from start"
             for name, p in each.predictions.items():

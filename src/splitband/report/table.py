@@ -332,12 +332,16 @@ def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
     """Return the methods sorted by their score, the recommended one first."""
     if trial is None:
         return [*methods]
-    return sorted(methods, key=lambda name: (name in trial.left_out, trial.worth(name)))
+    return sorted(methods, key=lambda name: (name in trial.left_out, trial.penalized_score(name)))
 
 
 def tried(trial: Trial, record: Record, methods: Sequence[str]) -> list[Column]:
     """Return the columns of a trial: score and held-out error."""
-    scores = {name: trial.worth(name) for name in methods if name in (trial.final or trial.scores)}
+    scores = {
+        name: trial.penalized_score(name)
+        for name in methods
+        if name in (trial.final or trial.scores)
+    }
     held_out = {name: trial.errors[name] for name in methods}
     return [Column("score", "deviation", scores), *_by_channel("held-out RMSE", held_out, record)]
 

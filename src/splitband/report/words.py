@@ -17,7 +17,7 @@ from splitband.report.table import columns, leaving_range
 
 POOR = 0.15
 """Largest shortfall of an interval's coverage that causes no warning. By eye."""
-FEW = 20
+MIN_HELD_OUT = 20
 """Least number of held-out samples that causes no warning. By eye."""
 
 
@@ -73,8 +73,8 @@ def why(trial: Trial, train: int) -> list[str]:
             "them."
         ]
     able = [name for name in settled if name not in trial.left_out] or settled
-    others = sorted((trial.worth(name), name) for name in able if name != best)
-    words = [f"Lowest score, {number(trial.worth(best))}"]
+    others = sorted((trial.penalized_score(name), name) for name in able if name != best)
+    words = [f"Lowest score, {number(trial.penalized_score(best))}"]
     if others and len(able) < len(settled):
         words[0] += ", of the methods that could simulate the test records"
     if others:
@@ -113,7 +113,7 @@ def warnings(comparison: Comparison) -> list[str]:
     left = leaving_range(comparison, best)
     said = [f"{best}: {left}"] if left else []
     train = comparison.plan.train
-    if (held_out := train - first_held_out(train)) < FEW:
+    if (held_out := train - first_held_out(train)) < MIN_HELD_OUT:
         said.append(
             f"The method was chosen by {held_out} held-out samples, which are too few to tell "
             "methods apart: a longer record may lead to another choice."

@@ -83,7 +83,7 @@ class Calibration:
             `y_sim`, in samples after the origin.
         """
         self.check(y_sim.shape[1])
-        index = self.places(samples, sampling_time, begin) - begin_sim
+        index = self.positions(samples, sampling_time, begin) - begin_sim
         rows = np.rint(index).astype(int)
         if self.stays and rows[-1] >= len(y_sim):
             raise InputError(f"y_sim must have {rows[-1] + 1} samples at least, got {len(y_sim)}")
@@ -107,7 +107,7 @@ class Calibration:
             if len(getattr(self, name)) not in (0, ny):
                 raise InputError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
 
-    def places(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
+    def positions(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
         """Return the simulator times that `apply` uses, `(samples,)`, in samples from t = 0."""
         index = begin + np.arange(samples, dtype=np.float64)
         if self.stays:
@@ -120,7 +120,7 @@ class Calibration:
         The last `steps` of the `samples` from `begin` on are the forecast; `end` is the position
         after the simulation's last sample. Positions are counted in samples after the origin.
         """
-        missing = int(np.sum(self.places(samples, sampling_time, begin) > end - 0.5))
+        missing = int(np.sum(self.positions(samples, sampling_time, begin) > end - 0.5))
         if not missing:
             return ""
         return (
@@ -271,8 +271,8 @@ def _fit(
     def within(warp: Array) -> Flags:
         """Return a mask of the samples that lie between the simulation's first and last one."""
         delay, clock = _warp(warp, moving)
-        places = clock * index - delay
-        inside = (places >= 0) & (places <= len(y_sim) - 1)
+        positions = clock * index - delay
+        inside = (positions >= 0) & (positions <= len(y_sim) - 1)
         return inside if inside.any() else np.ones_like(inside)
 
     def residual(warp: Array) -> Array:

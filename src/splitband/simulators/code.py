@@ -47,20 +47,20 @@ def count_arguments(function: Any) -> int:
 
 @lru_cache(maxsize=256)
 def _counted(function: Any) -> int:
-    places = _places(function)
-    named = ("u", "p") if "u" in places else ()
-    wanted = [i + 1 for i, (name, each) in enumerate(places.items())
+    taken = _positions(function)
+    named = ("u", "p") if "u" in taken else ()
+    wanted = [i + 1 for i, (name, each) in enumerate(taken.items())
               if each.default is each.empty or name in named]  # fmt: skip
     return max(wanted, default=0)
 
 
-def check_places(function: Any, *places: str) -> None:
-    """Raise ValueError if arguments of the user's function have the names of other places."""
-    given = {name: i for i, name in enumerate(_places(function))}
-    if any(given.get(name, places.index(name)) != places.index(name) for name in ("u", "p")):
+def check_arguments(function: Any, *expected: str) -> None:
+    """Raise ValueError if arguments of the user's function stand where others belong."""
+    given = {name: i for i, name in enumerate(_positions(function))}
+    if any(given.get(name, expected.index(name)) != expected.index(name) for name in ("u", "p")):
         raise InputError(
-            f"a simulator's function must have the arguments ({', '.join(places)}), in this order "
-            f"and without gaps: got ({', '.join(given)})"
+            f"a simulator's function must have the arguments ({', '.join(expected)}), in this "
+            f"order and without gaps: got ({', '.join(given)})"
         )
 
 
@@ -81,7 +81,7 @@ def check_open(function: Any, what: str, inputs: Sequence[str] = ()) -> None:
             )
 
 
-def _places(function: Any) -> dict[str, inspect.Parameter]:
+def _positions(function: Any) -> dict[str, inspect.Parameter]:
     """Return the positional arguments of a function; none if they are unknown."""
     kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
     return {name: each for name, each in arguments(function).items() if each.kind in kinds}
@@ -114,7 +114,7 @@ def _plain(value: ast.expr) -> ast.expr:
     return value if isinstance(value, ast.Constant) else ast.Constant(...)
 
 
-# ---------------------------------------------------------------- places and files
+# ---------------------------------------------------------------- references and files
 
 
 def failure(error: BaseException) -> str:

@@ -90,14 +90,14 @@ def _rounded(value: float, error: float) -> str:
     if not np.isfinite(error) or error <= 0:
         return f"{value:.4g}"
     digits = int(np.floor(np.log10(error)))
-    places = max(1 - digits, 0)
-    if abs(value) < 1e5 and places < 8:
-        return f"{value:.{places}f} ± {error:.{places}f}"
+    decimals = max(1 - digits, 0)
+    if abs(value) < 1e5 and decimals < 8:
+        return f"{value:.{decimals}f} ± {error:.{decimals}f}"
     return f"{value:.5g} ± {error:.2g}"
 
 
 def uncertainty(
-    names: Sequence[Name], known: Parameters, places: Array, residuals: Array, jacobian: Array
+    names: Sequence[Name], known: Parameters, fractions: Array, residuals: Array, jacobian: Array
 ) -> tuple[Array, Array, list[str]]:
     """Return the standard errors of fitted values, their correlations, and remarks.
 
@@ -106,34 +106,36 @@ def uncertainty(
     Parameters
     ----------
     names, known : Names of the fitted parameters, and all parameters.
-    places : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
+    fractions : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
     residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
-    jacobian : Derivatives of the residuals with respect to `places`, `(samples * ny, n)`.
+    jacobian : Derivatives of the residuals with respect to `fractions`, `(samples * ny, n)`.
     """
-    at_bound, remarks = np.zeros(len(places), dtype=bool), []
-    for i, (name, place) in enumerate(zip(names, places, strict=True)):
-        if place < AT_BOUND or place > 1 - AT_BOUND:
-            side, end = ("upper", 1) if place > 0.5 else ("lower", 0)
+    at_bound, remarks = np.zeros(len(fractions), dtype=bool), []
+    for i, (name, fraction) in enumerate(zip(names, fractions, strict=True)):
+        if fraction < AT_BOUND or fraction > 1 - AT_BOUND:
+            side, end = ("upper", 1) if fraction > 0.5 else ("lower", 0)
             at_bound[i] = True
             remarks.append(
                 f"{labelled(name)} is at its {side} bound, {known.range(name[0])[end]:.4g}"
             )
-    slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, places, strict=True)])
+    slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
     free = np.flatnonzero(~at_bound)
-    noise = _noise(residuals, len(places))
+    noise = _noise(residuals, len(fractions))
     kept, weak = _directions(jacobian[:, free], noise)
     told = (jacobian[:, free] @ kept) * np.tile(noise, len(residuals))[:, None]
-    covariance = np.full((len(places), len(places)), np.nan)
+    covariance = np.full((len(fractions), len(fractions)), np.nan)
     # (J'J)^-1 J' W J (J'J)^-1, where W holds the error variance of each channel
     inner = kept @ (told.T @ told) @ kept.T * _correlated(residuals)
     covariance[np.ix_(free, free)] = inner
-    values = np.array([known.at(n, p) or 1.0 for (n, _), p in zip(names, places, strict=True)])
+    values = np.array(
+        [known.value_at(n, p) or 1.0 for (n, _), p in zip(names, fractions, strict=True)]
+    )
     for direction in weak:
         involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         lost = free[involved]
         covariance[lost] = covariance[:, lost] = np.nan
         remarks.append(
-            _told([names[i] for i in lost], direction[involved] * slopes[lost] / values[lost])
+            _remark([names[i] for i in lost], direction[involved] * slopes[lost] / values[lost])
         )
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -190,7 +192,7 @@ def labelled(name: Name) -> str:
     return name[0] if name[1] < 1 else f"{name[0]}, record {name[1] + 1}"
 
 
-def _told(names: Sequence[Name], changes: Array) -> str:
+def _remark(names: Sequence[Name], changes: Array) -> str:
     """Return a remark about a direction that is not identifiable.
 
     `changes` are the relative changes of the values along it.

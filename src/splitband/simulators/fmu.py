@@ -140,7 +140,7 @@ class Fmu(Adjustable):
             return cast("Reading", unit.readings[key])
         found = [reading_of(unit, task)]
         for place in PROBED if self.known.free else ():
-            values = {name: self.known.at(name, place) for name in self.known.given}
+            values = {name: self.known.value_at(name, place) for name in self.known.given}
             try:
                 found.append(reading_of(unit, replace(task, values=values)))
             except LateError:

@@ -21,7 +21,7 @@ from splitband.simulators.fmu_unit import Unit
 
 SAMPLES = 8
 """Samples before the inputs are changed, so that states are not at 0. By eye."""
-SHORT = 1e-4
+FRACTION_OF_A_STEP = 1e-4
 """A short step, as a share of the sampling time. By eye."""
 AT_ONCE = 0.01
 """An output that changes in a step without length by this share of what it changes in a whole one
@@ -36,7 +36,7 @@ def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
     """Return how the outputs are read, and whether that is known.
 
     It is not where an output does not change with any input here. Raises LateError for an output
-    that cannot be read at its sample, or where that cannot be told.
+    that cannot be read at its sample, or where that cannot be reported.
     """
     nothing = np.zeros(len(task.outputs), dtype=bool)
     if task.u is None or not task.u.shape[1]:
@@ -45,11 +45,11 @@ def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
     if len(start.time) < 2:
         return Reading(nothing), True
     try:
-        told, before = _told_when_set(unit, start), False
+        reported, before = _reported_when_set(unit, start), False
     except _UnreadableError:
-        told, before = nothing, True
+        reported, before = nothing, True
     declared, free = _declared(unit, task)
-    open_ones = ~told & ~free
+    open_ones = ~reported & ~free
     if not open_ones.any():
         return Reading(nothing, before), True
     late, changes = _late(unit, start, open_ones, declared)
@@ -66,21 +66,21 @@ class _UnreadableError(Exception):
 
 def _declared(unit: Unit, task: Task) -> tuple[Mask, Mask]:
     """Return which outputs the FMU declares to depend on an input, and which to depend on none."""
-    told = {each.variable.name: each.dependencies for each in unit.description.outputs
+    reported = {each.variable.name: each.dependencies for each in unit.description.outputs
             if each.variable is not None and each.dependencies is not None}  # fmt: skip
     depends = [
-        None if name not in told else any(v.name in task.inputs for v in told[name])
+        None if name not in reported else any(v.name in task.inputs for v in reported[name])
         for name in task.outputs
     ]
     return np.array([d is True for d in depends]), np.array([d is False for d in depends])
 
 
-def _told_when_set(unit: Unit, task: Task) -> Mask:
+def _reported_when_set(unit: Unit, task: Task) -> Mask:
     """Return which outputs change when an input is set, without a step."""
     with unit.instance() as instance:
         run = CoSimulation(unit, instance, task)
         _advance(run)
-        told = np.zeros(len(task.outputs), dtype=bool)
+        reported = np.zeros(len(task.outputs), dtype=bool)
         for changed in _changes(unit, task):
             values = []
             for u in (_usual(task), changed):
@@ -89,9 +89,9 @@ def _told_when_set(unit: Unit, task: Task) -> Mask:
                     values.append(run.outputs.get())
                 except Exception as error:
                     raise _UnreadableError from error
-            told |= values[0] != values[1]
+            reported |= values[0] != values[1]
         run.instance.terminate()
-    return told
+    return reported
 
 
 def _late(unit: Unit, task: Task, asked: Mask, declared: Mask) -> tuple[Mask, Mask]:
@@ -103,7 +103,7 @@ def _late(unit: Unit, task: Task, asked: Mask, declared: Mask) -> tuple[Mask, Ma
     """
     late, moved = np.zeros((2, len(task.outputs)), dtype=bool)
     usual = _two_steps(unit, task, _usual(task), 1.0)
-    shares = SHORT, SHORT / 2
+    shares = FRACTION_OF_A_STEP, FRACTION_OF_A_STEP / 2
     short = [_short_steps(unit, task, _usual(task), share) for share in shares]
     for changed in _changes(unit, task):
         first, second = np.abs(_two_steps(unit, task, changed, 1.0) - usual)

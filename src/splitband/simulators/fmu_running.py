@@ -59,25 +59,25 @@ class Variables:
             groups.setdefault(_type(unit, name), []).append(i)
         self.groups = [
             (
-                places,
-                [unit.by_name[names[i]].valueReference for i in places],
+                indices,
+                [unit.by_name[names[i]].valueReference for i in indices],
                 getattr(instance, f"get{kind}"),
                 getattr(instance, f"set{kind}"),
                 float if kind in ("Real", "Float32", "Float64") else round,
             )
-            for kind, places in groups.items()
+            for kind, indices in groups.items()
         ]
 
     def set(self, values: Array) -> None:
         """Set the variables to these values, `(count,)`."""
-        for places, references, _, setter, convert in self.groups:
-            setter(references, [convert(float(values[i])) for i in places])
+        for indices, references, _, setter, convert in self.groups:
+            setter(references, [convert(float(values[i])) for i in indices])
 
     def get(self) -> Array:
         """Return the values, `(count,)`."""
         found = np.empty(self.count)
-        for places, references, getter, _, _ in self.groups:
-            found[places] = [*getter(references)]
+        for indices, references, getter, _, _ in self.groups:
+            found[indices] = [*getter(references)]
         return found
 
 

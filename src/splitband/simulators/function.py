@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from splitband.runtime.arrays import Array
 from splitband.simulators.base import Start, check_start
-from splitband.simulators.code import check_places, code_digest, count_arguments
+from splitband.simulators.code import check_arguments, code_digest, count_arguments
 from splitband.simulators.parameters import Adjustable, Given, Point, Response, parameters_class
 
 
@@ -43,7 +43,7 @@ class UserCode(Adjustable):
         """Raise ValueError for a wrong start, or arguments in another order."""
         check_start(self.start)
         for function, names in self._functions:
-            check_places(function, *names)
+            check_arguments(function, *names)
 
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed fields, which other processes recreate as before."""

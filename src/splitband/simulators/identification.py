@@ -60,7 +60,7 @@ _PULL = 1e-6
 """Residual of an unknown that moves from its start by its unit: those that the records do not tell
 stay where they are. By eye."""
 _ROUNDS, LAST_ROUNDS = 30, 100
-"""Most evaluations in a search, and in the last one from the best places. By eye."""
+"""Most evaluations in a search, and in the last one from the best fractions. By eye."""
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
 WINDOWS_FROM_ERROR = 0.6
@@ -138,7 +138,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
     if not shooting.names:
-        return _told(shooting, shooting.divide(10**9, np.empty(0)), 0)
+        return _build_estimate(shooting, shooting.divide(10**9, np.empty(0)), 0)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
@@ -148,21 +148,21 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     window = _window(outcomes, longest)
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
-    places = np.array(best.found[window][0])
+    fractions = np.array(best.found[window][0])
     with within(NEVER):  # the result is evaluated even after the deadline
         precise = Shooting(simulator.precise(), experiments, scale)
-        unknowns = precise.divide(window, places)
+        unknowns = precise.divide(window, fractions)
         rough = not _runs(precise, unknowns)  # as its solver cannot be that precise
         if rough:
-            unknowns = shooting.divide(window, places)
+            unknowns = shooting.divide(window, fractions)
         else:
             shooting = precise
         if not (best.cut or deadline.over):
             unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
-        estimate = _told(shooting, unknowns, window if window < longest else 0)
-    places = unknowns[: len(places)]
+        estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
+    fractions = unknowns[: len(fractions)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
-    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, places)]
+    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
     if rough:
         remarks.append("standard errors are rough, as the solver cannot keep smaller tolerances")
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
@@ -191,9 +191,9 @@ def check_runs(simulator: Any, record: Record) -> Any:
     simulator = matched(simulator, record.columns, record.inputs)
     begin, known = Experiment.of(record, simulator).part(0, _FEW), simulator.known
     reason: Exception | None = None
-    for places in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
-        at = dict(zip(known.free, places, strict=False))
-        values = {name: known.at(name, at.get(name, 0.5)) for name in known.given}
+    for fractions in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
+        at = dict(zip(known.free, fractions, strict=False))
+        values = {name: known.value_at(name, at.get(name, 0.5)) for name in known.given}
         try:
             with np.errstate(all="ignore"):
                 y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
@@ -230,17 +230,21 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
     return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
 
 
-def _told(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
+def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
     """Return the estimate at the best unknowns, with standard errors."""
-    ny, places = len(shooting.scale), unknowns[: len(shooting.names)]
+    ny, fractions = len(shooting.scale), unknowns[: len(shooting.names)]
     residuals = shooting.residuals(unknowns)
-    jacobian = projected(shooting.jacobian(unknowns), len(places))
+    jacobian = projected(shooting.jacobian(unknowns), len(fractions))
     measured = np.concatenate([w.part.y for w in shooting.windows])
     by_channel = np.where(np.isnan(measured), np.nan, residuals.reshape(-1, ny))
     known = shooting.simulator.known
-    errors, correlations, remarks = uncertainty(shooting.names, known, places, by_channel, jacobian)
+    errors, correlations, remarks = uncertainty(
+        shooting.names, known, fractions, by_channel, jacobian
+    )
     names = [labelled(name) for name in shooting.names]
-    values = [known.at(n, float(p)) for (n, _), p in zip(shooting.names, places, strict=True)]
+    values = [
+        known.value_at(n, float(p)) for (n, _), p in zip(shooting.names, fractions, strict=True)
+    ]
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
     return Estimate(
         dict(zip(names, values, strict=True)),
@@ -257,12 +261,12 @@ def _alternatives(
     outcomes: Sequence[StartOutcome],
     window: int,
     estimate: Estimate,
-    places: Array,
+    fractions: Array,
 ) -> list[str]:
     """Return remarks on minima that fit as well, with other values of identifiable parameters."""
     errors = [o.found[window][1] for o in outcomes if window in o.found]
     told = np.array([np.isfinite(e) for e in estimate.errors.values()])
-    found: list[Array] = [places]
+    found: list[Array] = [fractions]
     remarks = []
     for outcome in outcomes:
         if window not in outcome.found or not told.any():
@@ -273,7 +277,7 @@ def _alternatives(
             found.append(other)
             known = shooting.simulator.known
             values = ", ".join(
-                f"{labelled(name)} = {known.at(name[0], float(place)):.4g}"
+                f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
                 for name, place in zip(shooting.names, other, strict=True)
             )
             remarks.append(f"fits as well with {values}")
@@ -281,7 +285,7 @@ def _alternatives(
 
 
 def starting_points(count: int, dimensions: int) -> Array:
-    """Return places, `(count, dimensions)`: the middle of the ranges and a Sobol sequence."""
+    """Return fractions, `(count, dimensions)`: the middle of the ranges and a Sobol sequence."""
     sobol = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
     drawn = sobol.random_base2(max(int(np.ceil(np.log2(max(count, 2)))), 1))
     return np.concatenate([np.full((1, dimensions), 0.5), drawn])[:count]
@@ -369,15 +373,15 @@ def _try(
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
     found: dict[int, tuple[list[float], float]] = {}
-    places, cut = points[number], False
+    fractions, cut = points[number], False
     try:
         with within(min(current(), deadline)):
             for length in _lengths(shooting.longest, growing=number % 2 == 1):
-                unknowns = shooting.divide(length, places)
+                unknowns = shooting.divide(length, fractions)
                 if _runs(shooting, unknowns):
                     unknowns, error = descend(shooting, unknowns, _ROUNDS)
-                    places = unknowns[: len(places)]
-                    found[length] = places.tolist(), error
+                    fractions = unknowns[: len(fractions)]
+                    found[length] = fractions.tolist(), error
     except DeadlineError:
         cut = True
     return StartOutcome(number, found, shooting.failure, cut)

@@ -93,23 +93,23 @@ class Parameters:
         """Return the ends of a parameter's range; they are equal for a fixed one."""
         return _ends(name, self.given[name])
 
-    def at(self, name: str, place: float) -> float:
+    def value_at(self, name: str, fraction: float) -> float:
         """Return the value of a parameter at a relative position in its range, 0 to 1."""
         low, high = self.range(name)
         if self.logarithmic(name):
-            return float(low * (high / low) ** place)
-        return float(low + place * (high - low))
+            return float(low * (high / low) ** fraction)
+        return float(low + fraction * (high - low))
 
-    def slope(self, name: str, place: float) -> float:
+    def slope(self, name: str, fraction: float) -> float:
         """Return the derivative of the value with respect to its relative position."""
         low, high = self.range(name)
         if self.logarithmic(name):
-            return self.at(name, place) * math.log(high / low)
+            return self.value_at(name, fraction) * math.log(high / low)
         return high - low
 
     def middle(self) -> dict[str, float]:
         """Return every parameter as a number, a fitted one in the middle of its range."""
-        return {name: self.at(name, 0.5) for name in self.given}
+        return {name: self.value_at(name, 0.5) for name in self.given}
 
     def fixed(self, values: Mapping[str, float]) -> Parameters:
         """Return the parameters with some of them set to numbers."""

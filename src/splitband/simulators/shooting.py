@@ -51,7 +51,7 @@ class Experiment:
         """Return the experiment of a record for a simulator, on whose clock its times are."""
         begin = origin(simulator, record.start)
         time = begin + record.sampling_time * np.arange(len(record), dtype=np.float64)
-        return cls(time, record.seen, record.u)
+        return cls(time, record.y_with_gaps, record.u)
 
     def part(self, begin: int, end: int) -> Experiment:
         """Return the samples from `begin` to before `end`."""
@@ -71,13 +71,13 @@ def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: in
 class Window:
     """Hold a part of a record that is simulated at once.
 
-    `record`: its number; `places`: which of the unknowns concern it, of which the last `states` are
-    its initial state. At the beginning of a record, parameters define that.
+    `record`: its number; `unknowns`: which of all unknowns concern it, the last `states` of
+    which are its initial state. At the beginning of a record, parameters define that.
     """
 
     record: int
     part: Experiment
-    places: Sequence[int]
+    unknowns: Sequence[int]
     states: slice
 
 
@@ -118,10 +118,10 @@ class Shooting:
         found = known.middle()
         for (name, of), place in zip(self.names, unknowns, strict=False):
             if of in (-1, record):
-                found[name] = known.at(name, float(place))
+                found[name] = known.value_at(name, float(place))
         return found
 
-    def divide(self, length: int, places: Array) -> Array:
+    def divide(self, length: int, fractions: Array) -> Array:
         """Divide every record into windows of at most `length` samples, and return the unknowns.
 
         The search for a window's state starts from the final state of the window before. A black
@@ -137,7 +137,7 @@ class Shooting:
                 self.windows.append(Window(r, part, own, slice(0)))
                 continue
             cuts = np.linspace(0, samples, -(-samples // length) + 1).round().astype(int)
-            values, state = self.values(places, r), None
+            values, state = self.values(fractions, r), None
             for begin, end in pairwise(cuts):
                 part = experiment.part(begin, min(end + 1, samples))
                 if end < samples:  # the last sample also begins the next window, and counts there
@@ -146,7 +146,7 @@ class Shooting:
                 if state is not None:
                     state = self._settled(part, values, state)
                     states.append(state)
-                    first = len(places) + (len(states) - 1) * self.simulator.states
+                    first = len(fractions) + (len(states) - 1) * self.simulator.states
                     where = slice(first, first + self.simulator.states)
                 self.windows.append(Window(r, part, [*own, *range(*where.indices(10**9))], where))
                 last = self.respond(part, [(values, state)])[0][1][-1]
@@ -156,7 +156,7 @@ class Shooting:
                     state = np.zeros(self.simulator.states)
         if states:
             self.sizes = np.maximum(np.abs(states).mean(axis=0), 1e-3)
-        return np.concatenate([places, *(state / self.sizes for state in states)])
+        return np.concatenate([fractions, *(state / self.sizes for state in states)])
 
     def residuals(self, unknowns: Array) -> Array:
         """Return all residuals in deviations of the channels, `(samples * ny,)`, 0 in gaps."""
@@ -175,13 +175,13 @@ class Shooting:
         blocks = []
         for window in self.windows:
             moved = [unknowns]
-            for i in window.places:
+            for i in window.unknowns:
                 moved.append(unknowns.copy())
                 moved[-1][i] += steps[i]
             found = self.respond(window.part, [self._point(window, each) for each in moved])
             at, *others = (self._errors(window.part, each) for each in found)
             block = np.zeros((len(at), len(unknowns)))
-            for i, other in zip(window.places, others, strict=True):
+            for i, other in zip(window.unknowns, others, strict=True):
                 block[:, i] = _difference(at, other, steps[i])
             blocks.append(block)
         return np.concatenate(blocks)

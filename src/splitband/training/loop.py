@@ -59,7 +59,7 @@ def fit(
     settings = settings or Settings.of(min(map(len, records)))
     for record in records:
         _check_channels(model, record)
-    places = windows_in(records, settings.window, settings.warmup)
+    chosen = windows_in(records, settings.window, settings.warmup)
     model.adapt_to(records, settings.normalize)
     began = time.perf_counter()
     history = History()
@@ -68,7 +68,7 @@ def fit(
         torch.__version__, DIVERGED, MOST_RESTARTS, settings, seed, _built(model),
         *model.state_dict().values(),
         *(signal for record in seen for signal in vars(record).values() if signal is not None),
-        places.starts, *([] if places.measured is None else [places.measured]),
+        chosen.starts, *([] if chosen.measured is None else [chosen.measured]),
     )  # fmt: skip
     saved = (checkpoint.load(key) if checkpoint else None) or {}
     tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
@@ -76,7 +76,7 @@ def fit(
     for done, task in enumerate(tasks):
         # Each network gets the same seed, so that its training does not depend on the others.
         deadline = Deadline.after(current().left / (len(tasks) - done))
-        training = NetworkTraining(task, places, settings, seed, deadline)
+        training = NetworkTraining(task, chosen, settings, seed, deadline)
         prefix = f"{done}."
         if f"{prefix}losses" in saved:
             training.restore(below(saved, prefix))

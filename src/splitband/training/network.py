@@ -38,7 +38,7 @@ class NetworkTraining:
     def __init__(
         self,
         task: Task,
-        places: WindowSet,
+        chosen: WindowSet,
         settings: Settings,
         seed: int,
         deadline: Deadline,
@@ -48,11 +48,11 @@ class NetworkTraining:
         """Epochs, and rounds of L-BFGS after them."""
         self.cut = False
         """Whether the deadline has come before the end of the training."""
-        self.task, self.settings, self.starts = task, settings, places.starts
+        self.task, self.settings, self.starts = task, settings, chosen.starts
         self.known, self.target = windows(task, settings.window, settings.warmup)
         self.measured: Tensor | None = None
-        if places.measured is not None:
-            self.measured = targets(places.measured, task, settings.window, settings.warmup)
+        if chosen.measured is not None:
+            self.measured = targets(chosen.measured, task, settings.window, settings.warmup)
         self.optimizer = Adam([*task.network.parameters()], lr=settings.learning_rate)
         self.generator = torch.Generator().manual_seed(seed)
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5

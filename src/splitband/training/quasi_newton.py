@@ -25,7 +25,7 @@ MEMORY = 30
 """Steps from which the curvature is estimated."""
 CONVERGED = 1e-5
 """A round makes no progress if it lowers the mean square by less than this share; see `round`."""
-HALVED = 20_000
+MAX_WINDOWS_WITH_OVERLAP = 20_000
 """Up to this many windows to choose from, the predicted parts of successive ones overlap by
 half."""
 UNBOUNDED = 1e10
@@ -40,8 +40,8 @@ def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> T
     """Choose from the first samples of all windows as few as are needed to predict every sample.
 
     The warm-up of a window lies in the predicted part of the window before it. In short records
-    (see `HALVED`) a further window lies halfway between two of them, so that most samples are
-    predicted both early and late in a free run, where errors differ.
+    (see `MAX_WINDOWS_WITH_OVERLAP`) a further window lies halfway between two of them,
+    so that most samples are predicted both early and late in a free run, where errors differ.
     """
     hop = _hop(len(starts), window, warmup)
     chosen = [int(starts[0])]
@@ -55,9 +55,9 @@ def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> T
     return torch.tensor(chosen)[kept]
 
 
-def _hop(places: int, window: int, warmup: int) -> int:
+def _hop(windows: int, window: int, warmup: int) -> int:
     """Return the distance in samples between the starts of successive chosen windows."""
-    return max(1, (window - warmup) // (2 if places <= HALVED else 1))
+    return max(1, (window - warmup) // (2 if windows <= MAX_WINDOWS_WITH_OVERLAP else 1))
 
 
 class _OverError(Exception):
@@ -184,7 +184,7 @@ class QuasiNewton:
             saved = state[name].clone().to(device) if name in state else None
             if name in _LISTS:
                 # Rounding of a sum depends on where in a cache line a vector begins, and rows of
-                # one array begin at different places.
+                # one array begin at different samples.
                 of_torch[name] = [row.clone() for row in ([] if saved is None else saved)]
             else:
                 of_torch[name] = saved

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Literal
 
 from splitband.data import Record
-from splitband.training.places import window_starts
 from splitband.training.settings import Settings, default_warmup
+from splitband.training.window_starts import window_starts
 
 Recipe = Literal["default", "constant-rate"]
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from splitband.data import Record
 from splitband.models import Signals, Task
-from splitband.training.places import checked_starts
+from splitband.training.window_starts import checked_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet
     Raises ValueError for a record shorter than a window, and where gaps leave no window.
     """
     starts = checked_starts(records, window, warmup)
-    seen = np.concatenate([~np.isnan(record.seen) for record in records])
+    seen = np.concatenate([~np.isnan(record.y_with_gaps) for record in records])
     return WindowSet(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
 
 

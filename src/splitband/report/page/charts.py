@@ -39,7 +39,7 @@ X = "x"
 """The column of a chart's source along its axis."""
 MOST = 4_000
 """Points of one curve, at most: more than a screen has columns."""
-FARTHEST = 1e3
+MAX_AXIS_RANGE = 1e3
 """How far beyond a plot a curve is drawn, in heights of the plot: a canvas takes no larger numbers.
 By eye."""
 MAX_ROUNDING = 1e-4
@@ -283,7 +283,7 @@ class Chart:
         if self.log:
             return np.maximum(y, 1e-300)
         low, high = self.limits
-        reach = FARTHEST * (high - low or 1.0)
+        reach = MAX_AXIS_RANGE * (high - low or 1.0)
         return np.clip(y, low - reach, high + reach)
 
     def _kept(self, values: Any) -> str:

@@ -33,7 +33,7 @@ from splitband.report.page.parts import Method
 from splitband.report.predicted import Predicted
 from splitband.runtime.arrays import Array
 
-FEW = 2
+MAX_TALL_CHANNELS = 2
 """Largest number of outputs or inputs that have plots of full size. By eye."""
 TRANSIENT = 10
 """First samples of a prediction, whose errors vary too much to set the scale. By eye."""
@@ -63,14 +63,14 @@ class OverTime:
 
     def _output(self, i: int) -> Chart:
         record, shown, column = self.record, self.shown, self.record.columns[i]
-        seen = padded(record.seen[:, i], self._length, first=True)
+        seen = padded(record.y_with_gaps[:, i], self._length, first=True)
         recommended = next(m for m in self.styles.values() if m.recommended)
         best = shown.predictions.get(recommended.name)
         scale = [seen[shown.first :], *([] if best is None else [best.y[:, i]])]
         caption = f"{column}: {shown.says}"
         if best is not None and best.level is not None:
             caption += f"; shaded: {percent(best.level)} interval"
-        height = TALL if record.ny <= FEW else LOW
+        height = TALL if record.ny <= MAX_TALL_CHANNELS else LOW
         chart = Chart(self.axis, column, limits(scale, 0.2), caption, height)
         if best is not None and best.lower is not None and best.upper is not None:
             lower, upper = (padded(edge[:, i], self._length) for edge in (best.lower, best.upper))
@@ -95,7 +95,7 @@ class OverTime:
             u = np.concatenate([u, record.u_beyond])
         for name, values in zip(record.inputs, u.T, strict=True):
             whole = padded(values[: self._length], self._length, first=True)
-            scale, small = limits([whole[self.shown.first :]]), record.nu > FEW
+            scale, small = limits([whole[self.shown.first :]]), record.nu > MAX_TALL_CHANNELS
             chart = Chart(self.axis, name, scale, f"Input {name}", SMALL, small=small)
             chart.line(whole, name, ["truth"], line_width=1.0)
             plots.append(chart)
@@ -160,7 +160,7 @@ class OverTime:
     def _parts(self, name: str, predicted: Prediction, i: int) -> Chart:
         column, parts = self.record.columns[i], predicted.components
         curves = {p: padded(y[:, i] - y[:, i].mean(), self._length) for p, y in parts.items()}
-        seen = self.record.seen[:, i]
+        seen = self.record.y_with_gaps[:, i]
         about = padded(seen - np.nanmean(seen), self._length, first=True)
         scale, caption = limits([about, *curves.values()]), f"{name}, {column}: components"
         chart = Chart(self.axis, f"{column}, less the mean", scale, caption, methods=[name])

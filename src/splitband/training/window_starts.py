@@ -1,4 +1,4 @@
-"""Find the places of windows in training records, where they have no gap in their warm-up."""
+"""Find where windows may begin in training records: they have no gap in their warm-up."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.ND
     """Return the first samples of all possible windows, counted over the records."""
     lengths = [len(record) for record in records]
     complete = np.concatenate([record.complete for record in records])
-    something = np.concatenate([(~np.isnan(record.seen)).any(axis=1) for record in records])
+    something = np.concatenate([(~np.isnan(record.y_with_gaps)).any(axis=1) for record in records])
     inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
     warm = _counts(complete, 0, warmup) == warmup
     return np.flatnonzero(inside & warm & (_counts(something, warmup, window) > 0))
