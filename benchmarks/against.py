@@ -16,8 +16,7 @@ and SciPy, and so an environment of its own, whose Python is an option here:
     python -m venv peer && peer/bin/pip install jax-sysid==1.1.0
 
 Their settings stand in `benchmarks/jax_peer.py` and here. What is there already is not computed
-again, and what is not installed is left out; `python -m benchmarks.public --no-run` puts the
-results into its page.
+again, and what is not installed is left out; `python -m benchmarks.page` makes the page.
 """
 
 from __future__ import annotations

@@ -5,14 +5,14 @@
 Each run is the plain command in a process of its own. A run is a line of JSON, appended to OUT as
 it ends; what is there is not run again. Errors are those of the recommended method, in the record's
 unit, on the test records, or else of the forecast. `--beside N` has N processes compute meanwhile.
-The public records are read from SPLITBAND_DATA_DIR.
+The public records are read from SPLITBAND_DATA_DIR. `python -m benchmarks.page` makes the page
+docs/results/benchmarks.md of the runs that are there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -27,6 +27,7 @@ from benchmarks.commands import RECORDS
 from splitband.cli.options.values import seconds
 
 Row = dict[str, Any]
+FILE = "clock.jsonl"
 PATIENCE = 10.0
 """A command is ended after this multiple of its budget."""
 
@@ -65,39 +66,31 @@ def measured(words: Sequence[str], row: Row, folder: Path) -> Row:
     }
 
 
-def table(rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a line for each record and budget: medians over the seeds, errors with their range.
-
-    The seconds taken, from outside, are the most of any seed.
-    """
-    groups: dict[tuple[str, float, int], list[Row]] = {}
+def groups(rows: Iterable[Row]) -> dict[tuple[str, float, int], list[Row]]:
+    """Return the runs of each record, budget and number of busy processes."""
+    found: dict[tuple[str, float, int], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row["record"], row["asked"], row["beside"]), []).append(row)
-    yield f"{'record':26}{'beside':>7}{'asked':>7}{'used':>7}{'took':>7}{'trains':>8}  error"
-    for (name, asked, beside), of in groups.items():
-        used, took, share = ([row[key] for row in of] for key in ("used", "took", "in_trainings"))
-        errors = [
-            f"{statistics.median(each):.3g} ({min(each):.3g} to {max(each):.3g})"
-            for each in zip(*(row["errors"] for row in of), strict=True)
-        ]
-        best = statistics.multimode(row["recommended"] for row in of)[0]
-        yield (
-            f"{name:26}{beside:7d}{asked:6.0f}s{statistics.median(used):6.0f}s{max(took):6.0f}s"
-            f"{statistics.median(share):8.0%}  {' / '.join(errors)}  {best}, {len(of)} seeds"
-        )
+        found.setdefault((row["record"], row["asked"], row["beside"]), []).append(row)
+    return dict(sorted(found.items(), key=lambda item: ([*RECORDS].index(item[0][0]), item[0][1:])))
+
+
+def usual(rows: Iterable[Row]) -> str:
+    """Return what is recommended, the most frequent first."""
+    names = [row["recommended"] for row in rows]
+    return ", ".join(sorted({*names}, key=lambda name: (-names.count(name), name)))
 
 
 def main() -> None:
-    """Run what is missing, and print the table of all that is there."""
+    """Run what is missing."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--records", nargs="+", default=[*RECORDS], choices=[*RECORDS])
-    parser.add_argument("--budgets", nargs="*", default=["30s", "2m", "10m"], help="none: no run")
+    parser.add_argument("--budgets", nargs="+", default=["30s", "2m", "10m"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--beside", type=int, default=0, metavar="N")
-    parser.add_argument("--out", type=Path, default=Path("docs/benchmarks/clock.jsonl"))
+    parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     given = parser.parse_args()
-    rows = _read(given.out)
-    there = {(row["record"], row["asked"], row["seed"], row["beside"]) for row in rows}
+    path = given.out / FILE
+    there = {(row["record"], row["asked"], row["seed"], row["beside"]) for row in read(path)}
     for name, budget, seed in product(given.records, given.budgets, range(given.seeds)):
         key = (name, seconds(budget), seed, given.beside)
         if key in there:
@@ -109,13 +102,13 @@ def main() -> None:
             except subprocess.SubprocessError as error:  # the next call tries it again
                 print(f"{row}: {error}", file=sys.stderr, flush=True)
                 continue
-        with given.out.open("a", encoding="utf-8") as file:
+        with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         print(row, flush=True)
-    print(*table(_read(given.out)), sep="\n")
 
 
-def _read(path: Path) -> list[Row]:
+def read(path: Path) -> list[Row]:
+    """Return the runs that are there."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     return [json.loads(line) for line in lines]
 

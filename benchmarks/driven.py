@@ -1,9 +1,5 @@
 """Driven nonlinear systems, drawn from seeds: a training record and a test record of each.
 
-`python -m benchmarks.driven [--budget 120] [--seeds 3]` compares the plain command with the GRU
-alone in the same time: errors on the test record, as shares of its deviation. What is there is not
-run again; `python -m benchmarks.public --no-run` puts the results into its page.
-
 Constants of the package are chosen on the seeds in `kinds.DEVELOPMENT`, and judged by those in
 `kinds.REPORTED`. Parameters differ by up to 30 % from seed to seed. The input is held from one
 sample to the next; the test record is another draw of it, and has no noise.
@@ -11,12 +7,8 @@ sample to the next; the test record is another draw of it, and has no noise.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -24,12 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks.plain import BUDGET, Facts, compared, complete
 from splitband import Record
 
 Array = npt.NDArray[np.float64]
-ALONE = "-gru"
-"""End of the names of files with the results of the GRU alone."""
 SPREAD = 0.3
 """Parameters lie within this share of their usual values."""
 
@@ -165,10 +154,6 @@ SYSTEMS: dict[str, System] = {
 }  # fmt: skip
 
 
-RECORDS = (*((name, 400) for name in SYSTEMS), ("Wiener-Hammerstein", 20_000))
-"""Systems, and samples to train on."""
-
-
 def drawn(
     name: str, seed: int, samples: int, tested: int = 2000, amplitudes: Sequence[float] = (1.0,)
 ) -> list[Record]:
@@ -186,35 +171,3 @@ def drawn(
         seen = y + noise * y.std() * rng.standard_normal(length)
         records.append(Record(seen, system.step, u=u, name=name))
     return records
-
-
-def stem(name: str, samples: int) -> str:
-    """Return how the names of a record's files begin."""
-    return f"{name.replace(' ', '-')}-{samples}"
-
-
-def measured(name: str, samples: int, methods: list[str] | None, budget: float, seed: int) -> Facts:
-    """Compare methods on a record; return the test errors as shares of the deviation."""
-    record, test = drawn(name, seed, samples)
-    facts = compared(record, methods=methods, tests=[test], seed=seed, budget=budget)
-    scale = test.y.std()
-    return facts | {
-        "errors": {name: [float(of[0] / scale)] for name, of in facts["errors"].items()}
-    }
-
-
-def main() -> None:
-    """Measure the systems one after the other, each by the default methods and by the GRU."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--budget", type=float, default=BUDGET, metavar="SECONDS")
-    parser.add_argument("--seeds", type=int, default=3, help="draws of each system")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
-    given = parser.parse_args()
-    seeds = range(1000, 1000 + given.seeds)
-    for (name, samples), last in product(RECORDS, ("", ALONE)):
-        run = partial(measured, name, samples, ["gru"] if last else None, given.budget)
-        complete(given.out, stem(name, samples), given.budget, seeds, run, last)
-
-
-if __name__ == "__main__":
-    main()

@@ -17,6 +17,7 @@ stop it, go on. The tables of baselines and of `default` go to docs/results/cove
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import statistics
 from collections.abc import Callable, Sequence
@@ -29,7 +30,6 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, SAMPLES, TRAINING, WITH_INPUTS, drawn
-from benchmarks.plain import BUDGET, Facts, read
 from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
 from splitband.data import Record, double_torsion, drill_string
@@ -43,6 +43,7 @@ from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, run_jobs
 
 Array = npt.NDArray[Any]
+Facts = dict[str, Any]
 SIZES = ((1000, 400), (2000, 1000))
 """Samples of a record, and how many of them are trained on."""
 BASELINES, DEFAULT = "baselines", "default"
@@ -99,7 +100,7 @@ _ROWS = ("ii", "iii", "iv")
 
 def _measured(job: RecordJob) -> Facts:
     if job.path.exists():
-        return read(job.path)
+        return dict(json.loads(job.path.read_text(encoding="utf-8")))
     record = replace(job.record(), y_sim=None, beyond=None, y_true=None)
     comparison = _comparison(record, job)
     settled = comparison.require_trial()
@@ -122,7 +123,7 @@ def _measured(job: RecordJob) -> Facts:
 
 def _comparison(record: Record, job: RecordJob) -> Comparison:
     if job.methods == DEFAULT:
-        return compare(record, job.train, budget=BUDGET)
+        return compare(record, job.train, budget=120.0)
     methods = job.methods.split(",")
     if job.methods == BASELINES:
         methods = [name for name in default_names(False, record.nu > 0) if name in QUICK]

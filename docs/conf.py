@@ -17,7 +17,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "numpydoc",
     "sphinx_copybutton",
-    "commands",
+    "sphinxcontrib.typer",
     "docstrings",
     "executed",
     "mathml",

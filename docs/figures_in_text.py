@@ -20,6 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from benchmarks.clock import FILE, groups, read
 from benchmarks.sets import SETS
 from reproduction import statements
 from splitband.evaluation.plan import BUDGET
@@ -162,6 +163,22 @@ def regrets_beyond() -> str:
 
 
 # Benchmarks
+
+
+def clock() -> dict[str, dict[str, dict[str, float]]]:
+    """Return median and range of the first error, by record and by seconds asked for."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for (name, asked, beside), rows in groups(read(DOCS / "results/benchmarks" / FILE)).items():
+        of = [row["errors"][0] for row in rows]
+        spread = {
+            "seeds": len(of),
+            "median": statistics.median(of),
+            "lowest": min(of),
+            "highest": max(of),
+        }
+        if not beside:
+            found.setdefault(name, {})[f"{asked:g}s"] = spread
+    return found
 
 
 def reliability() -> dict[str, Any]:
@@ -360,7 +377,7 @@ COMPUTED: dict[str, Callable[[], Any]] = {
     function.__name__: cache(function)
     for function in (
         default_minutes, drill_string, drill_string_table, calibration_of_v,
-        regrets_beyond, reliability, tanks_published, conditioning, tsfast, paper,
+        regrets_beyond, reliability, clock, tanks_published, conditioning, tsfast, paper,
         drill_string_of_the_paper, losses, lowest_deviation, physics, physics_wrong_table,
         few_samples, split_training, *statements.FIGURES,
     )

@@ -96,8 +96,8 @@ def test_the_facts_of_a_record_are_made_once(recommendation: Any, tmp_path: Path
 def test_the_page_of_public_benchmarks_is_made_of_their_files(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where it is not: `python -m benchmarks.public --no-run`."""
+    """Where it is not: `python -m benchmarks.page`."""
     monkeypatch.syspath_prepend(str(ROOT))
-    page = importlib.import_module("benchmarks.public_page")
+    page = importlib.import_module("benchmarks.page")
     folder = ROOT / "docs/results/benchmarks"
     assert folder.with_suffix(".md").read_text(encoding="utf-8") == page.made(folder)

@@ -11,7 +11,7 @@ from splitband.cli import showing
 from splitband.data import PUBLIC, fetch
 from splitband.data.named import RECORDS
 
-data = typer.Typer(help="The public records of the paper.", no_args_is_help=True)
+data = typer.Typer(name="data", help="The public records of the paper.", no_args_is_help=True)
 
 
 @data.command("list")

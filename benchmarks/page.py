@@ -1,7 +1,13 @@
-"""The page and the picture of `benchmarks.public`, made of the files of results that are there."""
+"""Make the page docs/results/benchmarks.md and its picture of the results that are there.
+
+    python -m benchmarks.page
+
+The results are those of `benchmarks.clock` and `benchmarks.against`.
+"""
 
 from __future__ import annotations
 
+import argparse
 import re
 import statistics
 from collections.abc import Iterable, Sequence
@@ -13,23 +19,23 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from benchmarks import against, driven, pendulum
+from benchmarks import against, clock
 from benchmarks.jax_settings import SETTINGS
-from benchmarks.plain import Facts, errors_of, read, spread
 from benchmarks.sets import SETS, Benchmark
 from splitband.runtime.files import replacing
 
 AGAINST = "against.png"
 
 Array = npt.NDArray[np.float64]
-Runs = dict[str, list[Facts]]
-"""Runs by what was asked for."""
 Points = dict[str, list[against.Point]]
 """Errors of libraries after some time, by benchmark."""
 
 
-def write(out: Path) -> None:
+def main() -> None:
     """Draw the picture and write the page beside the folder of results."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
+    out = parser.parse_args().out
     points = _points(out)
     if points:
         _save(_over_time(points), out / AGAINST)
@@ -39,72 +45,81 @@ def write(out: Path) -> None:
 
 def made(out: Path) -> str:
     """The page as Markdown."""
+    rows = clock.read(out / clock.FILE)
     parts = [
         "# Public benchmarks",
+        "Each row is the plain command `splitband compare RECORD --budget TIME`, several seeds "
+        "(`python -m benchmarks.clock`, then `python -m benchmarks.page`): median over seeds and "
+        "range. A budget is wall time of the whole command on two cores.",
         "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "
         "the training file, warmed up on the first samples of each test file (50 unless said "
-        "otherwise), simulated to its end; RMSE of the median of all trainings. `python -m "
-        "benchmarks.public` makes this page. Other scores are those that their authors published.",
-        "Our errors are the median over seeds of the whole command, and their range. A budget is "
-        'wall time on two cores. Rows "before the clock" are of commit c5ae2c0, whose search was '
-        "limited by work, one seed each.",
+        "otherwise), simulated to its end. Other scores are those that their authors published.",
     ]
     for name, benchmark in SETS.items():
-        runs = _runs(out, name)
-        parts += _benchmark(benchmark, runs) if runs else []
-    parts += _side_by_side(_points(out), out) + _pendulum(out) + _drawn(out)
+        parts += _benchmark(benchmark, [row for row in rows if row["record"] == name])
+    parts += _side_by_side(_points(out), out) + _all(rows)
     return "\n\n".join(parts) + "\n"
 
 
-def _runs(out: Path, name: str, last: str = "") -> Runs:
-    """Return the runs of a record by what was asked for."""
-    paths = sorted(out.glob(f"{name}-*{last}.json"), key=lambda path: path.stem)
-    found = [read(path) for path in paths if last or not path.stem.endswith(driven.ALONE)]
-    return {facts["asked"]: facts["runs"] for facts in found}
-
-
-def _benchmark(benchmark: Benchmark, runs: Runs) -> list[str]:
+def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> list[str]:
     """What the command came to, beside what others have published."""
-    rows = [
+    ours = [
         [
-            f"`splitband compare` {asked}",
-            _usual(of),
-            *(_spread(each, benchmark.scale) for each in zip(*map(errors_of, of), strict=True)),
+            f"`splitband compare --budget {asked:g}s`{_beside(beside)}",
+            clock.usual(of),
+            *(_spread(each, benchmark.scale) for each in zip(*_errors(of), strict=True)),
             str(len(of)),
-            _used(of),
         ]
-        for asked, of in runs.items()
+        for (_, asked, beside), of in clock.groups(rows).items()
     ]
-    rows += [[method, "", *errors, "", ""] for method, errors in benchmark.published.items()]
-    networks = "; ".join(
-        f"{asked}: {of[0]['description']} ({of[0]['trainings']} trainings)"
-        for asked, of in runs.items()
-    )
+    others = [[method, "", *errors, ""] for method, errors in benchmark.published.items()]
     return [
         f"## {benchmark.title}",
         f"{benchmark.source[0].upper()}{benchmark.source[1:]}.",
-        _lines(["", "recommended", *_heads(benchmark), "seeds", "seconds"], rows),
-        f"{benchmark.title}, the recommended network of the first seed, {networks}.",
+        _lines(["", "recommended", *_heads(benchmark), "seeds"], ours + others),
     ]
 
 
-def _usual(runs: Sequence[Facts]) -> str:
-    """Return what is recommended, the most frequent first."""
-    names = [run["recommended"] for run in runs]
-    return ", ".join(sorted({*names}, key=lambda name: (-names.count(name), name)))
+def _all(rows: Sequence[clock.Row]) -> list[str]:
+    """What the command makes of its time, on all records."""
+    if not rows:
+        return []
+    table = [
+        [
+            name,
+            f"{asked:g} s{_beside(beside)}",
+            _spread(row["used"] for row in of),
+            f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
+            clock.usual(of),
+            " / ".join(_spread(each) for each in zip(*_errors(of), strict=True)),
+            str(len(of)),
+        ]
+        for (name, asked, beside), of in clock.groups(rows).items()
+    ]
+    commits = ", ".join(sorted({row["commit"] for row in rows}))
+    return [
+        "## What becomes of the time",
+        "Seconds asked for and used, the share of the cores' time that went into trainings, and "
+        "the error of the recommended method, in the record's unit, on its test records or else "
+        "of its forecast of the last quarter. A command ends early where further rounds change no "
+        f"held-out error. Commits: {commits}.",
+        _lines(["record", "asked", "used", "trains", "recommended", "error", "seeds"], table),
+    ]
+
+
+def _beside(count: int) -> str:
+    return f" beside {count} busy processes" if count else ""
+
+
+def _errors(rows: Iterable[clock.Row]) -> list[list[float]]:
+    return [row["errors"] for row in rows]
 
 
 def _spread(values: Iterable[float], scale: float = 1.0) -> str:
     """Return the median, and the range of several values."""
-    of = [*values]
-    found = spread(scale * value for value in of)
-    text = f"{found['median']:.3g}"
-    return text if len(of) == 1 else f"{text} ({found['lowest']:.3g} to {found['highest']:.3g})"
-
-
-def _used(runs: Sequence[Facts]) -> str:
-    seconds = [run["time"]["used_seconds"] for run in runs if "time" in run]
-    return f"{statistics.median(seconds):.0f}" if seconds else ""
+    of = [scale * value for value in values]
+    text = f"{statistics.median(of):.3g}"
+    return text if len(of) == 1 else f"{text} ({min(of):.3g} to {max(of):.3g})"
 
 
 def _side_by_side(points: Points, out: Path) -> list[str]:
@@ -144,72 +159,6 @@ def _side_by_side(points: Points, out: Path) -> list[str]:
 
 def _title(name: str) -> str:
     return SETS[name].title if name in SETS else f"{name}, 20,000 samples, drawn"
-
-
-def _pendulum(out: Path) -> list[str]:
-    """The record on which a fixed recipe learns nothing."""
-    rows = [
-        [asked, str(run["seed"]), run["recommended"], str(run["trainings"]),
-         _spread(errors_of(run)), _share(run["covers"]), f"{best}, {_spread(run['errors'][best])}"]
-        for asked, runs in _runs(out, "pendulum").items()
-        for run in sorted(runs, key=lambda run: int(run["seed"]))
-        for best in [min(run["errors"], key=run["errors"].__getitem__)]
-    ]  # fmt: skip
-    if not rows:
-        return []
-    heads = ["asked for", "draw", "recommended", "trainings", "NRMSE", "in the interval",
-             "lowest NRMSE"]  # fmt: skip
-    return [
-        "## A pendulum on which a fixed recipe learns nothing",
-        f"Simulated: θ'' = -{pendulum.STIFFNESS} sin θ - {pendulum.DAMPING} θ', from "
-        f"{pendulum.ANGLE} rad at rest, a sample every {pendulum.STEP} s with noise of "
-        f"{pendulum.NOISE} rad; {pendulum.TRAINING:,} of {pendulum.SAMPLES:,} samples are trained "
-        "on, the others are forecast by `splitband compare` without a hint (`python -m "
-        "benchmarks.pendulum`). With windows of 400 samples and no search, training stays on a "
-        "plateau. It is a development record: the search was made on it. NRMSE is 1 for the mean; "
-        "intervals are for nine tenths of the samples.",
-        _lines(heads, rows),
-    ]
-
-
-def _drawn(out: Path) -> list[str]:
-    """Records of drawn systems, beside a GRU that has the same time to itself."""
-    rows, ratios = [], dict[str, list[float]]()
-    for name, samples in driven.RECORDS:
-        stem = driven.stem(name, samples)
-        alone = _runs(out, stem, driven.ALONE)
-        for asked, runs in _runs(out, stem).items():
-            grus = {run["seed"]: run for run in alone.get(asked, [])}
-            ratios.setdefault(asked, []).extend(
-                errors_of(run)[0] / errors_of(grus[run["seed"]])[0]
-                for run in runs
-                if run["seed"] in grus
-            )
-            rows.append([
-                name, f"{samples:,}", asked, _usual(runs), _spread(errors_of(r)[0] for r in runs),
-                _spread(errors_of(gru)[0] for gru in grus.values()) if grus else "", str(len(runs)),
-            ])  # fmt: skip
-    if not rows:
-        return []
-    means = "; ".join(
-        f"{statistics.geometric_mean(of):.2f} {asked} ({len(of)} records)"
-        for asked, of in ratios.items()
-        if of
-    )
-    heads = ["system", "samples", "asked for", "recommended", "error", "GRU alone", "draws"]
-    return [
-        "## Records of drawn systems",
-        "Error of a simulation of 2,000 more samples, as a share of their standard deviation, by "
-        "the recommended method and by a GRU alone that has the same time to itself; median and "
-        "range over draws on which nothing was chosen (`python -m benchmarks.driven`). The "
-        "geometric mean of the ratios of the recommended method's error to that of the GRU is "
-        f"{means}.",
-        _lines(heads, rows),
-    ]
-
-
-def _share(share: float) -> str:
-    return f"{100 * share:.0f} %"
 
 
 def _heads(benchmark: Benchmark) -> list[str]:
@@ -285,3 +234,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     number = re.compile(r"(-?\d+(\.\d+)?( \(.*\))?)?")
     ruled = ["---:" if all(map(number.fullmatch, column)) else "---" for column in columns]
     return ["| " + " | ".join(line) + " |" for line in (header, ruled, *rows)]
+
+
+if __name__ == "__main__":
+    main()
