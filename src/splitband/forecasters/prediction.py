@@ -44,7 +44,7 @@ class ForecastContext:
     y_sim : A simulator's output over the same samples, `(time + steps or more, ny)`, if any.
     grid : The times of `y`, by the clock of its record.
     own : Whether `y` is the training record or its end, to which the model is already fitted.
-    since : First row of a trajectory that is used; the rows before it may hold any values.
+    since : First row of a trajectory that is used; the rows before it are ignored.
     """
 
     y: Array
