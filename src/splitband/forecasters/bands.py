@@ -68,16 +68,17 @@ class Bands(WithRepr):
 
     def pair(self, sampling_rate: float) -> ComplementaryPair:
         """Return the zero-phase pair of a split model."""
-        cutoff, order = self._known()
+        cutoff, order = self._filter()
         return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
 
     def one_way_pair(self, sampling_rate: float) -> ComplementaryPair:
         """Return the pair of a hybrid, which filters forwards only."""
-        cutoff, order = self._known()
+        cutoff, order = self._filter()
         b, a = butterworth(cutoff, sampling_rate, order)
         return ComplementaryPair.perfect(b, a, sampling_rate, cutoff=cutoff)
 
-    def _known(self) -> tuple[float, int]:
+    def _filter(self) -> tuple[float, int]:
+        """Return cut-off and order; raises ValueError where they are not known."""
         if self.cutoff is None or self.order is None:
             raise InputError("cutoff and order must be given, or chosen first, see Bands.chosen")
         return self.cutoff, self.order

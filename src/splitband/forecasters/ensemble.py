@@ -146,30 +146,25 @@ class Ensemble(Forecaster):
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with its own numbered checkpoint file."""
-        seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
-        starts = [None] * self.count if how["start"] is None else self._starts(how["start"])
-        each = zip(self.templates, self.seeds, starts, strict=True)
-        for i, (template, of_first, start) in enumerate(each):
-            of_member = None if checkpoint is None else checkpoint.numbered(i)
-            watch = None if progress is None else _shifted(progress, i, self.count)
-            member = template.clone()
-            own = seed * (max(self.seeds) + 1) + of_first
-            member.fit(*records, seed=own, start=start, progress=watch, checkpoint=of_member)
+        seed, start, progress, checkpoint = (
+            how["seed"], how["start"], how["progress"], how["checkpoint"]
+        )  # fmt: skip
+        starts = [None] * self.count if start is None else [*getattr(start, "members", ())]
+        if len(starts) != self.count:
+            raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
+        for i, template in enumerate(self.templates):
+            member = template.clone().fit(
+                *records,
+                seed=seed * (max(self.seeds) + 1) + self.seeds[i],
+                start=starts[i],
+                progress=None if progress is None else _shifted(progress, i, self.count),
+                checkpoint=None if checkpoint is None else checkpoint.numbered(i),
+            )
             self.members.append(member)
         self._take(self.members, seed)
 
-    def _starts(self, start: Forecaster) -> list[Forecaster | None]:
-        """Return the trained members to go on from; raises ValueError for another forecaster."""
-        members: list[Forecaster | None] = [*getattr(start, "members", ())]
-        if len(members) != self.count:
-            raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
-        return members
-
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
-        """Return the median of the members, by component where all have the same components.
-
-        At each sample the components are those of the members in the middle, so that they add up.
-        """
+        """Return the median of the members, by component where all have the same components."""
         extrapolated = [member.extrapolate(known) for member in self.members]
         parts: list[dict[str, Array]] = [
             each if isinstance(each, dict) else {self.name: each} for each in extrapolated
@@ -190,8 +185,7 @@ class Ensemble(Forecaster):
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""
-        said = [doubt for member in self.members for doubt in member.doubts(known)]
-        return [*dict.fromkeys(said)]
+        return [*dict.fromkeys(said for member in self.members for said in member.doubts(known))]
 
     def describe(self) -> str:
         """Return the description of the first fitted member."""

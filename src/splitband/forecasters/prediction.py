@@ -67,12 +67,7 @@ def continued(
 ) -> Array:
     """Return a signal up to the origin and its next `steps` samples; with `more`, all after it.
 
-    Parameters
-    ----------
-    name : For errors.
-    past : `(time, channels)`.
-    beyond, given : Samples after the origin that the history brings, and that a user gives in their
-        place, `(steps or more, channels)`, or `(steps or more,)` for a single channel.
+    `given` is what a user gives in place of the samples that a history has `beyond` its end.
 
     Raises
     ------
@@ -101,14 +96,9 @@ def continued(
 def median_components(
     parts: Sequence[Mapping[str, Array]], totals: Sequence[Array]
 ) -> dict[str, Array]:
-    """Return the components of the median of several predictions, which add up to it.
+    """Return components that add up to the median of several predictions.
 
     At each sample they are those of the member in the middle, or the mean of the two there.
-
-    Parameters
-    ----------
-    parts : The components of each member, by the same names, `(time, ny)` each.
-    totals : Their sums.
     """
     count = len(totals)
     ordered = np.argsort(totals, axis=0, kind="stable")
@@ -122,10 +112,7 @@ def median_components(
 def median(values: Sequence[Any], least: Callable[..., Any], most: Callable[..., Any]) -> Any:
     """Return the median by comparing pairs (odd-even sort), which an export can write down.
 
-    Parameters
-    ----------
-    values : Arrays of equal shape.
-    least, most : Functions that return the element-wise minimum and maximum of two of them.
+    `least` and `most` return the element-wise minimum and maximum of two arrays.
     """
     ordered, count = [*values], len(values)
     for turn in range(count):
@@ -185,20 +172,20 @@ class Prediction:
 
     def restored(self, prepared: Sequence[Preparation], time: Array) -> Prediction:
         """Return the prediction with the preparation of its record undone, at these times in s."""
-        signals = {"y": self.y, "lower": self.lower, "upper": self.upper}
-        for step in reversed(prepared):
-            signals = {
-                name: None if signal is None else step.restored(signal, time)
-                for name, signal in signals.items()
-            }
-        assert signals["y"] is not None
-        trend = signals["y"] - self.y
+
+        def restored(signal: Array) -> Array:
+            for step in reversed(prepared):
+                signal = step.restored(signal, time)
+            return signal
+
+        y = restored(self.y)
+        trend = y - self.y
         parts = {**self.components, "trend": trend} if self.components and trend.any() else {}
         return replace(
             self,
-            y=signals["y"],
-            lower=signals["lower"],
-            upper=signals["upper"],
+            y=y,
+            lower=None if self.lower is None else restored(self.lower),
+            upper=None if self.upper is None else restored(self.upper),
             components=parts or self.components,
         )
 
@@ -302,17 +289,23 @@ def known_at_origin(
     return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
 
 
+def extrapolated(forecaster: Forecaster, known: ForecastContext) -> tuple[Array, dict[str, Array]]:
+    """Return a forecast and its components; raises ValueError for one of another shape."""
+    found = forecaster.extrapolate(known)
+    parts = found if isinstance(found, dict) else {"": found}
+    y, ny = total([*parts.values()]), known.y.shape[1]
+    if y.shape != (known.steps, ny):
+        raise InputError(
+            f"{forecaster.name} must extrapolate {known.steps} samples of {ny} channel(s), "
+            f"got the shape {y.shape}"
+        )
+    return y, parts
+
+
 def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> Prediction:
     """Return the prediction of a forecaster, with the reasons to doubt it."""
     fitted, steps = forecaster.require_fitted(), known.steps
-    extrapolated = forecaster.extrapolate(known)
-    parts = extrapolated if isinstance(extrapolated, dict) else {"": extrapolated}
-    y = total([*parts.values()])
-    if y.shape != (steps, past.ny):
-        raise InputError(
-            f"{forecaster.name} must extrapolate {steps} samples of {past.ny} channel(s), "
-            f"got the shape {y.shape}"
-        )
+    y, parts = extrapolated(forecaster, known)
     beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
     messages = [each.describe(past.inputs[each.channel]) for each in beyond]
     messages += (doubts := forecaster.doubts(known))

@@ -9,7 +9,7 @@ traced for exported programs, see `runtime.tracing`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -21,15 +21,12 @@ from splitband.data.preparation import Preparation, seconds
 from splitband.data.signals import last_before
 from splitband.forecasters.prediction import (
     ForecastContext,
+    extrapolated,
     known_at_origin,
-    known_of,
     median,
-    predicted,
 )
-from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.threads import without_warnings
 from splitband.runtime.tracing import cond
 
 if TYPE_CHECKING:
@@ -45,6 +42,34 @@ class NotSteppedError(InputError):
     """Report that a forecaster cannot run sample by sample; the message gives the reason."""
 
 
+@dataclass(frozen=True)
+class Part:
+    """Compute a value for each sample, alone or as the slow component of a hybrid.
+
+    Each channel has a row: the value, and its derivatives by the parameters that are estimated from
+    the history. The parameters are constant from the origin of a forecast on.
+
+    Attributes
+    ----------
+    row : Takes the state, the inputs and a simulator's output at a sample, and `ahead`; returns the
+        next state, and the rows of the sample and of `ahead` more, `(1 + ahead, ny, n)`.
+    initial : Returns the state before the first sample of a history; None is for another record.
+    correct : Takes the state after a sample, its rows and what was measured, `(ny,)`, NaN where
+        nothing was; returns the updated state.
+    settle : Returns the parameters estimated from the samples so far, `(ny, n - 1)`.
+    after_training : Returns the state after the training record, to which a model is fitted.
+    simulated_over : Returns a simulator's output over a history and `ahead` more samples,
+        `(time, ny)`; None for a part that needs none.
+    """
+
+    row: Callable[[State, Array, Array, int], tuple[State, Array]]
+    initial: Callable[[ForecastContext | None], State] = lambda known: {}
+    correct: Callable[[State, Array, Array], State] = lambda state, row, y: state
+    settle: Callable[[State], Array] = lambda state: np.zeros((1, 0))
+    after_training: Callable[[State], State] = lambda state: state
+    simulated_over: Callable[[ForecastContext, int], Array] | None = None
+
+
 class Recursion(ABC):
     """Define the update of a forecaster's state with each sample.
 
@@ -55,8 +80,7 @@ class Recursion(ABC):
     simulated : Whether it needs a simulator's output.
     warmup : Number of samples in a row that must be measured before a forecast.
     prepared : Preparation of the measured signals, which is undone on predictions.
-    part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`; None
-        without.
+    part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`.
     """
 
     ny: int
@@ -65,7 +89,7 @@ class Recursion(ABC):
     simulated = False
     warmup = 0
     prepared: Sequence[Preparation] = ()
-    part: Part | None = None
+    part: Part
 
     @abstractmethod
     def initial(self, known: ForecastContext | None = None) -> State:
@@ -91,48 +115,13 @@ class Recursion(ABC):
         """Return the state after a history, from which a forecast starts."""
         begin, rows, part = self.first_row(known), len(known.y), self.part
         u = np.zeros((rows, 0)) if known.u is None else known.u
-        y_sim = None if part is None else part.simulated_over(known, self.ahead)
-        y_sim = np.zeros((rows + self.ahead, 0)) if y_sim is None else y_sim
+        y_sim = np.zeros((rows + self.ahead, 0))
+        if part.simulated_over is not None:
+            y_sim = part.simulated_over(known, self.ahead)
         state = self.initial(known)
         for n in range(begin, rows):
             state = self.tick(state, known.y[n], u[n], y_sim[n : n + 1 + self.ahead])[0]
-        if part is not None and known.own:
-            state = state | {"part": part.after_training(state["part"])}
-        return state
-
-
-class Part(ABC):
-    """Compute a value for each sample, alone or as the slow component of a hybrid.
-
-    Each channel has a row: the value, and its derivatives by the parameters that are estimated from
-    the history. The parameters are constant from the origin of a forecast on.
-    """
-
-    simulated = False
-
-    @abstractmethod
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return the state before the first sample of a history; None is for another record."""
-
-    @abstractmethod
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the next state and the rows of a sample and `ahead` more, `(1 + ahead, ny, n)`."""
-
-    def correct(self, state: State, row: Array, y: Array) -> State:
-        """Return the state updated with a sample, `(ny,)`, NaN where it was not measured."""
-        return state
-
-    def settle(self, state: State) -> Array:
-        """Return the parameters estimated from the samples so far, `(ny, n - 1)`."""
-        return np.zeros((1, 0))
-
-    def simulated_over(self, known: ForecastContext, ahead: int) -> Array | None:
-        """Return the simulator's output over a history and `ahead` more samples, `(time, ny)`."""
-        return None
-
-    def after_training(self, state: State) -> State:
-        """Return the state after the training record, from which no parameters are estimated."""
-        return state
+        return state | {"part": part.after_training(state["part"])} if known.own else state
 
 
 def read(rows: Array, settled: Array) -> Array:
@@ -145,10 +134,9 @@ def read(rows: Array, settled: Array) -> Array:
 class Extrapolated(Recursion):
     """Run a part alone."""
 
-    part: Part
-
     def __init__(self, part: Part, ny: int, nu: int) -> None:
-        self.part, self.ny, self.nu, self.simulated = part, ny, nu, part.simulated
+        self.part, self.ny, self.nu = part, ny, nu
+        self.simulated = part.simulated_over is not None
 
     def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state of the part, and its parameters before the first sample."""
@@ -203,17 +191,19 @@ class Warmed(Recursion):
     def __init__(
         self, model: Stepped, part: Part | None, warmup: int, delays: Sequence[int]
     ) -> None:
-        self.model, self.part, self.warmup = model, part, warmup
-        self.ny, self.nu = len(model.y_mean), len(model.u_mean)
+        ny = self.ny = len(model.y_mean)
+        self.model, self.warmup, self.nu = model, warmup, len(model.u_mean)
+        self.part = part or Part(lambda state, u, y_sim, ahead: (state, np.zeros((1, ny, 1))))
+        self.kept = warmup if part else 0
+        """Rows of the slow component that are kept for a warm-up."""
         self.line = DelayLine(tuple(delays))
-        self.simulated = part is not None and part.simulated
-        self.ahead = model.ahead if part is not None else 0
+        self.simulated = self.part.simulated_over is not None
+        self.ahead = model.ahead if part else 0
 
     def initial(self, known: ForecastContext | None = None) -> State:
         """Return the state before any measurement."""
-        part = {} if self.part is None else self.part.initial(known)
-        y_sim = np.zeros((1 + self.ahead, self.ny))
-        _, rows = self._row(part, np.zeros(self.nu), y_sim)
+        part, y_sim = self.part.initial(known), np.zeros((1 + self.ahead, self.ny))
+        _, rows = self.part.row(part, np.zeros(self.nu), y_sim, self.ahead)
         y, u = np.zeros((self.warmup, self.ny)), np.zeros((self.warmup, self.nu))
         window = np.zeros((self.warmup + 1 + self.ahead, self.ny))
         run, _ = self.model.begin(y, np.zeros((self.warmup + 1, self.nu)), window)
@@ -222,20 +212,20 @@ class Warmed(Recursion):
             "part": part,
             "y": y,
             "u": u,
-            "rows": np.zeros((self.warmup if self.part else 0, *rows.shape[1:])),
+            "rows": np.zeros((self.kept, *rows.shape[1:])),
             "count": np.zeros(()),
             "running": np.zeros(()),
             "run": run,
-            "settled": np.zeros((1, 0)) if self.part is None else self.part.settle(part),
+            "settled": self.part.settle(part),
         }
 
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
         """Start a free run, continue it, or wait until the warm-up is complete."""
         last = self.warmup - 1
-        part, rows = self._row(state["part"], u, y_sim)
+        part, rows = self.part.row(state["part"], u, y_sim, self.ahead)
         line, late = self.line.tick(state["line"], u)
         inputs = np.concatenate([state["u"], late[None]])
-        past = state["rows"] if self.part else np.zeros((self.warmup, *rows.shape[1:]))
+        past = state["rows"] if self.kept else np.zeros((self.warmup, *rows.shape[1:]))
         window = np.concatenate([past, rows])
         missing, running = np.isnan(y).any(), state["running"] > 0
         count = np.where(missing, 0.0, np.minimum(state["count"] + 1, self.warmup))
@@ -243,7 +233,7 @@ class Warmed(Recursion):
         runs = ready & (missing | (running & (count < self.warmup)))
 
         def begun() -> list[Any]:
-            settled = state["settled"] if self.part is None else self.part.settle(part)
+            settled = self.part.settle(part)
             run, first = self.model.begin(state["y"], inputs, read(window, settled))
             return [run, settled, first]
 
@@ -259,10 +249,10 @@ class Warmed(Recursion):
         )
         new = {
             "line": line,
-            "part": part if self.part is None else self.part.correct(part, rows[0], y),
+            "part": self.part.correct(part, rows[0], y),
             "y": np.concatenate([state["y"][1:], y[None]]),
             "u": inputs[1:],
-            "rows": window[1 : self.warmup + 1] if self.part else state["rows"],
+            "rows": window[1 : self.warmup + 1] if self.kept else state["rows"],
             "count": count,
             "running": np.where(runs, 1.0, 0.0),
             "run": run,
@@ -272,16 +262,11 @@ class Warmed(Recursion):
 
     def first_row(self, known: ForecastContext) -> int:
         """Return the first sample that the warm-up and delayed inputs need."""
-        if self.part is not None:
+        if self.kept:
             return 0
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
         start = last_before(complete, self.warmup, len(known.y))
         return max((start or 0) - self.warmup - max(self.line.delays, default=0), 0)
-
-    def _row(self, part: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        if self.part is None:
-            return part, np.zeros((1, self.ny, 1))
-        return self.part.row(part, u, y_sim, self.ahead)
 
 
 class Medians(Recursion):
@@ -390,28 +375,27 @@ class Stream:
         self, y: Array, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
     ) -> tuple[Array, bool]:
         recursion = self.recursion
-        inputs = self._given("u", u, recursion.nu > 0, (recursion.nu,))
         shape = (1 + recursion.ahead, recursion.ny)
-        if not recursion.simulated and y_sim is not None:
-            raise InputError(f"y_sim must be left out: {self.name} needs no simulator's output")
-        simulated = self._given("y_sim", y_sim, recursion.simulated, shape)
+        inputs = self._signal("u", u, (recursion.nu,), recursion.nu > 0)
+        simulated = self._signal("y_sim", y_sim, shape, recursion.simulated)
         self.state, predicted, ready = recursion.tick(self.state, y, inputs, simulated)
         return predicted, bool(ready)
 
-    def _given(
-        self, name: str, value: npt.ArrayLike | None, needed: bool, shape: tuple[int, ...]
-    ) -> Array:
-        if not needed:
-            if value is not None:
-                raise InputError(f"{name} must be left out: {self.name} has no inputs")
-            return np.zeros((*shape[:-1], 0))
-        if value is None:
-            raise InputError(f"{name} must be given at every sample for {self.name}, {shape}")
-        return self._signal(name, value, shape)
-
     def _signal(
-        self, name: str, value: npt.ArrayLike, shape: tuple[int, ...], gaps: bool = False
+        self,
+        name: str,
+        value: npt.ArrayLike | None,
+        shape: tuple[int, ...],
+        needed: bool = True,
+        gaps: bool = False,
     ) -> Array:
+        """Return a signal at a sample, of this shape, or without channels if it is not needed."""
+        if value is None and needed:
+            raise InputError(f"{name} must be given at every sample for {self.name}, {shape}")
+        if value is not None and not needed:
+            raise InputError(f"{name} must be left out: {self.name} needs none")
+        if value is None:
+            return np.zeros((*shape[:-1], 0))
         signal = np.asarray(value, dtype=np.float64)
         if signal.size != np.prod(shape) or signal.ndim > len(shape):
             raise InputError(f"{name} must have the shape {shape}, got {signal.shape}")
@@ -429,10 +413,15 @@ def stream_of(
     try:
         return _begun(forecaster, forecaster._stepped(), history, other_record)
     except NotSteppedError:
-        own = None if history is None else _prepared(forecaster, history)
-        begin = known_at_origin(forecaster, own, other_record).begin
-        asked = Repredicted(forecaster, _prepared(forecaster, history), begin)
-        return _begun(forecaster, asked, history, other_record)
+        return _begun(forecaster, Repredicted(forecaster), history, other_record)
+
+
+def _begun(
+    forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
+) -> Stream:
+    recursion, past = _in_units(forecaster, recursion, history)
+    known = known_at_origin(forecaster, past, other_record)
+    return Stream(forecaster.name, recursion, recursion.followed(known))
 
 
 def program_of(
@@ -442,60 +431,41 @@ def program_of(
 
     The state is None where it depends on past output of a simulator that is not available.
     """
-    recursion = forecaster._stepped(outside=True)
+    recursion, past = _in_units(forecaster, forecaster._stepped(outside=True), history)
     try:
-        stream = _begun(forecaster, recursion, history, False)
+        return recursion, recursion.followed(known_at_origin(forecaster, past))
     except ValueError:
         if not recursion.simulated or history is not None:
             raise
-        return _in_units(forecaster, recursion, history), None
-    return stream.recursion, stream.state
+        return recursion, None
 
 
-def _prepared(forecaster: Forecaster, history: Record | None) -> Record:
+def _in_units(
+    forecaster: Forecaster, recursion: Recursion, history: Record | None
+) -> tuple[Recursion, Record | None]:
+    """Return the recursion in a history's units, else in measured ones; the prepared history."""
     record = forecaster.require_fitted().record
-    return record if history is None else history.prepared_as(record)
-
-
-def _begun(
-    forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
-) -> Stream:
-    """Return a stream whose state is that after a history."""
-    own = None if history is None else _prepared(forecaster, history)
-    known = known_at_origin(forecaster, own, other_record)
-    recursion = _in_units(forecaster, recursion, history)
-    return Stream(forecaster.name, recursion, recursion.followed(known))
-
-
-def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | None) -> Recursion:
-    """Return the recursion in the units of a history; without one, in measured units."""
-    past = _prepared(forecaster, history)
-    prepared = past.prepared
-    if not prepared or (history is not None and history.prepared == prepared):
-        return recursion
-    steps = [each.counted_from(seconds(past)[0]) for each in prepared]
-    return InUnits(recursion, steps, past.sampling_time)
+    past = record if history is None else history.prepared_as(record)
+    if past.prepared and (history is None or history.prepared != past.prepared):
+        steps = [each.counted_from(seconds(past)[0]) for each in past.prepared]
+        recursion = InUnits(recursion, steps, past.sampling_time)
+    return recursion, None if history is None else past
 
 
 class Repredicted(Recursion):
-    """Predict each sample anew, which takes longer the longer the history is.
+    """Predict each sample anew, which takes longer the longer the history is."""
 
-    `begin`: where the history begins, see `ForecastContext`.
-    """
-
-    def __init__(self, forecaster: Forecaster, history: Record, begin: float | None) -> None:
-        self.forecaster, self.history, self.begin = forecaster, history, begin
-        self.simulated = "simulator" in forecaster.needs
-        self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
+    def __init__(self, forecaster: Forecaster) -> None:
+        record = forecaster.require_fitted().record
+        self.forecaster, self.simulated = forecaster, "simulator" in forecaster.needs
+        self.ny, self.nu, self.warmup = record.ny, record.nu, forecaster.warmup
 
     def initial(self, known: ForecastContext | None = None) -> State:
         """Return the history."""
-        past = self.history
-        return {
-            "y": past.y_with_gaps,
-            "u": np.zeros((len(past), 0)) if past.u is None else past.u,
-            "y_sim": past.y_sim if self.simulated else np.zeros((len(past), 0)),
-        }
+        assert known is not None
+        none, samples = np.zeros((len(known.y), 0)), len(known.y)
+        u, y_sim = (none if each is None else each[:samples] for each in (known.u, known.y_sim))
+        return {"history": known, "y": known.y, "u": u, "y_sim": y_sim}
 
     def followed(self, known: ForecastContext) -> State:
         """Return the history, which is the whole state."""
@@ -504,43 +474,28 @@ class Repredicted(Recursion):
     def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
         """Return the history with another sample, and its forecast if it was not measured."""
         rows = {"y": y[None], "u": u[None], "y_sim": y_sim}
-        new = {name: np.concatenate([state[name], row]) for name, row in rows.items()}
-        if np.isnan(y).any():
-            return new, self._predicted(new), True
-        return new, y, True
+        new = state | {name: np.concatenate([state[name], row]) for name, row in rows.items()}
+        return new, self._predicted(new) if np.isnan(y).any() else y, True
 
     def _predicted(self, state: State) -> Array:
         """Return the last of these samples, predicted from the last measured one before it."""
-        measured = np.flatnonzero(~np.isnan(state["y"]).all(axis=1))
-        origin = int(measured[measured < len(state["y"]) - 1].max()) + 1
-        past = self.history
-        record = Record.with_gaps(
-            state["y"][:origin],
-            past.sampling_time,
-            u=state["u"][:origin] if self.nu else None,
-            y_sim=state["y_sim"][:origin] if self.simulated else None,
-            columns=past.columns,
-            inputs=past.inputs,
-            start=past.start,
+        y, history = state["y"], state["history"]
+        measured = np.flatnonzero(~np.isnan(y).all(axis=1))
+        origin = int(measured[measured < len(y) - 1].max()) + 1
+        known = replace(
+            history,
+            y=y[:origin],
+            steps=len(y) - origin,
+            u=state["u"] if self.nu else None,
+            y_sim=state["y_sim"] if self.simulated else None,
+            grid=history.grid and replace(history.grid, samples=origin),
+            own=False,
         )
-        with without_warnings(ExtrapolationWarning):
-            known, _ = known_of(
-                self.forecaster,
-                len(state["y"]) - origin,
-                record,
-                state["u"][origin:] if self.nu else None,
-                state["y_sim"][origin:] if self.simulated else None,
-                other_record=self.begin is None,
-            )
-            # Without time stamps the record cannot say where it begins.
-            return predicted(self.forecaster, replace(known, begin=self.begin), record).y[-1]
+        return extrapolated(self.forecaster, known)[0][-1]
 
 
 class InUnits(Recursion):
-    """Run a recursion for prepared signals in measured units.
-
-    The times of the preparations count from the first sample of the history; `step` is in s.
-    """
+    """Run a recursion for prepared signals in measured units; times count from the history on."""
 
     def __init__(self, inner: Recursion, prepared: Sequence[Preparation], step: float) -> None:
         self.inner, self.prepared, self.step = inner, prepared, step
