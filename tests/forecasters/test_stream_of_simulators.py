@@ -10,7 +10,6 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband.forecasters.stepping import Repredicted
 from tests.streams import BANDS, SHORT, driven, free, in_double
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +69,7 @@ def from_origin(model: sb.Forecaster, record: sb.Record, **options: Any) -> tupl
     stream = model.stream(record[: SEEN - 20], **options)
     members = getattr(model, "members", [model])
     estimated = any(getattr(each, "memory", 0) for each in members)
-    assert isinstance(stream.recursion, Repredicted) == estimated
+    assert stream.recursion.repeats == estimated
     for n in range(SEEN - 20, SEEN):
         stream.observe(record.y[n], None if u is None else u[n])
     copied = stream.copy()

@@ -37,11 +37,6 @@ class Bands(WithRepr):
             if value is not None:
                 object.__setattr__(self, name, whole(name, value, 1, LARGEST_SIZE))
 
-    @property
-    def complete(self) -> bool:
-        """Return whether all parameters are given."""
-        return None not in (self.cutoff, self.order, self.downsampling)
-
     def chosen(
         self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
     ) -> Bands:

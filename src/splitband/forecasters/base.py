@@ -23,18 +23,17 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import (
     ForecastContext,
     Prediction,
-    known_at_origin,
     known_of,
     predicted,
     prepared_like,
     seconds_after,
 )
 from splitband.forecasters.stepping import (
-    Extrapolated,
     NotSteppedError,
     Part,
     Recursion,
     Stream,
+    alone,
     stream_of,
 )
 from splitband.metrics import ExtrapolationWarning
@@ -286,8 +285,8 @@ class Forecaster(WithRepr, ABC):
             prepared, u, y_sim = prepared_like(fitted.record, history, u, y_sim)
             found = self.predict(steps, prepared, u, y_sim, level, other_record)
             return found.restored(fitted.record.prepared, seconds_after(prepared, steps))
-        known, past = known_of(self, steps, history, u, y_sim, other_record)
-        prediction = predicted(self, known, past)
+        known = known_of(self, steps, history, other_record, u, y_sim)
+        prediction = predicted(self, known, fitted.record if history is None else history)
         if level is not None:
             from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
 
@@ -392,7 +391,7 @@ class Forecaster(WithRepr, ABC):
                 f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
                 "was detrended, clipped or resampled"
             )
-        known = known_at_origin(self, history, other_record)
+        known = known_of(self, 0, history, other_record)
         from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
             TorchSimulation,
         )
@@ -531,7 +530,7 @@ class Forecaster(WithRepr, ABC):
         program. Raises NotSteppedError where `predict` is needed for each sample, with the reason.
         """
         record = self.require_fitted().record
-        return Extrapolated(self._part(outside), record.ny, record.nu)
+        return alone(self._part(outside), record.ny, record.nu)
 
     def _part(self, outside: bool = False) -> Part:
         """Return what computes its values step by step, alone or in a hybrid; see `_stepped`."""

@@ -162,10 +162,9 @@ class GreyBox(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation from the state estimated from the last samples of the history."""
-        memory = min(self.memory or len(known.y), len(known.y))
-        if memory == len(known.y):
+        if not 0 < self.memory < len(known.y):
             return self.trajectory(known)[len(known.y) :]
-        return self._ahead(self._experiment(known), len(known.y), memory)
+        return self._ahead(self._experiment(known), len(known.y), self.memory)
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return the simulation over the history and the forecast, `(time + steps, ny)`.

@@ -19,7 +19,7 @@ from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.stepping import DelayLine, Part, State
+from splitband.forecasters.stepping import Part, State, delay_line
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
@@ -213,17 +213,17 @@ def _driven(model: LinearModel, training: Array) -> Part:
     `training`: inputs of the training record from its first sample on, `(time, nu)`.
     """
     inputs = [i for i, _ in model.taps]
-    line = DelayLine(tuple(delay for _, delay in model.taps))
+    delays = [delay for _, delay in model.taps]
+    line, delayed = delay_line(delays)
     white, n = model.whitener(), model.order
     unknown = np.array(model.late, dtype=np.float64)
 
     def initial(known: ForecastContext | None) -> State:
         """Return the expected state: simulated from the training record, or the training mean."""
         before = None if known is None else _inputs_before(training, known)
-        past = line.initial()
-        if before is not None:
-            for u in before[max(len(before) - max(line.delays, default=0), 0) :]:
-                past, _ = line.tick(past, u[inputs])
+        past = line
+        for u in [] if before is None else before[max(len(before) - max(delays, default=0), 0) :]:
+            past, _ = delayed(past, u[inputs])
         return {
             "line": past,
             "x": model.centre if before is None else model.state_after(before),
@@ -235,7 +235,7 @@ def _driven(model: LinearModel, training: Array) -> Part:
         }
 
     def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        past, acting = line.tick(state["line"], np.stack([u[i] for i in inputs]))
+        past, acting = delayed(state["line"], np.stack([u[i] for i in inputs]))
         acting = acting - model.mean[inputs]
         x, answers = state["x"], state["answers"]
         y = model.c @ x + model.d @ acting + model.offset

@@ -31,7 +31,7 @@ from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
+from splitband.forecasters.stepping import NotSteppedError, Recursion, warmed
 from splitband.models.labels import FAST, SLOW
 from splitband.networks.cell import Cell, Template
 from splitband.runtime.arrays import Array
@@ -292,8 +292,7 @@ class Network(Forecaster):
 
     def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
-        known = known_of(self, steps, history, None, None)[0]
-        return self._run(self._trained().simulate_unfiltered, known)
+        return self._run(self._trained().simulate_unfiltered, known_of(self, steps, history))
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
@@ -328,7 +327,7 @@ class Network(Forecaster):
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
         part = None if self._fitted_base is None else self._fitted_base._part(outside)
-        return Warmed(model, part, self.warmup, self.delays)
+        return warmed(model, part, self.warmup, self.delays)
 
     def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return model and base as a torch module, warmed up."""
@@ -409,7 +408,7 @@ class Network(Forecaster):
         assert self.bands is not None
         if self._trained_in is not None:
             return self._trained_in
-        if self.bands.complete:
+        if None not in (self.bands.cutoff, self.bands.order, self.bands.downsampling):
             return self.bands
         slow = None if self.base is None else record.y_sim
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, slow)

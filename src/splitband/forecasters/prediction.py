@@ -77,6 +77,8 @@ def continued(
     """
     n, channels = past.shape
     ahead = beyond if given is None else given
+    if ahead is None and not steps:
+        return past
     values = None if ahead is None else np.asarray(ahead, dtype=np.float64)
     if values is not None and values.ndim == 1:
         values = values[:, None]
@@ -240,11 +242,11 @@ def known_of(
     forecaster: Forecaster,
     steps: int,
     history: Record | None,
-    u: npt.ArrayLike | None,
-    y_sim: npt.ArrayLike | None,
     other_record: bool = False,
-) -> tuple[ForecastContext, Record]:
-    """Return the data for a forecast of `steps` samples, and the history; see `predict`."""
+    u: npt.ArrayLike | None = None,
+    y_sim: npt.ArrayLike | None = None,
+) -> ForecastContext:
+    """Return the data for a forecast of `steps` samples after a history; see `predict`."""
     fitted = forecaster.require_fitted()
     if other_record and forecaster.anchored:
         raise InputError(
@@ -276,17 +278,7 @@ def known_of(
             )
         simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
     own = history is None and not other_record
-    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own), past
-
-
-def known_at_origin(
-    forecaster: Forecaster, history: Record | None, other_record: bool = False
-) -> ForecastContext:
-    """Return the data at the end of a history, by default of the training record."""
-    past = forecaster.require_fitted().record if history is None else history
-    u = None if past.u is None else past.u[:0]
-    y_sim = None if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
-    return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
+    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own)
 
 
 def extrapolated(forecaster: Forecaster, known: ForecastContext) -> tuple[Array, dict[str, Array]]:
