@@ -25,6 +25,7 @@ from splitband.runtime.deadlines import DeadlineError, current, now
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
+from splitband.training.settings import SHORTEST_WINDOW, longest_window
 
 HELD_OUT_SHARE = 0.25
 """Share of the training part that is held out for a trial, while models are fitted to the rest. A
@@ -249,12 +250,22 @@ def first_held_out(samples: int) -> int:
 
 
 def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
-    """Return the forecaster adapted to `samples` without their held-out part."""
+    """Return the forecaster adapted to `samples` without their held-out part.
+
+    Long windows shrink with the part that is left, but stay as long as the default recipe's
+    shortest one, and beyond the warm-up.
+    """
     fewer = first_held_out(samples)
-    return with_parts_changed(
-        forecaster,
-        lambda part: part._for_samples(fewer, samples) if isinstance(part, Network) else part,
-    )
+
+    def changed(part: Forecaster) -> Forecaster:
+        settings = part.settings
+        if settings is None or not isinstance(part, Network):
+            return part
+        least = max(min(SHORTEST_WINDOW, longest_window(fewer)), settings.warmup + 1)
+        shorter = max(round(settings.window * fewer / samples), least)
+        return part._trained_as(replace(settings, window=min(settings.window, shorter)))
+
+    return with_parts_changed(forecaster, changed)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:

@@ -40,16 +40,11 @@ class Bands(WithRepr):
     def chosen(
         self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
     ) -> Bands:
-        """Return the bands with missing parameters chosen on the training samples.
+        """Return the bands with missing parameters chosen on the training samples `(time, ny)`.
 
-        Parameters
-        ----------
-        y : The training samples, `(time, ny)`.
-        sampling_rate : In Hz.
-        warmup : R, in samples.
-        y_sim : The output of the simulator of the low band, `(time, ny)`; None for a network in the
-            low band. If the simulator does not help, the bands are chosen as for networks, and
-            `choice.simulator_helps` is False.
+        `y_sim` is the output of the simulator of the low band; None for a network in the low band.
+        If the simulator does not help, the bands are chosen as for networks, and
+        `choice.simulator_helps` is False.
         """
         given = self.cutoff, self.order, self.downsampling
         learned = choose(y, sampling_rate, warmup, *given)

@@ -53,10 +53,6 @@ if TYPE_CHECKING:
     from splitband.forecasters.checking import ModelCheck, Responses
     from splitband.forecasters.differentiable import TorchSimulation
 
-MAX_SAVED_SAMPLES = 20_000
-"""Longest training record with a simulator's output, in samples, that is saved whole. By eye."""
-
-
 AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
 
@@ -539,17 +535,14 @@ class Forecaster(WithRepr, ABC):
     def _first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs."""
         record = self.require_fitted().record
-        if "simulator" in self.needs and len(record) <= MAX_SAVED_SAMPLES:
-            return 0
+        if "simulator" in self.needs:
+            return 0  # a calibrated delay or clock uses earlier output
         measured = ~np.isnan(record.y_with_gaps)
         first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
         if self.warmup:
             start = last_before(record.complete, self.warmup, len(record))
             first = min(first, (self.warmup if start is None else start) - self.warmup)
         first -= max(self.delays, default=0)
-        if "simulator" in self.needs:
-            # A calibrated delay or clock uses earlier output, up to a seventh of the record.
-            first = min(first, len(record) - len(record) // 5)
         return max(0, min(first, len(record) - 2))
 
     def _to_dict(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.prediction import ForecastContext, median_components, total
+from splitband.forecasters.prediction import ForecastContext, extrapolated, median_components
 from splitband.forecasters.stepping import Recursion, medians
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -165,13 +165,11 @@ class Ensemble(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
         """Return the median of the members, by component where all have the same components."""
-        extrapolated = [member.extrapolate(known) for member in self.members]
-        parts: list[dict[str, Array]] = [
-            each if isinstance(each, dict) else {self.name: each} for each in extrapolated
-        ]
+        found = [extrapolated(member, known) for member in self.members]
+        parts = [each for _, each in found]
         if any(each.keys() != parts[0].keys() for each in parts):
-            parts = [{self.name: total([*each.values()])} for each in parts]
-        return median_components(parts, [total([*each.values()]) for each in parts])
+            parts = [{"": y} for y, _ in found]
+        return median_components(parts, [y for y, _ in found])
 
     def _stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""

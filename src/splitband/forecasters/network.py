@@ -42,7 +42,6 @@ from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
 from splitband.training.recipes import recipe_settings
-from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.window_starts import checked_starts
 
 if TYPE_CHECKING:
@@ -154,14 +153,6 @@ class Network(Forecaster):
             self._fitted_base.to(device)
         return super().to(device)
 
-    def _with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """Return it with a comparison's settings and bands, where its own are not set."""
-        shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
-        # Bands that are given in part are completed later, to suit the given cut-off or order.
-        if self._takes_bands:
-            shared["bands"] = bands
-        return self.clone().set_params(**shared) if shared else self
-
     def _trained_as(self, settings: Settings | None) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
@@ -209,16 +200,6 @@ class Network(Forecaster):
         """
         beside_network = self._fitted_base is not None and self._fitted_base.random
         return 0 if beside_network else super()._first_needed()
-
-    def _for_samples(self, samples: int, instead_of: int) -> Self:
-        """Return it for fewer training samples: long windows shrink with them."""
-        if self.settings is None:
-            return self
-        window = self.settings.window
-        # A shrunken window stays as long as the default recipe's shortest, and beyond the warm-up.
-        least = max(min(SHORTEST_WINDOW, longest_window(samples)), self.settings.warmup + 1)
-        shorter = max(round(window * samples / instead_of), least)
-        return self._trained_as(replace(self.settings, window=min(window, shorter)))
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for records that do not fit its warm-up, windows, filters or base."""
@@ -482,10 +463,17 @@ class Network(Forecaster):
 
 def with_defaults(forecaster: Forecaster, settings: Settings, bands: Bands) -> Forecaster:
     """Return a forecaster with a comparison's settings and bands, where its own are not set."""
-    return with_parts_changed(
-        forecaster,
-        lambda part: part._with_defaults(settings, bands) if isinstance(part, Network) else part,
-    )
+
+    def changed(part: Forecaster) -> Forecaster:
+        if not isinstance(part, Network):
+            return part
+        shared: dict[str, Any] = {} if part.settings is not None else {"settings": settings}
+        # Bands that are given in part are completed later, to suit the given cut-off or order.
+        if part._takes_bands:
+            shared["bands"] = bands
+        return part.clone().set_params(**shared) if shared else part
+
+    return with_parts_changed(forecaster, changed)
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -18,6 +18,7 @@ import pandas as pd
 
 from splitband.data import Grid, Record, check_alike
 from splitband.data.preparation import Preparation, seconds
+from splitband.data.signals import signal_of
 from splitband.data.timing import same_sampling, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
@@ -77,15 +78,11 @@ def continued(
     """
     n, channels = past.shape
     ahead = beyond if given is None else given
-    if ahead is None and not steps:
-        return past
-    values = None if ahead is None else np.asarray(ahead, dtype=np.float64)
-    if values is not None and values.ndim == 1:
-        values = values[:, None]
-    if values is None or len(values) < steps or values.shape[1] != channels:
-        shape = "none" if values is None else values.shape
+    values = past[:0] if ahead is None else signal_of(name, ahead)
+    if len(values) < steps or values.shape[1] != channels:
         raise InputError(
-            f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
+            f"{name} must hold the {steps} samples to come in {channels} channel(s), got "
+            f"{'none' if ahead is None else values.shape}"
         )
     whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
     if whole and n and np.ptp(past):

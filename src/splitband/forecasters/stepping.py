@@ -81,43 +81,43 @@ class Recursion:
     tick : Takes the state after the previous sample and, of this one, what was measured, `(ny,)`,
         NaN where nothing was, the inputs, `(nu,)`, and a simulator's output there and at `ahead`
         more, `(1 + ahead, ny)`; returns the state, the prediction, and whether there is one.
-    followed : Returns the state after a history, from which a forecast starts.
     ahead : Samples by which a simulator's output must be known in advance, 0 or 1.
     simulated : Whether it needs a simulator's output.
     warmup : Number of samples in a row that must be measured before a forecast.
     prepared : Whether signals are prepared, and predictions restored.
     repeats : Whether each sample is predicted anew, from all of the history.
+    part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`.
+    first_row : Returns the first sample of a history on which the forecast depends.
+    followed : Returns the state after a history; by default that of a tick for each sample.
     """
 
     ny: int
     nu: int
     initial: Callable[[ForecastContext | None], State]
     tick: Tick
-    followed: Callable[[ForecastContext], State]
     ahead: int = 0
     simulated: bool = False
     warmup: int = 0
     prepared: bool = False
     repeats: bool = False
+    part: Part | None = None
+    first_row: Callable[[ForecastContext], int] = lambda known: 0
+    followed: Callable[[ForecastContext], State] | None = None
 
-
-def _following(
-    recursion: Recursion, part: Part, first_row: Callable[[ForecastContext], int] = lambda known: 0
-) -> Recursion:
-    """Return a recursion with a part, which follows a history from the first row that it needs."""
-
-    def followed(known: ForecastContext) -> State:
+    def after(self, known: ForecastContext) -> State:
+        """Return the state after a history, from which a forecast starts."""
+        if self.followed is not None:
+            return self.followed(known)
+        assert self.part is not None
         rows = len(known.y)
         u = np.zeros((rows, 0)) if known.u is None else known.u
-        y_sim = np.zeros((rows + recursion.ahead, 0))
-        if part.simulated_over is not None:
-            y_sim = part.simulated_over(known, recursion.ahead)
-        state = recursion.initial(known)
-        for n in range(first_row(known), rows):
-            state = recursion.tick(state, known.y[n], u[n], y_sim[n : n + 1 + recursion.ahead])[0]
-        return state | {"part": part.after_training(state["part"])} if known.own else state
-
-    return replace(recursion, followed=followed, simulated=part.simulated_over is not None)
+        y_sim = np.zeros((rows + self.ahead, 0))
+        if self.part.simulated_over is not None:
+            y_sim = self.part.simulated_over(known, self.ahead)
+        state = self.initial(known)
+        for n in range(self.first_row(known), rows):
+            state = self.tick(state, known.y[n], u[n], y_sim[n : n + 1 + self.ahead])[0]
+        return state | {"part": self.part.after_training(state["part"])} if known.own else state
 
 
 def read(rows: Array, settled: Array) -> Array:
@@ -148,7 +148,7 @@ def alone(part: Part, ny: int, nu: int) -> Recursion:
         after = {"part": part.correct(new, rows[0], y), "settled": settled, "stale": stale}
         return after, predicted, np.logical_not(np.isnan(predicted).any())
 
-    return _following(Recursion(ny, nu, initial, tick, initial), part)
+    return Recursion(ny, nu, initial, tick, simulated=part.simulated_over is not None, part=part)
 
 
 def delay_line(delays: Sequence[int]) -> tuple[State, Callable[[State, Array], Any]]:
@@ -242,8 +242,9 @@ def warmed(model: Stepped, slow: Part | None, warmup: int, delays: Sequence[int]
         start = 0 if kept else last_before(complete, warmup, len(known.y)) or 0
         return max(start - warmup - max(delays, default=0), 0)
 
-    made = Recursion(ny, nu, initial, tick, initial, ahead, warmup=warmup)
-    return _following(made, part, first_row)
+    simulated = part.simulated_over is not None
+    return Recursion(ny, nu, initial, tick, ahead, simulated, warmup, part=part,
+                     first_row=first_row)  # fmt: skip
 
 
 def medians(members: Sequence[Recursion]) -> Recursion:
@@ -264,7 +265,7 @@ def medians(members: Sequence[Recursion]) -> Recursion:
         members[0],
         initial=lambda known: {"members": [member.initial(known) for member in members]},
         tick=tick,
-        followed=lambda known: {"members": [member.followed(known) for member in members]},
+        followed=lambda known: {"members": [member.after(known) for member in members]},
         ahead=max(member.ahead for member in members),
         warmup=max(member.warmup for member in members),
     )
@@ -391,7 +392,7 @@ def _begun(
 ) -> Stream:
     recursion, past = _in_units(forecaster, recursion, history)
     known = known_of(forecaster, 0, past, other_record)
-    return Stream(forecaster.name, recursion, recursion.followed(known))
+    return Stream(forecaster.name, recursion, recursion.after(known))
 
 
 def program_of(
@@ -403,7 +404,7 @@ def program_of(
     """
     recursion, past = _in_units(forecaster, forecaster._stepped(outside=True), history)
     try:
-        return recursion, recursion.followed(known_of(forecaster, 0, past))
+        return recursion, recursion.after(known_of(forecaster, 0, past))
     except ValueError:
         if not recursion.simulated or history is not None:
             raise
@@ -453,8 +454,16 @@ def _repredicted(forecaster: Forecaster) -> Recursion:
         )
         return extrapolated(forecaster, known)[0][-1]
 
-    return Recursion(record.ny, record.nu, followed, tick, followed, simulated=simulated,
-                     warmup=forecaster.warmup, repeats=True)  # fmt: skip
+    return Recursion(
+        record.ny,
+        record.nu,
+        followed,
+        tick,
+        simulated=simulated,
+        warmup=forecaster.warmup,
+        repeats=True,
+        followed=followed,
+    )
 
 
 def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: float) -> Recursion:
@@ -474,7 +483,7 @@ def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: flo
         return {"inner": new, "samples": state["samples"] + 1}, predicted[0], able
 
     def followed(known: ForecastContext) -> State:
-        return {"inner": inner.followed(known), "samples": np.array(float(len(known.y)))}
+        return {"inner": inner.after(known), "samples": np.array(float(len(known.y)))}
 
     def initial(known: ForecastContext | None) -> State:
         return {"inner": inner.initial(known), "samples": np.zeros(())}
