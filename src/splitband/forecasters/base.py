@@ -326,10 +326,7 @@ class Forecaster(WithRepr, ABC):
         return check(self, record)
 
     def step_responses(
-        self,
-        steps: int = 500,
-        at: npt.ArrayLike | None = None,
-        size: npt.ArrayLike | None = None,
+        self, steps: int = 500, at: npt.ArrayLike | None = None, size: npt.ArrayLike | None = None
     ) -> Responses:
         """Return the response of each output to a small step of each input.
 

@@ -93,18 +93,12 @@ class Fitted:
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:
         """Return records, ranges and an empty report, before the fit."""
         seen = np.concatenate([record.y_with_gaps for record in records])
-        inputs = [record.u for record in records if record.u is not None]
-        return cls(
-            records[0],
-            0,
-            records[0].start,
-            np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
-            np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
-            if inputs
-            else None,
-            tuple(records[1:]),
-            FitReport(seed),
-        )
+        y_range = np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)])
+        inputs, u_summary = [record.u for record in records if record.u is not None], None
+        if inputs:
+            u_summary = np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
+        first, *others = records
+        return cls(first, 0, first.start, y_range, u_summary, tuple(others), FitReport(seed))
 
     def begins(self, history: Record) -> float:
         """Return where a history begins, in samples after the first training sample."""

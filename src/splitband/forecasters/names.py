@@ -15,13 +15,7 @@ from typing import Any
 
 from splitband import networks
 from splitband.forecasters.base import Forecaster, cells_of, parts_of, with_parts_changed
-from splitband.forecasters.closed_form import (
-    Harmonic,
-    Mean,
-    Periodic,
-    Persistence,
-    SeasonalNaive,
-)
+from splitband.forecasters.closed_form import Harmonic, Mean, Periodic, Persistence, SeasonalNaive
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.learned import Filtered, Residual, Single, Split
 from splitband.forecasters.linear import Linear

@@ -20,12 +20,7 @@ from splitband.baselines.delays import delayed, input_delays
 from splitband.data import Record
 from splitband.data.signals import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import (
-    Forecaster,
-    Training,
-    cells_of,
-    with_parts_changed,
-)
+from splitband.forecasters.base import Forecaster, Training, cells_of, with_parts_changed
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.linear import Linear

@@ -18,12 +18,7 @@ import numpy.typing as npt
 from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
 from splitband.data.signals import last_before
-from splitband.forecasters.prediction import (
-    ForecastContext,
-    extrapolated,
-    known_of,
-    median,
-)
+from splitband.forecasters.prediction import ForecastContext, extrapolated, known_of, median
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import cond
