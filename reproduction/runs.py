@@ -22,6 +22,7 @@ from reproduction.settings import Setup
 from splitband.data import Record
 from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, backtest, first_origin
 from splitband.forecasters.names import QUICK, named
+from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
 from splitband.models import Split
@@ -232,8 +233,8 @@ def run(
     done = backtest(forecaster, spec, job.seed, checkpoint=checkpoint)
     sliced = None
     if job.splits:
-        assert done.fitted._network is not None
-        model = done.fitted._network.model
+        assert isinstance(done.fitted, Network)
+        model = done.fitted.model
         assert isinstance(model, Split)
         sliced = sliced_rmse(model, record, setup.train, setup.settings.warmup)
     return done, sliced

@@ -8,6 +8,7 @@ from typing import Any
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import Sizes, named
+from splitband.forecasters.network import with_defaults
 from splitband.training import Settings
 
 SAMPLE_FREQUENCY = 10.0
@@ -33,7 +34,7 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The method with this name."""
-        return named(name, self.sizes)._with_defaults(self.settings, self.bands)
+        return with_defaults(named(name, self.sizes), self.settings, self.bands)
 
     def as_json(self) -> dict[str, Any]:
         """What a file of a run says of it."""

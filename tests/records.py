@@ -12,6 +12,7 @@ from splitband import Record, Settings
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import Sizes, named
+from splitband.forecasters.network import with_defaults
 
 Array = npt.NDArray[np.float64]
 
@@ -27,7 +28,7 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The method of that name."""
-        return named(name, self.sizes)._with_defaults(self.settings, self.bands)
+        return with_defaults(named(name, self.sizes), self.settings, self.bands)
 
     @property
     def options(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.run import compare as compared
 from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, backtest, first_origin
 from splitband.forecasters.network import Network
-from splitband.forecasters.saving import load_with_facts
+from splitband.forecasters.saving import FILE, load
 from splitband.models import Model
 from tests.records import Setup
 
@@ -98,7 +98,7 @@ def slowed(monkeypatch: pytest.MonkeyPatch, tick: float) -> SlowClock:
 
 def load_model(folder: Path) -> tuple[Model, dict[str, Any]]:
     """The model of a saved network, and the facts that were saved with it."""
-    network, facts = load_with_facts(folder)
+    network, facts = load(folder), json.loads((folder / FILE).read_text())
     assert isinstance(network, Network)
     assert network.model is not None
     return network.model, facts

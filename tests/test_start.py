@@ -19,6 +19,7 @@ import numpy as np
 import splitband as sb
 from splitband.filters.cutoff import choose
 from splitband.filters.spectrum import oracle
+from splitband.forecasters.backtest import held_out_of
 from splitband.forecasters.names import NAMES, named, with_base, with_variants
 
 record, u = sb.read("rig.csv", inputs=["force"]), np.zeros((5, 1))
@@ -26,7 +27,7 @@ for model in (sb.Mean(), sb.Persistence(), sb.Linear(), sb.Harmonic()):
     y = model.fit(record).predict(5, u=u).y
     assert np.isfinite(y).all()
 model = named("linear").fit(record)
-model._require_held_out()
+held_out_of(model)
 model.save("model")
 again = sb.load("model").predict(5, u=u, level=0.9)
 assert (again.y == model.predict(5, u=u).y).all()

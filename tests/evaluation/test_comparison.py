@@ -142,7 +142,7 @@ def test_what_draws_nothing_runs_once() -> None:
 def test_several_seeds_are_tried_out_by_their_median() -> None:
     r = record()
     trial = compare(r, ["gru"], SETUP, seeds=2).require_trial()
-    part, shorter = r[:TRAIN], SETUP.forecaster("gru")._for_samples(90, 120)
+    part, shorter = r[:TRAIN], for_trial(SETUP.forecaster("gru"), 120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     spec = BacktestSpec(part, origins, TRAIN)
     found = [backtest(shorter, spec, seed).forecasts for seed in (0, 1)]

@@ -1,6 +1,8 @@
-"""What is left open is chosen by the record of each fit, and given options are kept."""
+"""A fit anew leaves nothing of the one before; one with `start=` goes on from another."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,3 +66,91 @@ def test_the_ensembles_of_two_seeds_share_no_member() -> None:
         model.fit(record, seed=seed)
         seeds += [member.require_fitted().report.seed for member in model.members]
     assert seeds == [0, 1, 2, 3, 4, 5]
+
+
+# ---------------------------------------------------------------- from a trained one
+
+SHORT = Settings(40, 10, 1, 16)
+ONE_MORE = replace(SHORT, epochs=0, quasi_newton=1)
+
+
+def rig(delay: int, scale: float = 1.0, samples: int = 300) -> Record:
+    """A first-order lag that acts after some samples, in other units and about another level."""
+    rng = np.random.default_rng(delay)
+    u = np.repeat(rng.normal(size=samples // 10), 10)
+    acting = np.concatenate([np.zeros(delay), u])[:samples]
+    y = np.convolve(acting, 0.1 * 0.9 ** np.arange(60))[:samples]
+    return Record(scale * (y + 3), 0.1, u=u)
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        sb.Single(sb.GRU(4), SHORT),
+        sb.Single(sb.StateSpace(2, 3), SHORT),
+        sb.Split(sb.GRU(3), sb.GRU(3), settings=SHORT),
+        sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT),
+    ],
+    ids=["gru", "state-space", "split-gru", "residual-linear-gru"],
+)
+def test_it_begins_with_weights_scaling_delays_and_bands(network: sb.Forecaster) -> None:
+    """They mean the same after steps of no size on a record of another delay, level and scale."""
+    start = network.clone().fit(rig(6), seed=3)
+    hardly = network.clone().set_params(settings=replace(SHORT, learning_rate=1e-9))
+    model = hardly.fit(rig(0, 2.0), start=start)
+    assert model.delays == start.delays == (6,)
+    assert getattr(model, "trained_in", None) == getattr(start, "trained_in", None)
+    if getattr(start, "base", None) is None:  # a base is fitted to the other record
+        history = rig(6)[:100]
+        before, after = (each.predict(50, history).y for each in (start, model))
+        np.testing.assert_allclose(after, before, atol=1e-5)
+
+
+def test_the_trainings_add_up_in_words() -> None:
+    network = sb.Single(sb.GRU(4), replace(SHORT, quasi_newton=20))
+    start = network.clone().fit(rig(0))
+    model = network.clone().set_params(settings=ONE_MORE).fit(rig(0), start=start)
+    assert "L-BFGS 21" in model._training_in_words()
+    assert "1 epoch" in model._training_in_words()
+
+
+def test_a_base_is_fitted_again_where_its_samples_or_its_options_differ() -> None:
+    network, record = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT), rig(6)
+    start = network.clone().fit(record)
+    assert network.clone().fit(record, start=start)._fitted_base is start._fitted_base
+    assert record.u is not None
+    third_order = sb.Residual(sb.Linear(order=3), sb.GRU(3), settings=SHORT)
+    for other, given in (
+        (network, rig(6, samples=400)),
+        (network, replace(record, u=-record.u)),
+        (third_order, record),
+    ):
+        assert other.clone().fit(given, start=start)._fitted_base is not start._fitted_base
+
+
+@pytest.mark.parametrize("other", [sb.Mean(), sb.Split(sb.GRU(3), sb.GRU(3), Bands(0.5, 1, 2))])
+def test_another_kind_is_refused(other: sb.Forecaster) -> None:
+    fitted = other.fit(rig(0)) if not other.random else other
+    with pytest.raises(ValueError, match="start must be a trained gru, got"):
+        sb.Single(sb.GRU(4), SHORT).fit(rig(0), start=fitted)
+
+
+def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:
+    """Whose code says nothing of the parameters that it closes over."""
+
+    def on(level: float) -> sb.Forecaster:
+        simulator = sb.Function(lambda t: np.full(len(t), level))
+        return sb.Residual(simulator, sb.GRU(3), settings=SHORT)
+
+    start = on(1.0).fit(rig(0))
+    other = on(2.0).fit(rig(0), start=start)
+    said = other.predict(3, u=np.zeros((3, 1))).components["simulator"]
+    np.testing.assert_allclose(said, 2.0, rtol=1e-6)
+
+
+def test_another_size_or_another_median_is_refused_in_one_line() -> None:
+    start = sb.Single(sb.GRU(4), SHORT).fit(rig(0))
+    with pytest.raises(ValueError, match="start must have the sizes and channels of gru: 5 hidden"):
+        sb.Single(sb.GRU(5), SHORT).fit(rig(0), start=start)
+    with pytest.raises(ValueError, match="start must be a trained median of 2, got"):
+        sb.Ensemble(sb.Single(sb.GRU(4), SHORT), 2).fit(rig(0), start=start)

@@ -1,4 +1,4 @@
-"""Options: kept as they were given, read, changed, cloned, and written as Python."""
+"""Options: kept, read, changed, cloned, written as Python; and what a forecaster is called."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch import nn
 
 import splitband as sb
 from splitband import ForecastContext, Forecaster, Record
+from splitband.forecasters.names import NAMES
 
 SETTINGS = sb.Settings(40, 10, 3, quasi_newton=20, clip=1.0, milestones=((2, 1e-4),))
 SHORT = sb.Settings(40, 10, 1)
@@ -169,3 +170,51 @@ def test_a_fit_begins_without_what_an_earlier_one_found() -> None:
 def test_an_option_that_is_not_kept_is_named() -> None:
     with pytest.raises(TypeError, match="Forgetful must keep its constructor's argument factor"):
         Forgetful(1.0).clone()
+
+
+# ---------------------------------------------------------------- in words
+
+
+class NonLinear(sb.Forecaster):
+    name = "nonlinear"
+
+    def trajectory(self, known: sb.ForecastContext) -> npt.NDArray[np.float64]:
+        return np.zeros((len(known.y) + known.steps, 1))
+
+    def extrapolate(self, known: sb.ForecastContext) -> npt.NDArray[np.float64]:
+        return self.trajectory(known)[len(known.y) :]
+
+
+@pytest.mark.parametrize(
+    ("model", "name", "words"),
+    [
+        (sb.Residual(sb.Single(sb.GRU(4)), sb.GRU(4)), "residual-gru-gru", "network plus GRU"),
+        (sb.Residual(NonLinear(), sb.GRU(4)), "residual-nonlinear-gru", "nonlinear plus GRU"),
+        (sb.Filtered(sb.Linear(), sb.GRU(4)), "filtered-linear-gru", "linear model in the low"),
+        (
+            sb.Filtered(sb.Calibrated(), sb.GRU(4), conditioned=True),
+            "filtered-gru-calibrated-conditioned",
+            "calibrated simulator in the low band",
+        ),
+        (
+            sb.Ensemble(sb.Single(sb.StateSpace(3, 4))),
+            "state-space",
+            "state-space network",
+        ),
+    ],
+)
+def test_a_hybrid_says_what_its_base_is(model: sb.Forecaster, name: str, words: str) -> None:
+    assert model.name == name
+    assert model.in_words().startswith(words)
+    assert ("simulator" in model.in_words()) == ("simulator" in model.needs)
+
+
+def test_a_base_of_ones_own_is_fitted_and_labelled_by_its_name() -> None:
+    record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
+    model = sb.Residual(NonLinear(), sb.GRU(2), settings=sb.Settings(40, 10, 1)).fit(record)
+    assert sorted(model.predict(10).components) == ["network", "nonlinear"]
+
+
+def test_every_name_is_that_of_its_object() -> None:
+    assert all(method.name == name for name, method in NAMES.items())
+    assert all(method.in_words() for method in NAMES.values())

@@ -5,7 +5,6 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband.forecasters.stepping import Repredicted
 from tests.streams import BANDS, SHORT, WITH_INPUTS, WITHOUT, driven, fitted, free, rows
 
 Array = npt.NDArray[np.float64]
@@ -28,7 +27,7 @@ def test_a_stream_says_what_predict_says(name: str) -> None:
 
     # From the training record on.
     stream = forecaster.stream()
-    assert not isinstance(stream.recursion, Repredicted)
+    assert not stream.recursion.repeats
     at = rows(record, stream)
     ahead = forecaster.predict(
         31,

@@ -25,6 +25,7 @@ from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
 from splitband.data.named import double_mass_spring, van_der_pol
+from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
 from splitband.models import Signals, Split
@@ -130,8 +131,8 @@ def test_a_split_model_s_run_says_what_a_sliced_warm_up_comes_to(folder: Path) -
     record, facts = job.record, load(job, folder / "runs")
     setup = job.setup(record)
     fitted = job.forecaster(setup).fit(record[: setup.train], seed=1)
-    assert fitted._network is not None
-    model = fitted._network.model
+    assert isinstance(fitted, Network)
+    model = fitted.model
     assert isinstance(model, Split)
     bands = [
         filtfilt(*butter(3, 0.4, kind, fs=10), record.y[:250], axis=0)[:30]

@@ -14,6 +14,7 @@ from splitband.cli.options.groups import with_groups
 from splitband.cli.options.models import Cluster, Jobs
 from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.names import HYBRIDS
+from splitband.forecasters.network import Network
 from splitband.report import words
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
@@ -64,8 +65,8 @@ def show(result: Comparison, out: Path, used: Usage) -> None:
     kind = in_words(best, result.methods)
     why = " ".join(words.why(trial, plan.train))
     showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
-    network = result.methods[best]._network
-    if network is not None and network.bands is not None:
+    method = result.methods[best]
+    if isinstance(method, Network) and method.bands is not None:
         showing.console.print(words.of_bands(plan.bands, plan.training))
     choice = plan.bands.choice
     if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):

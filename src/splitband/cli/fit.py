@@ -26,7 +26,7 @@ from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
 from splitband.data.timing import as_json
 from splitband.evaluation.run import fit as fit_planned
 from splitband.forecasters import saving
-from splitband.forecasters.backtest import first_origin
+from splitband.forecasters.backtest import first_origin, held_out_of
 from splitband.forecasters.base import Forecaster
 from splitband.metrics import rmse
 from splitband.report.environment import environment
@@ -158,7 +158,7 @@ def _try_out(forecaster: Forecaster) -> None:
     """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
         with showing.without_warnings():
-            forecaster._require_held_out()
+            held_out_of(forecaster)
     except (InputError, FloatingPointError) as error:
         showing.warn(f"the model has no intervals: {error}")
 

@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from splitband.data import Record
 from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, as_it_is, backtest
-from splitband.forecasters.base import Forecaster, cells_of
+from splitband.forecasters.base import Forecaster, all_parts, cells_of
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import simulations, with_simulators_of
 from splitband.networks.cell import label_of
@@ -269,4 +269,5 @@ def prepare(
     """
     for forecaster in forecasters:
         with suppress(Exception), within(deadline):
-            forecaster._prepare(records, runner.executor or 1, runner.folder)
+            for part in all_parts(forecaster):
+                part._prepare(records, runner.executor or 1, runner.folder)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,10 @@ from splitband.forecasters.backtest import (
     held_out_origins,
 )
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import Forecaster, parts_of
+from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
+from splitband.forecasters.network import Network, with_defaults
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.simulators.identification import check_runs
@@ -127,7 +129,7 @@ class Plan:
         Not in the paper.
         """
         (name,) = with_base(["residual-gru-conditioned"], base)
-        network = named(name, self.sizes)._with_defaults(self.settings, self.bands)
+        network = with_defaults(named(name, self.sizes), self.settings, self.bands)
         return replace(
             self, methods=(*self.methods, network), searched={**self.searched, name: False}
         )
@@ -235,10 +237,10 @@ def plan(  # noqa: PLR0913
     made, searched = list[Forecaster](), dict[str, bool]()
     for each in asked:
         method = known(each, of_names) if isinstance(each, str) else each
-        complete = method._with_defaults(decided, chosen)
+        complete = with_defaults(method, decided, chosen)
         if isinstance(each, str) and simulator is not None:
-            complete = complete._given(simulator)
-        if usual and complete._network is not None and method.settings is None:
+            complete = with_parts_changed(complete, partial(_given, simulator))
+        if usual and isinstance(complete, Network) and method.settings is None:
             searched[complete.name] = isinstance(each, str) and sizes is None
         made.append(complete)
     if rounds is not None and not searched:
@@ -254,6 +256,12 @@ def plan(  # noqa: PLR0913
     if horizon or tests:
         _check_trial(found)
     return replace(found, tests=_with_distinct_names(tests))
+
+
+def _given(simulator: Any, part: Forecaster) -> Forecaster:
+    """Return a part with this simulator, if it fits the parameters of one and has none."""
+    open_ = isinstance(part, GreyBox) and part.simulator is None
+    return part.clone().set_params(simulator=simulator) if open_ else part
 
 
 def _check_limits(budget: float | None, rounds: int | None, seed: int, seeds: int | None) -> None:
@@ -303,9 +311,11 @@ def chosen_bands(
     if methods is None:
         usual = default_names(training.y_sim is not None, training.nu > 0)
         methods = [known(name) for name in usual]
-    if given.cutoff is None and not any(each._shares_bands for each in methods):
+    every = [part for method in methods for part in all_parts(method)]
+    if given.cutoff is None and not any(isinstance(p, Network) and p._takes_bands for p in every):
         return given
-    y_sim, beside = None, [base for method in methods for base in _simulators_in(method)]
+    below = [each for method in methods for part in parts_of(method) for each in all_parts(part)]
+    y_sim, beside = None, [p for p in below if not parts_of(p) and "simulator" in p.needs]
     if training.y_sim is not None and beside:
         simulation = next((f for f in beside if f._calibrates), beside[0]).clone()
         y_sim = simulation.fit(training).on(training).y_sim
@@ -313,15 +323,6 @@ def chosen_bands(
     with nullcontext() if given.cutoff is not None else suppress(ValueError):
         return given.chosen(training.y, training.sampling_rate, settings.warmup, y_sim)
     return given
-
-
-def _simulators_in(forecaster: Forecaster) -> Iterator[Forecaster]:
-    """Yield the parts of a forecaster that use the simulator's output in the record."""
-    for part in parts_of(forecaster):
-        if parts_of(part):
-            yield from _simulators_in(part)
-        elif "simulator" in part.needs:
-            yield part
 
 
 def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:

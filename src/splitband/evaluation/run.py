@@ -23,7 +23,8 @@ from splitband.forecasters.backtest import (
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.names import BASES, built
-from splitband.forecasters.simulation import with_simulators_of
+from splitband.forecasters.network import Network
+from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
 from splitband.runtime.deadlines import Deadline, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import one_thread
@@ -315,7 +316,7 @@ class Run:
         for name, fits in self.finals.items():
             for fit in fits:
                 with_simulators_of(fit.fitted, methods[name])
-                if (network := fit.fitted._network) is not None:
+                if isinstance(network := fit.fitted, Network):
                     # A copy that is fitted again is trained as long as all rounds together.
                     network.settings = network._trained_by
 
@@ -368,12 +369,14 @@ class Run:
         plan, others = self.plan, self.plan.others
         try:
             try:
-                return forecaster._simulated(plan.training, plan.horizon, *others, *plan.tests)
+                return with_simulators_run(
+                    forecaster, plan.training, plan.horizon, *others, *plan.tests
+                )
             except ValueError:
                 if not plan.tests:
                     raise
                 # It may fail for the test records only, which are then left out.
-                return forecaster._simulated(plan.training, plan.horizon, *others)
+                return with_simulators_run(forecaster, plan.training, plan.horizon, *others)
         except ValueError as error:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None

@@ -86,8 +86,8 @@ class Search:
         self._choices: dict[str, list[Candidate]] = {}
         self._added: list[Candidate] = []
         for method in plan.methods:
-            if method.name in plan.searched and method._network is not None:
-                self._choose(method._network)
+            if method.name in plan.searched and isinstance(method, Network):
+                self._choose(method)
         self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
         self._course = self._rounds()
         self._asked: list[Candidate] = []
@@ -103,7 +103,7 @@ class Search:
 
     def add(self, method: Forecaster) -> bool:
         """Add a method, if it can be trained; its first candidate is one of the next round."""
-        able = method._network is not None and self._choose(method._network)
+        able = isinstance(method, Network) and self._choose(method)
         self._added += self._choices[method.name][:1] if able else []
         return able
 

@@ -81,7 +81,7 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
     Raises ValueError, naming the forecaster, if it cannot be exported.
     """
     recursion, state = program_of(forecaster, history)
-    cleared = recursion.initial()
+    cleared = recursion.initial(None)
     begun = cleared if state is None else state
     ny = recursion.ny
     given = {
@@ -106,7 +106,7 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
         block,
         tuple(leaves),
         used,
-        bool(recursion.prepared),
+        recursion.prepared,
         begun is cleared,
     )
 

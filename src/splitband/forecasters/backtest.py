@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TypeVar
 
 import numpy as np
 
 from splitband.data import Record
 from splitband.data.signals import first_after
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import AnyForecaster, Forecaster, with_parts_changed
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
+from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.arrays import Array
@@ -25,8 +25,7 @@ from splitband.runtime.deadlines import DeadlineError, current, now
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
-
-AnyForecaster = TypeVar("AnyForecaster", bound=Forecaster)
+from splitband.training.settings import SHORTEST_WINDOW, longest_window
 
 HELD_OUT_SHARE = 0.25
 """Share of the training part that is held out for a trial, while models are fitted to the rest. A
@@ -164,15 +163,11 @@ def backtest(
 
     `seed`, `start`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
-    record, began = spec.record, now()
-    forecasts: dict[Origin, Prediction] = {}
-    unfiltered: Mapping[str, Array] = {}
-    cut = False
-    last: Forecaster | None = None
+    began, found = now(), Fit(forecaster.name, seed)
     for samples, of_fit in groupby(spec.origins, key=lambda origin: origin.fitted):
         try:
             fitted = forecaster.clone().fit(
-                record[:samples],
+                spec.record[:samples],
                 *spec.others,
                 seed=seed,
                 start=start,
@@ -180,66 +175,62 @@ def backtest(
                 checkpoint=checkpoint,
             )
         except DeadlineError:
-            if last is None:
+            if found.model is None:
                 raise
-            cut = True
+            found = replace(found, cut=True)
             break
-        said, signals = predicted(fitted, spec, [*of_fit])
-        forecasts |= said
-        unfiltered = signals or unfiltered
-        if last is None or samples > len(last.require_fitted().record):
-            last = fitted
-        if current().over and len(forecasts) < len(spec.origins):
-            cut = True
+        found = _with_forecasts(found, fitted, spec, [*of_fit])
+        if current().over and len(found.forecasts) < len(spec.origins):
+            found = replace(found, cut=True)
             break
-    if last is None:
+    if found.model is None:
         raise InputError("origins must be one or several, got none")
-    tests, untested = _tested(last, spec)
-    cut = cut or last.require_fitted().report.cut
-    notes = (untested,) if untested else ()
-    found = Fit(forecaster.name, seed, last, forecasts, tests, unfiltered, notes=notes, cut=cut)
-    return replace(found, seconds=now() - began)
+    return _finished(replace(found, cut=found.cut or found.report.cut), spec, began)
 
 
 def as_it_is(model: Forecaster, spec: BacktestSpec, seed: int) -> Fit:
     """Forecast a record with a model that was fitted to fewer samples, without another fit."""
     began = now()
-    forecasts, unfiltered = predicted(model, spec, spec.origins)
-    tests, untested = _tested(model, spec)
-    notes = tuple(filter(None, (untested, "trained on three quarters of the training samples")))
-    return Fit(model.name, seed, model, forecasts, tests, unfiltered, now() - began, notes)
+    found = _with_forecasts(Fit(model.name, seed), model, spec, spec.origins)
+    return _finished(found, spec, began, "trained on three quarters of the training samples")
 
 
-def predicted(
-    fitted: Forecaster, spec: BacktestSpec, origins: Sequence[Origin]
-) -> tuple[dict[Origin, Prediction], Mapping[str, Array]]:
-    """Return a model's forecasts from these origins, and the last one's unfiltered signals."""
-    record, forecasts = spec.record, dict[Origin, Prediction]()
-    unfiltered: Mapping[str, Array] = {}
+def _with_forecasts(
+    found: Fit, model: Forecaster, spec: BacktestSpec, origins: Sequence[Origin]
+) -> Fit:
+    """Return a fit with a model's forecasts from more origins; the model of most samples stays."""
+    forecasts, unfiltered = {**found.forecasts}, found.unfiltered
     for origin in origins:
-        history = record[: origin.at]
+        history = spec.record[: origin.at]
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
-            forecasts[origin] = fitted.predict(spec.end - origin.at, history)
-        if origin.at < origin.fitted:
-            unfiltered = fitted._unfiltered(spec.end - origin.at, history)
-    return forecasts, unfiltered
+            forecasts[origin] = model.predict(spec.end - origin.at, history)
+        if origin.at < origin.fitted and isinstance(model, Network):
+            unfiltered = model._unfiltered(spec.end - origin.at, history)
+    if found.model is not None and _samples(found.model) >= _samples(model):
+        model = found.model
+    return replace(found, model=model, forecasts=forecasts, unfiltered=unfiltered)
 
 
-def _tested(fitted: Forecaster, spec: BacktestSpec) -> tuple[list[Prediction], str]:
-    """Return simulations of the test records from their first samples; or none, with the reason."""
-    predictions: list[Prediction] = []
-    simulated = "simulator" not in fitted.needs or all(t.y_sim is not None for t in spec.tests)
-    if fitted.anchored or not simulated:
-        return predictions, ""
-    for test in spec.tests:
+def _samples(model: Forecaster) -> int:
+    return len(model.require_fitted().record)
+
+
+def _finished(found: Fit, spec: BacktestSpec, began: float, *notes: str) -> Fit:
+    """Return a fit with simulations of the test records from their first samples.
+
+    There are none for a model that cannot simulate them; a note says what went wrong with one.
+    """
+    model, tests = found.fitted, list[Prediction]()
+    simulated = "simulator" not in model.needs or all(t.y_sim is not None for t in spec.tests)
+    for test in spec.tests if simulated and not model.anchored else ():
         try:
-            at = first_origin(test, 0, spec.initial or fitted.warmup or spec.warmup).at
+            at = first_origin(test, 0, spec.initial or model.warmup or spec.warmup).at
             with without_warnings(ExtrapolationWarning):
-                history = test[:at]
-                predictions.append(fitted.predict(len(test) - at, history, other_record=True))
+                tests.append(model.predict(len(test) - at, test[:at], other_record=True))
         except ValueError as error:
-            return [], f"not tested on {test.name or 'a test record'}: {error}"
-    return predictions, ""
+            tests, notes = [], (f"not tested on {test.name or 'a test record'}: {error}", *notes)
+            break
+    return replace(found, tests=tests, notes=notes, seconds=now() - began)
 
 
 def first_origin(record: Record, train: int, warmup: int) -> Origin:
@@ -258,20 +249,23 @@ def first_held_out(samples: int) -> int:
     return samples - max(1, round(HELD_OUT_SHARE * samples))
 
 
-def check_held_out(record: Record) -> None:
-    """Raise ValueError for a channel without a measured sample in a record's last quarter."""
-    held_out = record.y_with_gaps[first_held_out(len(record)) :]
-    for column, channel in zip(record.columns, held_out.T, strict=True):
-        if np.isnan(channel).all():
-            raise InputError(
-                f"{column} must have a measured sample among the last {len(channel)} training "
-                "samples, on which methods are tried out"
-            )
-
-
 def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
-    """Return the forecaster adapted to `samples` without their held-out part."""
-    return forecaster._for_samples(first_held_out(samples), samples)
+    """Return the forecaster adapted to `samples` without their held-out part.
+
+    Long windows shrink with the part that is left, but stay as long as the default recipe's
+    shortest one, and beyond the warm-up.
+    """
+    fewer = first_held_out(samples)
+
+    def changed(part: Forecaster) -> Forecaster:
+        settings = part.settings
+        if settings is None or not isinstance(part, Network):
+            return part
+        least = max(min(SHORTEST_WINDOW, longest_window(fewer)), settings.warmup + 1)
+        shorter = max(round(settings.window * fewer / samples), least)
+        return part._trained_as(replace(settings, window=min(settings.window, shorter)))
+
+    return with_parts_changed(forecaster, changed)
 
 
 def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
@@ -299,11 +293,9 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
 def held_out_errors(
     record: Record, forecasts: Mapping[Origin, Array], earlier: bool = False
 ) -> list[Array]:
-    """Return the errors of forecasts that begin in a record's last quarter, for a score.
+    """Return the errors of forecasts that begin in a record's last quarter, or `earlier`.
 
-    They are in the order of origins, `(time, ny)` each, by horizon: row h is the error of the
-    forecast sample h + 1. With `earlier`, return the errors of the forecasts that begin before that
-    quarter instead.
+    They are in the order of origins, `(time, ny)` each, by horizon.
     """
     seen, first = record.y_with_gaps, first_held_out(len(record))
     return [
@@ -316,8 +308,19 @@ def held_out_errors(
 def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
     """Return the held-out errors of a record, from which intervals beyond it follow."""
     scored = held_out_errors(record, forecasts)
-    longer = held_out_errors(record, forecasts, earlier=True)[::-1]
-    return HeldOut.of(_sound(scored, longer, spread(record.y_with_gaps)), record.y_with_gaps)
+    near, scale = min(map(len, scored)), spread(record.y_with_gaps)
+
+    def first_samples(errors: Sequence[Array]) -> float:
+        return root_mean_square([error[:near] / scale for error in errors])
+
+    kept, most = [*scored], FAILED_FIT_RATIO * first_samples(scored)
+    for error in held_out_errors(record, forecasts, earlier=True)[::-1]:
+        # A fit to too few samples, such as less than a period, is wrong from its first forecast
+        # samples on, and one to even fewer is no better.
+        if not first_samples([error]) <= most:
+            break
+        kept.append(error)
+    return HeldOut.of(kept, record.y_with_gaps)
 
 
 def held_out_of(forecaster: Forecaster) -> HeldOut:
@@ -353,7 +356,13 @@ def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:
 
 def held_out_score(record: Record, fits: Sequence[Fit]) -> float:
     """Return the RMSE of the fits' median forecast of a record's last quarter, channels scaled."""
-    check_held_out(record)
+    held_out = record.y_with_gaps[first_held_out(len(record)) :]
+    for column, channel in zip(record.columns, held_out.T, strict=True):
+        if np.isnan(channel).all():
+            raise InputError(
+                f"{column} must have a measured sample among the last {len(channel)} training "
+                "samples, on which methods are tried out"
+            )
     errors, scale = held_out_errors(record, median_forecasts(fits)), spread(record.y_with_gaps)
     return root_mean_square([error / scale for error in errors])
 
@@ -362,17 +371,3 @@ def root_mean_square(errors: Sequence[Array]) -> float:
     """Return the RMS of the errors `(time, ny)` of several forecasts together, ignoring NaN."""
     every = np.concatenate(errors)
     return rmse(every, np.zeros_like(every))
-
-
-def _sound(scored: Sequence[Array], longer: Sequence[Array], scale: Array) -> list[Array]:
-    """Return all errors, except those in `longer` from fits to too few samples.
-
-    `longer` begins with the fit to the most samples. A fit to too few samples, such as less than a
-    period, is wrong from its first forecast samples on, where errors that merely grow with the
-    horizon are still small.
-    """
-    near = min(map(len, scored))
-    usual = root_mean_square([e[:near] / scale for e in scored])
-    # A fit to even fewer samples is no better: all are discarded from the first failed fit on.
-    sound = [root_mean_square([e[:near] / scale]) <= FAILED_FIT_RATIO * usual for e in longer]
-    return [*scored, *longer[: [*sound, False].index(False)]]

@@ -37,24 +37,14 @@ class Bands(WithRepr):
             if value is not None:
                 object.__setattr__(self, name, whole(name, value, 1, LARGEST_SIZE))
 
-    @property
-    def complete(self) -> bool:
-        """Return whether all parameters are given."""
-        return None not in (self.cutoff, self.order, self.downsampling)
-
     def chosen(
         self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
     ) -> Bands:
-        """Return the bands with missing parameters chosen on the training samples.
+        """Return the bands with missing parameters chosen on the training samples `(time, ny)`.
 
-        Parameters
-        ----------
-        y : The training samples, `(time, ny)`.
-        sampling_rate : In Hz.
-        warmup : R, in samples.
-        y_sim : The output of the simulator of the low band, `(time, ny)`; None for a network in the
-            low band. If the simulator does not help, the bands are chosen as for networks, and
-            `choice.simulator_helps` is False.
+        `y_sim` is the output of the simulator of the low band; None for a network in the low band.
+        If the simulator does not help, the bands are chosen as for networks, and
+        `choice.simulator_helps` is False.
         """
         given = self.cutoff, self.order, self.downsampling
         learned = choose(y, sampling_rate, warmup, *given)
@@ -68,16 +58,17 @@ class Bands(WithRepr):
 
     def pair(self, sampling_rate: float) -> ComplementaryPair:
         """Return the zero-phase pair of a split model."""
-        cutoff, order = self._known()
+        cutoff, order = self._filter()
         return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
 
     def one_way_pair(self, sampling_rate: float) -> ComplementaryPair:
         """Return the pair of a hybrid, which filters forwards only."""
-        cutoff, order = self._known()
+        cutoff, order = self._filter()
         b, a = butterworth(cutoff, sampling_rate, order)
         return ComplementaryPair.perfect(b, a, sampling_rate, cutoff=cutoff)
 
-    def _known(self) -> tuple[float, int]:
+    def _filter(self) -> tuple[float, int]:
+        """Return cut-off and order; raises ValueError where they are not known."""
         if self.cutoff is None or self.order is None:
             raise InputError("cutoff and order must be given, or chosen first, see Bands.chosen")
         return self.cutoff, self.order

@@ -6,11 +6,11 @@ import contextlib
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, TypeVar, Unpack, final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,24 +18,22 @@ import numpy.typing as npt
 from splitband.baselines.delays import check_delays
 from splitband.data import Record, check_alike, require_records
 from splitband.data.signals import last_before
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import (
     ForecastContext,
     Prediction,
-    known_at_origin,
     known_of,
     predicted,
     prepared_like,
     seconds_after,
 )
 from splitband.forecasters.stepping import (
-    Extrapolated,
     NotSteppedError,
     Part,
     Recursion,
     Stream,
+    alone,
     stream_of,
 )
 from splitband.metrics import ExtrapolationWarning
@@ -52,13 +50,10 @@ if TYPE_CHECKING:
     import torch
     from torch import nn
 
-    from splitband.baselines.linear import LinearModel
     from splitband.forecasters.checking import ModelCheck, Responses
     from splitband.forecasters.differentiable import TorchSimulation
-    from splitband.forecasters.network import Network
 
-MAX_SAVED_SAMPLES = 20_000
-"""Longest training record with a simulator's output, in samples, that is saved whole. By eye."""
+AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
 
 class Training(TypedDict):
@@ -223,10 +218,9 @@ class Forecaster(WithRepr, ABC):
         # Closed forms work on small matrices, where the threads of BLAS wait for each other.
         with contextlib.nullcontext() if self.random else one_thread():
             self.learn(records, seed=seed, start=start, progress=progress, checkpoint=checkpoint)
-        report = self.fitted.report
-        if not report.seconds:  # the training of a network has set its own time
-            report = replace(report, seconds=time.perf_counter() - began)
-        self.fitted = replace(self.fitted, report=replace(report, parameters=self.parameters))
+        # The training of a network has set its own time.
+        seconds = self.fitted.report.seconds or time.perf_counter() - began
+        self.fitted = self.fitted.reporting(seconds=seconds, parameters=self.parameters)
         return self
 
     @final
@@ -287,10 +281,12 @@ class Forecaster(WithRepr, ABC):
             prepared, u, y_sim = prepared_like(fitted.record, history, u, y_sim)
             found = self.predict(steps, prepared, u, y_sim, level, other_record)
             return found.restored(fitted.record.prepared, seconds_after(prepared, steps))
-        known, past = known_of(self, steps, history, u, y_sim, other_record)
-        prediction = predicted(self, known, past)
+        known = known_of(self, steps, history, other_record, u, y_sim)
+        prediction = predicted(self, known, fitted.record if history is None else history)
         if level is not None:
-            prediction = self._require_held_out().interval(level).around(prediction)
+            from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
+
+            prediction = held_out_of(self).interval(level).around(prediction)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
         return prediction
@@ -300,7 +296,8 @@ class Forecaster(WithRepr, ABC):
         """Return the forecaster as a stream, which goes on from a history sample by sample.
 
         Each step takes constant time and memory. A forecaster of your own, and a few that look
-        ahead or interpolate a simulator's output, call `predict` for each sample, which is slower.
+        ahead, interpolate a simulator's output or estimate a simulator's state from the history,
+        call `predict` for each sample, which is slower.
 
         Parameters
         ----------
@@ -329,10 +326,7 @@ class Forecaster(WithRepr, ABC):
         return check(self, record)
 
     def step_responses(
-        self,
-        steps: int = 500,
-        at: npt.ArrayLike | None = None,
-        size: npt.ArrayLike | None = None,
+        self, steps: int = 500, at: npt.ArrayLike | None = None, size: npt.ArrayLike | None = None
     ) -> Responses:
         """Return the response of each output to a small step of each input.
 
@@ -390,7 +384,7 @@ class Forecaster(WithRepr, ABC):
                 f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
                 "was detrended, clipped or resampled"
             )
-        known = known_at_origin(self, history, other_record)
+        known = known_of(self, 0, history, other_record)
         from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
             TorchSimulation,
         )
@@ -457,10 +451,11 @@ class Forecaster(WithRepr, ABC):
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
         for record in records:
+            name = record.name or "the record"
             if "inputs" in self.needs and record.u is None:
-                raise InputError(f"{self.name} needs known inputs, {_named(record)} has none")
+                raise InputError(f"{self.name} needs known inputs, {name} has none")
             if "simulator" in self.needs and record.y_sim is None:
-                raise InputError(f"{self.name} needs a simulator, {_named(record)} has none")
+                raise InputError(f"{self.name} needs a simulator, {name} has none")
         for part in parts_of(self):
             part.check(*records)
 
@@ -487,7 +482,7 @@ class Forecaster(WithRepr, ABC):
 
     def clone(self) -> Self:
         """Return a new forecaster with the same options, not fitted."""
-        return self._with_changed(lambda part: part.clone())
+        return self._with_parts(lambda part: part.clone())
 
     def require_fitted(self) -> Fitted:
         """Return the training records and the report of the fit; raises ValueError before `fit`."""
@@ -502,140 +497,53 @@ class Forecaster(WithRepr, ABC):
         return ""
 
     @property
-    def _network(self) -> Network | None:
-        """Return itself if it is a network, with settings, sizes and weights; else None."""
-        return None
-
-    @property
     def _calibrates(self) -> bool:
         """Return whether it calibrates a simulator, which may need output beyond the record."""
         return any(part._calibrates for part in parts_of(self))
-
-    @property
-    def _shares_bands(self) -> bool:
-        """Return whether it takes the bands that a comparison chooses, see `_with_defaults`."""
-        return any(part._shares_bands for part in parts_of(self))
 
     @property
     def _refits(self) -> bool:
         """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
 
-    def _linear_model(self) -> LinearModel | None:
-        """Return the linear model that the fitted forecaster is; None for other kinds."""
-        return None
-
-    def _with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """Return it with a comparison's settings and bands, where its own are not set."""
-        return self._with_parts(lambda part: part._with_defaults(settings, bands))
-
-    def _for_samples(self, samples: int, instead_of: int) -> Self:
-        """Return it adapted to `samples` of a training record of `instead_of` samples."""
-        return self._with_parts(lambda part: part._for_samples(samples, instead_of))
-
-    def _simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """Return it with its own simulator's output computed once, for all processes.
-
-        The output covers the training record and `horizon` samples more, and other records.
-        """
-        return self._with_parts(lambda part: part._simulated(record, horizon, *others))
-
-    def _given(self, simulator: Any) -> Forecaster:
-        """Return it with this simulator in each part that fits a simulator's parameters."""
-        return self._with_parts(lambda part: part._given(simulator))
-
-    def _calibrated(self) -> Forecaster:
-        """Return it with its simulator calibrated; itself if it has none."""
-        return self._with_parts(lambda part: part._calibrated())
-
     def _prepare(
-        self,
-        records: Sequence[Record],
-        workers: int | Executor = 1,
-        folder: Path | None = None,
-    ) -> None:
-        """Compute once the results that the fits of several forecasters and seeds share.
-
-        `workers` may run it in parallel; an interrupted computation may resume from files in
-        `folder`.
-        """
-        for part in parts_of(self):
-            part._prepare(records, workers, folder)
+        self, records: Sequence[Record], workers: int | Executor = 1, folder: Path | None = None
+    ) -> Any:
+        """Compute once what the fits of several forecasters share; `folder` keeps what is done."""
 
     @property
     def _slow_label(self) -> str:
         """Return the label of the slow component of a prediction, if that is the forecaster."""
         return self.name
 
-    def _hybrid_name(self, kind: str, cell: str) -> str:
-        """Return the name of a hybrid of this kind, with the forecaster as the slow component."""
-        return f"{kind}-{self.name}-{cell}"
-
-    def _as_simulator(self) -> Self:
-        """Return the fitted forecaster as the slow component of a hybrid, which only simulates."""
-        return self
-
-    def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
-        """Return the signals before its filters by name; empty for a forecaster without filters."""
-        return {}
-
     def _stepped(self, outside: bool = False) -> Recursion:
         """Return the step-by-step form of the fitted forecaster, by default that of its `_part`.
 
-        Streams and exported programs run it, see `splitband.forecasters.stepping`.
-
-        Parameters
-        ----------
-        outside : Whether its own simulator's output is given with each sample, as in an exported
-            program, in place of running the simulator.
-
-        Raises
-        ------
-        NotSteppedError
-            With the reason, where there is no step-by-step form and `predict` is needed.
+        With `outside`, its own simulator's output is given with each sample, as to an exported
+        program. Raises NotSteppedError where `predict` is needed for each sample, with the reason.
         """
         record = self.require_fitted().record
-        return Extrapolated(self._part(outside), record.ny, record.nu)
+        return alone(self._part(outside), record.ny, record.nu)
 
     def _part(self, outside: bool = False) -> Part:
-        """Return what computes its values step by step, alone or as the slow component of a hybrid.
-
-        Raises NotSteppedError, see `_stepped`.
-        """
+        """Return what computes its values step by step, alone or in a hybrid; see `_stepped`."""
         raise NotSteppedError(f"{self.name} cannot be stepped: it has no step-by-step form")
-
-    @final
-    def _require_held_out(self) -> HeldOut:
-        """Return the errors of held-out forecasts, from which intervals of all levels follow.
-
-        The first call refits copies to shorter parts of its training record. ValueError is raised
-        where that is too short, and for a loaded forecaster that was saved without these errors.
-        """
-        from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
-
-        return held_out_of(self)
 
     def _first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs."""
         record = self.require_fitted().record
-        if "simulator" in self.needs and len(record) <= MAX_SAVED_SAMPLES:
-            return 0
+        if "simulator" in self.needs:
+            return 0  # a calibrated delay or clock uses earlier output
         measured = ~np.isnan(record.y_with_gaps)
         first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
         if self.warmup:
             start = last_before(record.complete, self.warmup, len(record))
             first = min(first, (self.warmup if start is None else start) - self.warmup)
         first -= max(self.delays, default=0)
-        if "simulator" in self.needs:
-            # A calibrated delay or clock uses earlier output, up to a seventh of the record.
-            first = min(first, len(record) - len(record) // 5)
         return max(0, min(first, len(record) - 2))
 
     def _to_dict(self) -> dict[str, Any]:
-        """Return the options and fitted attributes of the forecaster, for `save`.
-
-        Only the end of the training record is kept, on which a forecast warms up.
-        """
+        """Return what is saved: of the training record the end, on which a forecast warms up."""
         end = None if self.fitted is None else self.fitted.end(self._first_needed())
         return {**vars(self), "fitted": end}
 
@@ -649,10 +557,7 @@ class Forecaster(WithRepr, ABC):
         return new
 
     def _with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
-        """Return it with each part changed; itself without parts."""
-        return self._with_changed(changed) if parts_of(self) else self
-
-    def _with_changed(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
+        """Return a new one with each part changed."""
         given = self.get_params().items()
         return self._made({name: _changed(option, changed) for name, option in given})
 
@@ -668,6 +573,24 @@ def parts_of(forecaster: Forecaster) -> list[Forecaster]:
     return [each for inner in several for each in inner if isinstance(each, Forecaster)]
 
 
+def all_parts(forecaster: Forecaster) -> Iterator[Forecaster]:
+    """Yield a forecaster, its parts, their parts and so on."""
+    yield forecaster
+    for part in parts_of(forecaster):
+        yield from all_parts(part)
+
+
+def with_parts_changed(
+    forecaster: AnyForecaster, changed: Callable[[Forecaster], Forecaster]
+) -> AnyForecaster:
+    """Return a forecaster with all of its parts, and itself, changed, the innermost ones first."""
+    new: Any = forecaster
+    if parts_of(forecaster):
+        new = forecaster._with_parts(lambda part: with_parts_changed(part, changed))
+    found: Any = changed(new)
+    return found
+
+
 def cells_of(forecaster: Forecaster) -> dict[str, Template]:
     """Return the options of a forecaster that are templates of its networks' cells, by name."""
     given = forecaster.get_params().items()
@@ -681,7 +604,3 @@ def _changed(option: Any, changed: Callable[[Forecaster], Forecaster]) -> Any:
     if type(option) in (list, tuple):
         return type(option)(_changed(part, changed) for part in option)
     return option
-
-
-def _named(record: Record) -> str:
-    return record.name or "the record"

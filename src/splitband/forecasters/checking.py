@@ -15,12 +15,7 @@ from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.residuals import LAGS, LEVEL, ResidualTests, residual_tests
-from splitband.metrics import (
-    Extrapolation,
-    ExtrapolationWarning,
-    fit_percent,
-    leaves_range,
-)
+from splitband.metrics import Extrapolation, ExtrapolationWarning, fit_percent, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -122,16 +117,20 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     fitted = forecaster.require_fitted()
     require_records("record", record)
     record = record.prepared_as(fitted.record)
-    other = not forecaster.anchored
+    free = _free_run(forecaster, record)
+    if free is None:
+        raise InputError(
+            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
+            f"got {len(record)}"
+        )
     with without_warnings(ExtrapolationWarning):
-        free = _free_run(forecaster, record)
         begin = len(record) - len(free)
-        fits = {"simulation": _fit(record.truth[begin:], free.y)}
-        fits |= _ahead(forecaster, record, begin, other)
+        fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
+        fits |= _ahead(forecaster, record, begin)
         unchecked = ""
         if "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
-        leaves = None if unchecked else _leaves(forecaster, record, begin, other)
+        leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free)
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked,
                       tuple(fitted.inputs_beyond(record.u)))  # fmt: skip
@@ -154,61 +153,44 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
     Returns nothing where `check` would not find enough samples.
     """
     record = record.prepared_as(forecaster.require_fitted().record)
-    if _begin(forecaster, record) is None:
-        return ()
-    with without_warnings(ExtrapolationWarning):
-        return tests_of(record, _free_run(forecaster, record))
+    free = _free_run(forecaster, record)
+    return () if free is None else tests_of(record, free)
 
 
-def _begin(forecaster: Forecaster, record: Record) -> int | None:
-    """Return the end of the warm-up; None without one, or with too few samples after it."""
+def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
+    """Simulate a record to its end, from a warm-up on its first samples; None if it is short."""
     warmup = forecaster.warmup or max(min(WARMUP, len(record) // 10), 2)
     begin = first_after(record.complete, warmup)
-    return None if begin is None or len(record) - begin < 2 * LAGS else begin
-
-
-def _free_run(forecaster: Forecaster, record: Record) -> Prediction:
-    """Simulate a record to its end, from a warm-up on its first samples."""
-    begin = _begin(forecaster, record)
-    if begin is None:
-        raise InputError(
-            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
-            f"got {len(record)}"
-        )
+    if begin is None or len(record) - begin < 2 * LAGS:
+        return None
     other = not forecaster.anchored
-    return forecaster.predict(len(record) - begin, record[:begin], other_record=other)
+    with without_warnings(ExtrapolationWarning):
+        return forecaster.predict(len(record) - begin, record[:begin], other_record=other)
 
 
-def _fit(y: Array, predicted: Array) -> tuple[float, ...]:
-    return tuple(float(fit) for fit in fit_percent(y, predicted))
-
-
-def _ahead(
-    forecaster: Forecaster, record: Record, begin: int, other: bool
-) -> dict[str, tuple[float, ...]]:
+def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tuple[float, ...]]:
     """Return the fit of predictions a few samples ahead, from many origins."""
     last = len(record) - max(AHEAD)
     origins = np.unique(np.linspace(begin, last, min(ORIGINS, last - begin + 1)).astype(int))
-    made: dict[int, Array] = {}
+    other, made = not forecaster.anchored, dict[int, Array]()
     for at in origins:
         try:
             made[at] = forecaster.predict(max(AHEAD), record[:at], other_record=other).y
         except ValueError:
             continue  # a gap in the warm-up
-    return {
-        f"{k} step{'s' if k > 1 else ''} ahead": _fit(
-            np.stack([record.truth[at + k - 1] for at in made]),
-            np.stack([y[k - 1] for y in made.values()]),
-        )
-        for k in AHEAD
-        if made
-    }
+    fits = {}
+    for k in AHEAD if made else ():
+        truth = np.stack([record.truth[at + k - 1] for at in made])
+        fit = fit_percent(truth, np.stack([y[k - 1] for y in made.values()]))
+        fits[f"{k} step{'s' if k > 1 else ''} ahead"] = tuple(fit.tolist())
+    return fits
 
 
-def _leaves(forecaster: Forecaster, record: Record, begin: int, other: bool) -> int | None:
+def _leaves(forecaster: Forecaster, record: Record, begin: int) -> int | None:
     """Return after how many samples a long free run, with inputs repeated, leaves the range."""
     steps = LONGER * len(record)
     u = None if record.u is None else np.tile(record.u, (LONGER + 1, 1))[begin : begin + steps]
+    other = not forecaster.anchored
     long = forecaster.predict(steps, record[:begin], u=u, other_record=other)
     return leaves_range(forecaster.require_fitted().y_range, long.y)
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol, final
+from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import Part, State
+from splitband.metrics import channel_rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
@@ -50,28 +50,14 @@ class Mean(Forecaster):
 
     def _part(self, outside: bool = False) -> Part:
         """Return the mean as a constant part."""
-        return Constant(self.level)
+        level = self.level[:, None]
+        return Part(lambda state, u, y_sim, ahead: (state, np.tile(level, (1 + ahead, 1, 1))))
 
     _words = "mean of the training samples"
 
     def describe(self) -> str:
         """Return a description."""
         return "the mean of the training samples"
-
-
-class Constant(Part):
-    """Return the same value for every sample."""
-
-    def __init__(self, level: Array) -> None:
-        self.level = level
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return an empty state."""
-        return {}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the value."""
-        return state, np.tile(self.level[:, None], (1 + ahead, 1, 1))
 
 
 @final
@@ -90,8 +76,15 @@ class Persistence(Forecaster):
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
     def _part(self, outside: bool = False) -> Part:
-        """Return the part that holds the last measured sample."""
-        return Held(self.require_fitted().record.ny)
+        """Return the part that holds the last measured value of each channel."""
+        ny = self.require_fitted().record.ny
+        return Part(
+            # What is held is estimated: the value is 0, and its derivative by it 1.
+            row=lambda state, u, y_sim, ahead: (state, np.tile([0.0, 1.0], (1 + ahead, ny, 1))),
+            initial=lambda known: {"last": np.full(ny, np.nan)},
+            correct=lambda state, row, y: {"last": np.where(np.isnan(y), state["last"], y)},
+            settle=lambda state: state["last"][:, None],
+        )
 
     _words = "last measured value, held"
 
@@ -100,66 +93,46 @@ class Persistence(Forecaster):
         return "the last measured sample, held"
 
 
-class Held(Part):
-    """Hold the last measured value of each channel."""
-
-    def __init__(self, ny: int) -> None:
-        self.ny = ny
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return a state without a measured value."""
-        return {"last": np.full(self.ny, np.nan)}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return rows that read the held value: 0, with a derivative of 1 by it."""
-        return state, np.tile([0.0, 1.0], (1 + ahead, self.ny, 1))
-
-    def correct(self, state: State, row: Array, y: Array) -> State:
-        """Return the state with the new values of the channels that were measured."""
-        return {"last": np.where(np.isnan(y), state["last"], y)}
-
-    def settle(self, state: State) -> Array:
-        """Return the last measured values."""
-        return state["last"][:, None]
-
-
 class _ByTime(Forecaster):
     """Fit a function of the time since the training record began."""
 
     baseline: ByTime
     error: Array
     """RMSE of each channel in training, `(ny,)`."""
+    _fitted_to: ClassVar[staticmethod[[Array], ByTime]]
+    """Returns the function that fits samples `(time, ny)`, NaN in gaps."""
 
     anchored = True
     affine = True
 
-    @abstractmethod
-    def fitted_function(self, y: Array) -> ByTime:
-        """Return the function that fits the samples `(time, ny)`, NaN in gaps."""
-
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
         seen = records[0].y_with_gaps
-        self.baseline = self.fitted_function(seen)
-        self.error = _rmse_of_channels(seen - self.baseline.predict(0, len(seen)))
+        self.baseline = self._fitted_to(seen)
+        self.error = _errors(seen, self.baseline.predict(0, len(seen)))
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the values of the function after the history."""
-        return self.baseline.predict(_whole(known.begin) + len(known.y), known.steps)
+        return self.baseline.predict(_begin(known) + len(known.y), known.steps)
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return the values of the function over history and forecast, `(time + steps, ny)`."""
-        return self.baseline.predict(_whole(known.begin), len(known.y) + known.steps)
+        return self.baseline.predict(_begin(known), len(known.y) + known.steps)
 
     def _part(self, outside: bool = False) -> Part:
         """Return the function of time."""
-        return InTime(self.baseline)
+
+        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+            values = self.baseline.predict(state["time"], 1 + ahead)
+            return {"time": state["time"] + 1}, values[..., None]
+
+        return Part(row, lambda known: {"time": np.array(float(_begin(known)))})
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return a warning where it disagrees with the history, unless that is `known.own`."""
         if known.own:
             return []
-        found = _rmse_of_channels(known.y - self.trajectory(replace(known, steps=0)))
+        found = _errors(known.y, self.trajectory(replace(known, steps=0)))
         usual = np.maximum(self.error, _EXACT * np.ptp(self.require_fitted().y_range, axis=0))
         worst = int(np.argmax(found - DISAGREEMENT_RATIO * usual))
         if found[worst] <= DISAGREEMENT_RATIO * usual[worst]:
@@ -175,23 +148,6 @@ class _ByTime(Forecaster):
         return str(self.baseline) + first_only(self.require_fitted())
 
 
-class InTime(Part):
-    """Follow a function of time."""
-
-    def __init__(self, function: ByTime) -> None:
-        self.function = function
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return the time of the first sample."""
-        begin = 0.0 if known is None or known.begin is None else known.begin
-        return {"time": np.array(float(begin))}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the values of the function at a sample and at `ahead` more."""
-        values = self.function.predict(state["time"], 1 + ahead)
-        return {"time": state["time"] + 1}, values[..., None]
-
-
 @final
 class SeasonalNaive(_ByTime):
     """Repeat the last period, on a trend where there is one."""
@@ -201,34 +157,25 @@ class SeasonalNaive(_ByTime):
 
     _words = "last period, repeated"
 
-    def fitted_function(self, y: Array) -> LastPeriod:
-        """Return the last period and the trend."""
-        return LastPeriod.fit(y)
+    _fitted_to = staticmethod(LastPeriod.fit)
 
     def _part(self, outside: bool = False) -> Part:
-        """Return the part that repeats the period."""
-        return Repeated(self.baseline)
+        """Return the part that rotates the period by a sample at each sample."""
+        last = self.baseline
 
+        def initial(known: ForecastContext | None) -> State:
+            begin = round(_begin(known))
+            period = np.roll(last.period, (last.end - begin) % last.lag, axis=0)
+            return {"time": np.array(float(begin)), "period": period}
 
-class Repeated(Part):
-    """Repeat the last period of a record on its trend."""
+        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+            period = state["period"]
+            following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
+            both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
+            values = both + last.trend.predict(state["time"], 1 + ahead)
+            return {"time": state["time"] + 1, "period": following}, values[..., None]
 
-    def __init__(self, last: LastPeriod) -> None:
-        self.last = last
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return the time of the first sample, and the period from there on."""
-        begin = 0 if known is None or known.begin is None else round(known.begin)
-        rolled = np.roll(self.last.period, (self.last.end - begin) % self.last.lag, axis=0)
-        return {"time": np.array(float(begin)), "period": rolled}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the first sample of the period on the trend, and rotate the period by one."""
-        period = state["period"]
-        following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
-        both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
-        values = both + self.last.trend.predict(state["time"], 1 + ahead)
-        return {"time": state["time"] + 1, "period": following}, values[..., None]
+        return Part(row, initial)
 
 
 @final
@@ -239,10 +186,7 @@ class Harmonic(_ByTime):
 
     _slow_part = "sinusoids"
     _words = "sinusoids and a trend, fitted"
-
-    def fitted_function(self, y: Array) -> ByTime:
-        """Return the sum of sinusoids."""
-        return harmonic(y)
+    _fitted_to = staticmethod(harmonic)
 
 
 @final
@@ -253,18 +197,18 @@ class Periodic(_ByTime):
 
     _slow_part = "periodic waveform"
     _words = "periodic waveform, fitted"
-
-    def fitted_function(self, y: Array) -> ByTime:
-        """Return the sum of harmonics and vibrations."""
-        return periodic(y)
+    _fitted_to = staticmethod(periodic)
 
 
-def _rmse_of_channels(errors: Array) -> Array:
+def _errors(y: Array, predicted: Array) -> Array:
     """Return the RMSE of each channel, `(ny,)`; 0 where nothing was measured."""
-    return np.sqrt(np.nansum(errors**2, axis=0) / np.maximum((~np.isnan(errors)).sum(axis=0), 1))
+    return np.nan_to_num(channel_rmse(y, predicted))
 
 
-def _whole(begin: float | None) -> float:
-    """Return the time as an integer where it is one, so that times are equal to the bit."""
-    assert begin is not None, "what depends on the time is not asked about other records"
+def _begin(known: ForecastContext | None) -> float:
+    """Return the time of a history's first sample; 0 for another record, or none.
+
+    It is an integer where it can be, so that times are equal to the bit.
+    """
+    begin = 0.0 if known is None or known.begin is None else known.begin
     return int(begin) if begin == int(begin) else begin

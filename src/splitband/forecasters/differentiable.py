@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from splitband.forecasters.prediction import ForecastContext, continued, median, total
+from splitband.forecasters.prediction import ForecastContext, continued, extrapolated, median
 from splitband.models import Model, Signals
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -64,20 +64,14 @@ class TorchSimulation(nn.Module):
 
 
 class Affine(nn.Module):
-    """Simulate a forecaster that is affine in the inputs, or does not depend on them.
-
-    Parameters
-    ----------
-    forecaster : Fitted, and `affine`.
-    known : The data at the origin, with `steps` 0.
-    """
+    """Simulate a fitted forecaster that is `affine`, from what is known at the origin."""
 
     def __init__(self, forecaster: Forecaster, known: ForecastContext) -> None:
         super().__init__()
         self._forecaster, self._known = forecaster, known
 
     def forward(self, u: Tensor) -> Tensor:
-        """Return the samples after the history `(batch, steps, ny)` for `u` `(batch, steps, nu)`.
+        """Return the samples `(batch, steps, ny)` for inputs `(batch, steps, nu)`.
 
         They are the response to zero inputs plus the convolution with the impulse responses.
         """
@@ -101,23 +95,15 @@ class Affine(nn.Module):
         if known.y_sim is not None:
             n = len(known.y)
             continued("y_sim", known.y_sim[:n], known.y_sim[n:], None, len(u))
-        found = self._forecaster.extrapolate(replace(known, steps=len(u), u=inputs))
-        return torch.from_numpy(total([*found.values()] if isinstance(found, dict) else [found]))
+        known = replace(known, steps=len(u), u=inputs)
+        return torch.from_numpy(extrapolated(self._forecaster, known)[0])
 
 
 class ModelSimulation(nn.Module):
-    """Simulate a trained model from a warm-up.
+    """Simulate a copy of a trained model, from a warm-up of outputs, inputs and the base's output.
 
-    Parameters
-    ----------
-    model : Trained; it is copied.
-    warmup : Its samples `(warmup, ny)`, and the inputs and the base's output from its first sample
-        up to the origin.
-    since : Samples from the end of the warm-up to the origin.
-    late : The last inputs before the origin, not delayed, `(time, nu)`; at least as many as the
-        longest of the `delays`.
-    delays : Of the inputs, in samples.
-    base : Simulates the base of a hybrid, or None.
+    The origin is `since` samples after its end. `late` are inputs before the origin, not delayed,
+    at least as many as the longest of the `delays`; `base` simulates that of a hybrid.
     """
 
     def __init__(

@@ -10,8 +10,8 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.prediction import ForecastContext, median_components, total
-from splitband.forecasters.stepping import Medians, Recursion
+from splitband.forecasters.prediction import ForecastContext, extrapolated, median_components
+from splitband.forecasters.stepping import Recursion, medians
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -146,41 +146,34 @@ class Ensemble(Forecaster):
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with its own numbered checkpoint file."""
-        seed, progress, checkpoint = how["seed"], how["progress"], how["checkpoint"]
-        starts = [None] * self.count if how["start"] is None else self._starts(how["start"])
-        each = zip(self.templates, self.seeds, starts, strict=True)
-        for i, (template, of_first, start) in enumerate(each):
-            of_member = None if checkpoint is None else checkpoint.numbered(i)
-            watch = None if progress is None else _shifted(progress, i, self.count)
-            member = template.clone()
-            own = seed * (max(self.seeds) + 1) + of_first
-            member.fit(*records, seed=own, start=start, progress=watch, checkpoint=of_member)
+        seed, start, progress, checkpoint = (
+            how["seed"], how["start"], how["progress"], how["checkpoint"]
+        )  # fmt: skip
+        starts = [None] * self.count if start is None else [*getattr(start, "members", ())]
+        if len(starts) != self.count:
+            raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
+        for i, template in enumerate(self.templates):
+            member = template.clone().fit(
+                *records,
+                seed=seed * (max(self.seeds) + 1) + self.seeds[i],
+                start=starts[i],
+                progress=None if progress is None else _shifted(progress, i, self.count),
+                checkpoint=None if checkpoint is None else checkpoint.numbered(i),
+            )
             self.members.append(member)
         self._take(self.members, seed)
 
-    def _starts(self, start: Forecaster) -> list[Forecaster | None]:
-        """Return the trained members to go on from; raises ValueError for another forecaster."""
-        members: list[Forecaster | None] = [*getattr(start, "members", ())]
-        if len(members) != self.count:
-            raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
-        return members
-
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
-        """Return the median of the members, by component where all have the same components.
-
-        At each sample the components are those of the members in the middle, so that they add up.
-        """
-        extrapolated = [member.extrapolate(known) for member in self.members]
-        parts: list[dict[str, Array]] = [
-            each if isinstance(each, dict) else {self.name: each} for each in extrapolated
-        ]
+        """Return the median of the members, by component where all have the same components."""
+        found = [extrapolated(member, known) for member in self.members]
+        parts = [each for _, each in found]
         if any(each.keys() != parts[0].keys() for each in parts):
-            parts = [{self.name: total([*each.values()])} for each in parts]
-        return median_components(parts, [total([*each.values()]) for each in parts])
+            parts = [{"": y} for y, _ in found]
+        return median_components(parts, [y for y, _ in found])
 
     def _stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""
-        return Medians([member._stepped(outside) for member in self.members])
+        return medians([member._stepped(outside) for member in self.members])
 
     def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return the module that simulates the median of the members."""
@@ -190,8 +183,7 @@ class Ensemble(Forecaster):
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""
-        said = [doubt for member in self.members for doubt in member.doubts(known)]
-        return [*dict.fromkeys(said)]
+        return [*dict.fromkeys(said for member in self.members for said in member.doubts(known))]
 
     def describe(self) -> str:
         """Return the description of the first fitted member."""

@@ -77,36 +77,28 @@ class Fitted:
         if self.start is not None:
             as_stamp(self.start)
 
-    @property
-    def several(self) -> bool:
-        """Return whether there were further training records."""
-        return bool(self.others) or not self.whole
+    def reporting(self, **changes: Any) -> Fitted:
+        """Return it with changes to the report."""
+        return replace(self, report=replace(self.report, **changes))
 
     def end(self, first: int) -> Fitted:
         """Return the version to save, with the training record from its sample `first` on."""
         end = replace(self.record[first:], beyond=None, u_beyond=None)
+        whole, begin = self.whole and not self.others, self.begin + first
         # Without the run time, the same fit is saved as the same file, byte by byte.
-        report = replace(self.report, seconds=0.0)
-        whole = self.whole and not self.others
-        begin = self.begin + first
-        return replace(self, record=end, begin=begin, others=(), report=report, whole=whole)
+        saved = self.reporting(seconds=0.0)
+        return replace(saved, record=end, begin=begin, others=(), whole=whole)
 
     @classmethod
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:
         """Return records, ranges and an empty report, before the fit."""
         seen = np.concatenate([record.y_with_gaps for record in records])
-        inputs = [record.u for record in records if record.u is not None]
-        return cls(
-            records[0],
-            0,
-            records[0].start,
-            np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)]),
-            np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
-            if inputs
-            else None,
-            tuple(records[1:]),
-            FitReport(seed),
-        )
+        y_range = np.stack([np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)])
+        inputs, u_summary = [record.u for record in records if record.u is not None], None
+        if inputs:
+            u_summary = np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
+        first, *others = records
+        return cls(first, 0, first.start, y_range, u_summary, tuple(others), FitReport(seed))
 
     def begins(self, history: Record) -> float:
         """Return where a history begins, in samples after the first training sample."""
@@ -153,4 +145,5 @@ class Fitted:
 
 def first_only(fitted: Fitted) -> str:
     """Return the end of a description, on further training records that were not used."""
-    return "; fitted to the first record only" if fitted.several else ""
+    several = fitted.others or not fitted.whole
+    return "; fitted to the first record only" if several else ""

@@ -13,7 +13,7 @@ import numpy as np
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.simulation import Given
+from splitband.forecasters.simulation import given
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
@@ -114,12 +114,6 @@ class GreyBox(Forecaster):
             return {}
         return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
 
-    def _given(self, simulator: Any) -> Forecaster:
-        """Return it with this simulator, if it has none; else itself."""
-        if self.simulator is not None:
-            return self
-        return self.clone().set_params(simulator=simulator)
-
     def check(self, *records: Record) -> None:
         """Raise ValueError for unsuitable records, and where it has no simulator."""
         super().check(*records)
@@ -146,26 +140,20 @@ class GreyBox(Forecaster):
         """Fit the parameters to all records together."""
         checkpoint = how["checkpoint"]
         folder = None if checkpoint is None else checkpoint.path.parent
-        self.estimate = self._estimated(records, Effort(self.starts, self.seconds, folder=folder))
+        self.estimate = self._prepare(records, folder=folder)
         simulator = self._matched(records[0])
         experiments = [Experiment.of(record, simulator) for record in records]
         adjusted = Adjusted.of(simulator, self.estimate, experiments)
         self.adjusted = replace(adjusted, simulator=None)
         self.u = records[0].u
         self.memory = self._chosen_memory(experiments[0])
-        fitted = self.require_fitted()
-        self.fitted = replace(fitted, report=replace(fitted.report, cut=self.estimate.cut))
+        self.fitted = self.require_fitted().reporting(cut=self.estimate.cut)
 
     def _prepare(
-        self,
-        records: Sequence[Record],
-        workers: int | Executor = 1,
-        folder: Path | None = None,
-    ) -> None:
-        """Fit the parameters once for all hybrids, seeds and trials."""
-        self._estimated(records, Effort(self.starts, self.seconds, workers, folder))
-
-    def _estimated(self, records: Sequence[Record], effort: Effort) -> Estimate:
+        self, records: Sequence[Record], workers: int | Executor = 1, folder: Path | None = None
+    ) -> Estimate:
+        """Return the parameters, fitted once for all hybrids, seeds and trials."""
+        effort = Effort(self.starts, self.seconds, workers, folder)
         return estimated(_Fit(self._matched(records[0]), tuple(records), effort))
 
     def _matched(self, record: Record) -> Any:
@@ -174,10 +162,9 @@ class GreyBox(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation from the state estimated from the last samples of the history."""
-        memory = min(self.memory or len(known.y), len(known.y))
-        if memory == len(known.y):
+        if not 0 < self.memory < len(known.y):
             return self.trajectory(known)[len(known.y) :]
-        return self._ahead(self._experiment(known), len(known.y), memory)
+        return self._ahead(self._experiment(known), len(known.y), self.memory)
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return the simulation over the history and the forecast, `(time + steps, ny)`.
@@ -199,18 +186,54 @@ class GreyBox(Forecaster):
         """Return the simulator, integrated from the first state of the training record on."""
         if outside:
             ny = self.require_fitted().record.ny
-            return Given(np.ones(ny), np.zeros(ny), self.trajectory)
-        return _Solved(self)
+            return given(np.ones(ny), np.zeros(ny), self.trajectory)
+        if not getattr(self.simulator, "advances", False):
+            raise NotSteppedError(f"{self.name} has a simulator that does not go on from a state")
+        adjusted = self._adjusted()
+
+        def run(
+            x: Array | None, first: float, samples: int, u: Array | None, size: float = 0.0
+        ) -> State:
+            """Return the state at the last of some samples, of which the first has the state x."""
+            y, x, size = adjusted.advance(x, self._times(first, samples), u, size)
+            last = None if u is None else u[-1]
+            return {"x": x[-1], "y": y[-1], "u": last, "at": first + samples - 1, "size": size}
+
+        def moved(now: State | None, u: Array) -> State:
+            inputs = u[None] if len(u) else None
+            if now is None:  # before the first sample of all
+                return run(None, 0.0, 1, inputs)
+            inputs = None if inputs is None else np.stack([now["u"], u])
+            return run(now["x"], now["at"], 2, inputs, now["size"])
+
+        def initial(known: ForecastContext | None) -> State:
+            if known is None or not self._anchored(known):
+                raise NotSteppedError(f"{self.name} begins in a state that its history tells")
+            begin = int(known.begin or 0)
+            before = None if self.u is None else self.u[:begin]
+            return {"now": run(None, 0.0, begin, before) if begin else None}
+
+        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+            now = later = moved(state["now"], u)
+            rows = [now["y"]]
+            for _ in range(ahead):  # with the same inputs
+                later = moved(later, u)
+                rows.append(later["y"])
+            return {"now": now}, np.stack(rows)[..., None]
+
+        return Part(row, initial)
 
     def _stepped(self, outside: bool = False) -> Recursion:
-        """Return the simulator, with its state estimated from `memory` samples."""
+        """Return the simulator, unless its state is estimated from the last samples."""
         if outside:
             raise NotSteppedError(
                 f"{self.name} cannot be exported: its equation is your own code; integrate it "
                 "there, with the values that describe() prints, or export a hybrid on it, whose "
                 "network takes what the equation says as y_sim"
             )
-        return _FromMemory(self)
+        if self.memory:
+            raise NotSteppedError(f"{self.name} estimates its state from {self.memory} samples")
+        return super()._stepped()
 
     def describe(self) -> str:
         """Return the values with standard errors, and those that the record does not determine."""
@@ -235,17 +258,14 @@ class GreyBox(Forecaster):
 
     def _experiment(self, known: ForecastContext) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""
+        begin = known.begin
+        if begin is None:  # of another record, which has its own clock
+            start = None if known.grid is None else known.grid.start
+            since = origin(self.simulator, start) - float(self._times(0.0, 1)[0])
+            begin = since / self.require_fitted().record.sampling_time
         ahead = np.full((known.steps, known.y.shape[1]), np.nan)
-        time = self._times(self._place(known), len(known.y) + known.steps)
+        time = self._times(begin, len(known.y) + known.steps)
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)
-
-    def _place(self, known: ForecastContext) -> float:
-        """Return where a history begins, in samples after the first one of training."""
-        if known.begin is not None:
-            return known.begin
-        start = None if known.grid is None else known.grid.start
-        since = origin(self.simulator, start) - float(self._times(0.0, 1)[0])
-        return since / self.require_fitted().record.sampling_time
 
     def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
         """Return the simulation after `samples`, from a state estimated on the last `memory`."""
@@ -282,117 +302,3 @@ class GreyBox(Forecaster):
                 best, chosen = found, length
             length *= GROWTH
         return chosen
-
-
-class _Solved(Part):
-    """Go on sample by sample by the simulator's own solver, from the first state of training.
-
-    Raises NotSteppedError for a simulator without a method `advance` like that of `Ode`.
-    """
-
-    def __init__(self, model: GreyBox) -> None:
-        if not getattr(model.simulator, "advances", False):
-            raise NotSteppedError(f"{model.name} has a simulator that does not go on from a state")
-        self.model, self.adjusted = model, model._adjusted()
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return the state at the last sample before the history; None before the first of all.
-
-        Raises NotSteppedError where the inputs before it are not known: the initial state is then
-        estimated from the history, and changes with each sample.
-        """
-        if known is None or not self.model._anchored(known):
-            raise NotSteppedError(f"{self.model.name} begins in a state that its history tells")
-        begin, u = int(known.begin or 0), self.model.u
-        return {"now": self.run(None, 0.0, begin, None if u is None else u[:begin])}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the channels at the sample and, with the same inputs, at `ahead` more."""
-        inputs = u if len(u) else None
-        now = later = self.moved(state["now"], inputs)
-        rows = [now["y"]]
-        for _ in range(ahead):
-            later = self.moved(later, inputs)
-            rows.append(later["y"])
-        return {"now": now}, np.stack(rows)[..., None]
-
-    def run(self, x: Array | None, first: float, samples: int, u: Array | None) -> State | None:
-        """Return the state at the last of some samples, of which the first has the state `x`."""
-        if not samples:
-            return None
-        found = self.adjusted.advance(x, self.model._times(first, samples), u)
-        return self._state(found, first + samples - 1, u)
-
-    def moved(self, now: State | None, u: Array | None) -> State:
-        """Return the state at the next sample, whose inputs are `u`."""
-        if now is None:
-            begun = self.run(None, 0.0, 1, None if u is None else u[None])
-            assert begun is not None
-            return begun
-        inputs = None if u is None else np.stack([now["u"], u])
-        times = self.model._times(now["at"], 2)
-        found = self.adjusted.advance(now["x"], times, inputs, now["size"])
-        return self._state(found, now["at"] + 1, inputs)
-
-    def _state(self, found: Any, at: float, u: Array | None) -> State:
-        y, x, size = found
-        last = None if u is None else u[-1]
-        return {"x": x[-1], "y": y[-1], "u": last, "at": at, "size": size}
-
-
-class _FromMemory(Recursion):
-    """Run a grey box alone: a forecast starts from a state estimated on the last samples."""
-
-    def __init__(self, model: GreyBox) -> None:
-        self.model, self.simulator, self.memory = model, _Solved(model), model.memory
-        self.ny, self.nu = model.require_fitted().record.ny, model.require_fitted().record.nu
-
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the state before a history.
-
-        Raises NotSteppedError where the state has to be estimated from all samples.
-        """
-        if known is None or not (self.memory or self.model._anchored(known)):
-            raise NotSteppedError(f"{self.model.name} asks for all samples of its history")
-        anchored = self.model._anchored(known)
-        return {
-            "part": self.simulator.initial(known) if anchored else None,
-            "run": None,
-            "rows": 0,
-            "next": self.model._place(known),
-            "y": np.empty((0, self.ny)),
-            "u": np.empty((0, self.nu)),
-        }
-
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the state after a sample, and its forecast if it was not measured."""
-        part, run, rows = state["part"], state["run"], state["rows"]
-        if part is not None:
-            part, _ = self.simulator.row(part, u, y_sim, 0)
-        missing, predicted = np.isnan(y), y
-        if missing.any():
-            inputs = u if self.nu else None
-            if run is None and part is not None:
-                run = part["now"]
-            else:
-                run = self.simulator.moved(run or self._network_inputs(state), inputs)
-            predicted = run["y"]
-        begin = max(len(state["y"]) + 1 - self.memory, 0)
-        new = {
-            "part": part if not self.memory or rows < self.memory else None,
-            "run": run if missing.all() else None,
-            "rows": rows + 1,
-            "next": state["next"] + 1,
-            "y": np.concatenate([state["y"], y[None]])[begin:],
-            "u": np.concatenate([state["u"], u[None]])[begin:],
-        }
-        return new, predicted, True
-
-    def _network_inputs(self, state: State) -> State:
-        """Return the state at the last sample, estimated on the samples in memory."""
-        y, u = state["y"], state["u"] if self.nu else None
-        first = state["next"] - len(y)
-        history = Experiment(self.model._times(first, len(y)), y, u)
-        now = self.simulator.run(self.simulator.adjusted.beginning(history), first, len(y), u)
-        assert now is not None
-        return now

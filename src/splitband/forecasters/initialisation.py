@@ -48,16 +48,9 @@ def _fitted(most: int, *records: tuple[Array, Array]) -> LinearModel:
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
     """Set the linear parts of a model's networks to linear models, in place.
 
-    They then simulate like `baselines.linear`, with at most as many poles as they have states.
-    Networks without a linear part, of a down-sampled band, or of records without inputs do not
-    change.
-
-    Parameters
-    ----------
-    model : Not trained.
-    records : The training records, with delayed inputs and the base's output.
-    normalize : See `Settings`.
-    seed : For states that the linear model does not have.
+    They then simulate like `baselines.linear`, with at most as many poles as they have states; the
+    `seed` is for states beyond these. Networks without a linear part, of a down-sampled band, or of
+    records without inputs do not change. `records` have delayed inputs and the base's output.
     """
     linear = any(isinstance(part, LinearPart) for part in model.modules())
     if not (model.feedthrough and linear):
@@ -105,16 +98,10 @@ def _set(
 def state_estimator(
     runs: Sequence[tuple[Array, Array]], states: Sequence[Array], samples: int
 ) -> tuple[Array, Array]:
-    """Fit a linear map from a window of `y` and `u` to the state at its first sample.
+    """Fit a linear map from windows of some samples of y and u to the states at their beginning.
 
-    Returns the matrix and the constant of the map, by ridge regression over all windows of the
-    records without gaps.
-
-    Parameters
-    ----------
-    runs : `y` `(time, ny)`, NaN in gaps, and the network's inputs `(time, nu)`, of each record.
-    states : States in each record, `(time, states)`.
-    samples : Samples of a window; its values are ordered sample by sample, y before u.
+    Returns matrix and constant, by ridge regression over the windows without gaps. `runs` are y and
+    the network's inputs in each record; in a window they are ordered sample by sample, y first.
     """
     seen, wanted = [], []
     for (y, u), x in zip(runs, states, strict=True):

@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from splitband.forecasters.prediction import Prediction
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
@@ -52,11 +51,7 @@ class Interval:
     share: float = 0.9
 
     def widened(self, size: Array) -> Interval:
-        """Return it widened until its mean half-width covers normal errors of this RMS.
-
-        `size` is the RMS by horizon, `(time, ny)`; both are averaged over the horizon. An interval
-        that is wide enough stays as it is.
-        """
+        """Return it as wide, on average, as normal errors of this RMS `(time, ny)` need."""
         if not len(size):
             return self
         needed = _quantile(self.share) * np.sqrt(np.mean(size**2, axis=0))
@@ -78,24 +73,17 @@ class Interval:
         return np.asarray(np.arange(1.0, steps + 1)[:, None] ** np.array(self.exponent))
 
     def coverage(self, errors: Array) -> float:
-        """Return the share of errors `(time, ny)`, by horizon, that lie inside, 0 to 1.
-
-        NaN errors, which were not measured, are ignored; NaN is returned where all of them are.
-        """
-        return _share(self._inside(errors))
+        """Return the share of measured errors `(time, ny)`, by horizon, that lie inside, 0 to 1."""
+        return _share(abs(errors) <= self.half_widths(len(errors)), errors)
 
     def coverages(self, errors: Array) -> tuple[float, ...]:
         """Return the coverage of each channel."""
-        return tuple(_share(channel) for channel in self._inside(errors).T)
-
-    def _inside(self, errors: Array) -> Array:
-        """Return 1 where an error lies inside and 0 where not; NaN stays."""
         inside = abs(errors) <= self.half_widths(len(errors))
-        return np.where(np.isnan(errors), np.nan, inside)
+        return tuple(map(_share, inside.T, errors.T))
 
 
-def _share(inside: Array) -> float:
-    known = inside[~np.isnan(inside)]
+def _share(inside: Flags, errors: Array) -> float:
+    known = inside[~np.isnan(errors)]
     return float(known.mean()) if len(known) else np.nan
 
 
@@ -117,7 +105,7 @@ class HeldOut:
     errors: tuple[Array, ...]
     largest: Array
     deviation: Array
-    bounded: npt.NDArray[np.bool_]
+    bounded: Flags
     doubt: Array | None = None
     _known: dict[float, Interval] = field(default_factory=dict, init=False, repr=False)
 
@@ -132,13 +120,7 @@ class HeldOut:
 
     @classmethod
     def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:
-        """Return the errors with the statistics of the training record.
-
-        Parameters
-        ----------
-        errors : See the attribute; all of them end at the same sample.
-        y : The training record, `(time, ny)`, NaN in gaps.
-        """
+        """Return errors that end at the same sample, with statistics of the training record `y`."""
         known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
         if not known.any(axis=0).all():
             raise InputError("errors must have a sample at least, in every channel")
@@ -147,14 +129,10 @@ class HeldOut:
 
     def interval(self, share: float) -> Interval:
         """Return the interval that should hold `share` of the samples, 0 to 1; it is cached."""
-        if share not in self._known:
-            found = self._interval(share)
-            self._known[share] = found if self.doubt is None else found.widened(self.doubt)
-        return self._known[share]
-
-    def _interval(self, share: float) -> Interval:
         if not 0 < share < 1:
             raise InputError(f"share must lie between 0 and 1, got {share}")
+        if share in self._known:
+            return self._known[share]
         # Rounding errors remain even where a forecast is exact.
         least = 16 * np.finfo(np.float64).eps * self.largest
         laws = [_law([e[:, i] for e in self.errors], share) for i in range(len(least))]
@@ -165,7 +143,9 @@ class HeldOut:
             max(float(limit), size) if bounded else None
             for limit, size, bounded in zip(without_skill, first, self.bounded, strict=True)
         )
-        return Interval(tuple(first), tuple(exponent for _, exponent in laws), most, share)
+        found = Interval(tuple(first), tuple(exponent for _, exponent in laws), most, share)
+        self._known[share] = found if self.doubt is None else found.widened(self.doubt)
+        return self._known[share]
 
 
 def _quantile(share: float) -> float:

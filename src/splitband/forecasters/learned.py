@@ -12,7 +12,7 @@ from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
-from splitband.forecasters.simulation import Simulation
+from splitband.forecasters.simulation import Simulation, SimulatorForecaster
 from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
@@ -50,11 +50,9 @@ class Single(Network):
 
     def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with one network, which runs at every sample."""
-        cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
-        return models.Recurrent(cell, record.nu > 0)
+        return models.Recurrent(self._sized(self.cell, record, settings), record.nu > 0)
 
-    def in_words(self) -> str:
-        """Return a description."""
+    def _model_in_words(self) -> str:
         return f"{words_of(self.cell)} network"
 
     def _derived_name(self) -> str:
@@ -115,9 +113,8 @@ class Split(Network):
         # With k = 1 the slow network also runs at every sample, with this input and the next.
         nu = record.nu * (2 if bands.downsampling == 1 else 1)
         low = self.low.sized(record.ny, nu, settings.warmup)
-        high = self.high.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         return models.Split(
-            [low, high],
+            [low, self._sized(self.high, record, settings)],
             bands.pair(record.sampling_rate),
             bands.downsampling,
             self.filter_output,
@@ -127,15 +124,12 @@ class Split(Network):
             self.alignment,
         )
 
-    def in_words(self) -> str:
-        """Return a description."""
+    def _model_in_words(self) -> str:
         kinds = dict.fromkeys(words_of(cell) for cell in (self.low, self.high))
         said = f"two {' and '.join(kinds)} networks, one for "
         if self.filter_output:
-            said += "each band, the output of the second high-passed"
-        else:
-            said += "the low band and one for the high band"
-        return said + self._conditioning_note
+            return said + "each band, the output of the second high-passed"
+        return said + "the low band and one for the high band"
 
     def _shortest_warmup(self) -> int:
         return 3 * ((self.bands.order or 1) + 1)
@@ -203,15 +197,13 @@ class Filtered(Network):
     def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with a network and a high-pass filter."""
         bands = self._bands_for(record, settings)
-        cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
         pair = bands.one_way_pair(record.sampling_rate)
+        cell = self._sized(self.cell, record, settings)
         return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
 
-    def in_words(self) -> str:
-        """Return a description."""
+    def _model_in_words(self) -> str:
         slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
-        words = f"{slow} in the low band, {network} network in the high band"
-        return words + self._conditioning_note
+        return f"{slow} in the low band, {network} network in the high band"
 
     def _shortest_warmup(self) -> int:
         return (self.bands.order or 1) - 1
@@ -219,11 +211,9 @@ class Filtered(Network):
     def _remarks(self, record: Record) -> list[str]:
         """Return a remark where the training samples favour a network whose output is zero."""
         bands = self._bands_for(record, self._settings_for(record))
-        assert bands.cutoff is not None
-        assert bands.order is not None
         assert record.y_sim is not None
-        reachable = oracle(record.y, record.y_sim, record.sampling_rate, bands.cutoff, bands.order,
-                       record.y_with_gaps)  # fmt: skip
+        reachable = oracle(record.y, record.y_sim, record.sampling_rate, *bands._filter(),
+                           record.y_with_gaps)  # fmt: skip
         if not reachable.nothing_to_learn:
             return []
         advice = "" if self._calibrates else "; calibrating it may change that"
@@ -267,18 +257,20 @@ class Residual(Network):
 
     def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with a network and no filters."""
-        cell = self.cell.sized(record.ny, self._fast_network_inputs(record), settings.warmup)
+        cell = self._sized(self.cell, record, settings)
         return models.Residual(cell, self.conditioned, record.nu > 0)
 
-    def in_words(self) -> str:
-        """Return a description."""
+    def _model_in_words(self) -> str:
         slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
-        words = f"{slow} plus {network} network that learns its error"
-        return words + self._conditioning_note
+        return f"{slow} plus {network} network that learns its error"
 
     def _derived_name(self) -> str:
         return _name("residual", self.base, self.cell, self.conditioned)
 
 
 def _name(kind: str, base: Forecaster, cell: Template, conditioned: bool) -> str:
-    return base._hybrid_name(kind, label_of(cell)) + CONDITIONED * conditioned
+    """Return the name of a hybrid; a simulator shows in it by what is calibrated."""
+    name = f"{kind}-{base.name}-{label_of(cell)}"
+    if isinstance(base, SimulatorForecaster):
+        name = f"{kind}-{label_of(cell)}{base._suffix}"
+    return name + CONDITIONED * conditioned

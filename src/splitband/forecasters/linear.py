@@ -19,7 +19,7 @@ from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.stepping import DelayLine, Part, State
+from splitband.forecasters.stepping import Part, State, delay_line
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
@@ -89,16 +89,16 @@ class Linear(Forecaster):
         integrators = None if self.integrators == "auto" else self.integrators
         self.model = identified(seen, self.order, self._delays(records[0]), integrators)
         self.delays = self.model.delays
-        fitted = self.require_fitted()
-        stable = bool((abs(self.model.poles()) < 1).all())
-        report = replace(fitted.report, cut=current().over, notes=tuple(self._notes(records)),
-                         stable=stable)  # fmt: skip
-        self.fitted = replace(fitted, report=report)
+        self.fitted = self.require_fitted().reporting(
+            cut=current().over,
+            notes=tuple(self._notes(records)),
+            stable=bool((abs(self.model.poles()) < 1).all()),
+        )
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation after the history, from the state at its end."""
         assert known.u is not None
-        time, before = len(known.y), self._before(known)
+        time, before = len(known.y), _inputs_before(self.u, known)
         if not known.own or before is None:
             return self.model.continued(known.u, known.y, before)[0][time:]
         return self.model.simulate(known.u, self.model.last, before, time)
@@ -111,18 +111,13 @@ class Linear(Forecaster):
         """
         assert known.u is not None
         y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
-        return self.model.without_filter.continued(known.u, y, self._before(known))[0]
+        return self.model.without_filter.continued(known.u, y, _inputs_before(self.u, known))[0]
 
     def _as_simulator(self) -> Self:
         """Return it without its Kalman filter, for the slow component of a hybrid."""
         new = copy(self)
         new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
         return new
-
-    def _linear_model(self) -> LinearModel:
-        """Return the fitted model itself."""
-        self.require_fitted()
-        return self.model
 
     def accuracy(self) -> Accuracy:
         """Return poles, static gains, the frequency response and delays with standard errors.
@@ -136,7 +131,7 @@ class Linear(Forecaster):
 
     def _part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""
-        return Driven(self.model, self.u)
+        return _driven(self.model, self.u)
 
     def state_space(self) -> scipy.signal.StateSpace:
         """Return the fitted model as a discrete-time system, delays included.
@@ -182,28 +177,22 @@ class Linear(Forecaster):
         late = fitted.late_inputs(self.delays)
         return "; ".join(filter(None, [str(self.model), late, *fitted.report.notes]))
 
-    def _before(self, known: ForecastContext) -> Array | None:
-        """Return the inputs from the first training sample to the history; None if unknown."""
-        begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
-        return self.u[:begin] if 0 <= begin <= len(self.u) else None
-
     def _delays(self, record: Record) -> npt.NDArray[np.int_] | None:
         """Return the given delays `(ny, nu)`; raises ValueError for what is none."""
         if self.delay is None:
             return None
-        try:
-            rows = np.asarray(self.delay, dtype=np.float64)
-            found = np.broadcast_to(rows, (record.ny, record.nu)).astype(int)
-        except (TypeError, ValueError):
-            rows, found = np.array(np.nan), np.zeros((record.ny, record.nu), int)
         limit = min(LONGEST_DELAY, len(record) - 1)
-        if not (np.isfinite(rows).all() and (found == rows).all() and (found >= 0).all()
-                and (found <= limit).all()):  # fmt: skip
+        try:
+            found = np.broadcast_to(np.asarray(self.delay, float), (record.ny, record.nu))
+            good = bool(((found == np.rint(found)) & (found >= 0) & (found <= limit)).all())
+        except (TypeError, ValueError):
+            good = False
+        if not good:
             raise InputError(
                 f"delay must be whole numbers of samples from 0 to {limit}: one for all inputs, "
                 f"one for each of {record.nu}, or {record.ny} rows of these, got {self.delay!r}"
             )
-        return found
+        return found.astype(int)
 
     def _notes(self, records: Sequence[Record]) -> list[str]:
         """Return remarks on inputs that tell nothing."""
@@ -218,73 +207,67 @@ class Linear(Forecaster):
         return said
 
 
-class Driven(Part):
-    """Simulate a linear model, and observe with its Kalman filter.
+def _driven(model: LinearModel, training: Array) -> Part:
+    """Return the simulation of a linear model, which observes with its Kalman filter.
 
-    `u`: inputs of the training record from its first sample on, `(time, nu)`.
+    `training`: inputs of the training record from its first sample on, `(time, nu)`.
     """
+    inputs = [i for i, _ in model.taps]
+    delays = [delay for _, delay in model.taps]
+    line, delayed = delay_line(delays)
+    white, n = model.whitener(), model.order
+    unknown = np.array(model.late, dtype=np.float64)
 
-    def __init__(self, model: LinearModel, u: Array) -> None:
-        self.model, self.u = model, u
-        self.inputs = [i for i, _ in model.taps]
-        self.line = DelayLine(tuple(delay for _, delay in model.taps))
-        self.white = model.whitener()
-        self.late = np.array(model.late, dtype=np.float64)
-
-    def initial(self, known: ForecastContext | None) -> State:
+    def initial(known: ForecastContext | None) -> State:
         """Return the expected state: simulated from the training record, or the training mean."""
-        model, n = self.model, self.model.order
-        begin = -1 if known is None or known.begin is None or known.begin % 1 else int(known.begin)
-        expected = 0 <= begin <= len(self.u)
-        before = self.u[:begin] if expected else self.u[:0]
-        line = self.line.initial()
-        if len(before) and line:
-            longest = max(self.line.delays)
-            rows = np.concatenate([np.repeat(before[:1], longest, axis=0), before])
-            past = rows[len(rows) - longest :][:, self.inputs]
-            line = {"past": past, "filled": np.ones(())}
+        before = None if known is None else _inputs_before(training, known)
+        past = line
+        for u in [] if before is None else before[max(len(before) - max(delays, default=0), 0) :]:
+            past, _ = delayed(past, u[inputs])
         return {
-            "line": line,
-            "x": model.state_after(before) if expected else model.centre,
+            "line": past,
+            "x": model.centre if before is None else model.state_after(before),
             "answers": model.root,
             "information": np.zeros((n, n)),
             "towards": np.zeros(n),
-            "age": np.array(float(len(before))),
-            "usual": np.array(0.0 if expected else 1.0),
+            "age": np.array(0.0 if before is None else float(len(before))),
+            "usual": np.array(1.0 if before is None else 0.0),
         }
 
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the predicted sample, and its derivatives by the initial state."""
-        model = self.model
-        tapped = np.stack([u[i] for i in self.inputs])
-        line, acting = self.line.tick(state["line"], tapped)
-        acting = acting - model.mean[self.inputs]
+    def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        past, acting = delayed(state["line"], np.stack([u[i] for i in inputs]))
+        acting = acting - model.mean[inputs]
         x, answers = state["x"], state["answers"]
         y = model.c @ x + model.d @ acting + model.offset
-        row = np.concatenate([y[:, None], model.c @ answers], axis=1)
+        rows = np.concatenate([y[:, None], model.c @ answers], axis=1)
         x = model.a @ x + model.b @ acting + model.drift
-        return state | {"line": line, "x": x, "answers": model.a @ answers}, row[None]
+        return state | {"line": past, "x": x, "answers": model.a @ answers}, rows[None]
 
-    def correct(self, state: State, row: Array, y: Array) -> State:
-        """Return the state after a measured sample."""
-        gain = self.model.gain
-        left = y - row[:, 0]
-        seen = np.logical_not(np.isnan(left)) & (state["age"] >= self.late)
+    def correct(state: State, rows: Array, y: Array) -> State:
+        left = y - rows[:, 0]
+        seen = np.logical_not(np.isnan(left)) & (state["age"] >= unknown)
         left = np.where(seen, left, 0.0)
-        response = np.where(seen[:, None], row[:, 1:], 0.0)
-        counted = self.white @ response
+        response = np.where(seen[:, None], rows[:, 1:], 0.0)
+        counted = white @ response
         return state | {
-            "x": state["x"] + gain @ left,
-            "answers": state["answers"] - gain @ response,
+            "x": state["x"] + model.gain @ left,
+            "answers": state["answers"] - model.gain @ response,
             "information": state["information"] + counted.T @ counted,
-            "towards": state["towards"] + counted.T @ (self.white @ left),
+            "towards": state["towards"] + counted.T @ (white @ left),
             "age": state["age"] + 1,
         }
 
-    def settle(self, state: State) -> Array:
+    def settle(state: State) -> Array:
         """Return the most probable initial state, as its deviation from the expected one."""
         return most_probable(state["information"], state["towards"], state["usual"])[None]
 
-    def after_training(self, state: State) -> State:
-        """Return the state at the end of the training record, as fitted."""
-        return state | {"x": self.model.last - state["answers"] @ self.settle(state)[0]}
+    def after_training(state: State) -> State:
+        return state | {"x": model.last - state["answers"] @ settle(state)[0]}
+
+    return Part(row, initial, correct, settle, after_training)
+
+
+def _inputs_before(training: Array, known: ForecastContext) -> Array | None:
+    """Return the inputs from the first training sample to the history; None if unknown."""
+    begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
+    return training[:begin] if 0 <= begin <= len(training) else None

@@ -9,20 +9,13 @@ torch; `named` builds them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from splitband import networks
-from splitband.forecasters.base import Forecaster, cells_of, parts_of
-from splitband.forecasters.closed_form import (
-    Harmonic,
-    Mean,
-    Periodic,
-    Persistence,
-    SeasonalNaive,
-)
+from splitband.forecasters.base import Forecaster, cells_of, parts_of, with_parts_changed
+from splitband.forecasters.closed_form import Harmonic, Mean, Periodic, Persistence, SeasonalNaive
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.learned import Filtered, Residual, Single, Split
 from splitband.forecasters.linear import Linear
@@ -62,41 +55,35 @@ class Unbuilt:
     Attributes
     ----------
     label, words : Those of the cell.
-    build : Returns it; a function that can be sent to another process.
+    kind, options : Name of its class in `splitband.networks`, and arguments of the constructor.
     """
 
     label: str
     words: str
-    build: Callable[[], Template]
+    kind: str
+    options: Mapping[str, Any]
+
+    def build(self) -> Template:
+        """Return the cell."""
+        found: Template = getattr(networks, self.kind)(**self.options)
+        return found
 
     def sized(self, ny: int, nu: int, warmup: int) -> Cell:
         """Return a cell of these sizes."""
         return self.build().sized(ny, nu, warmup)
 
 
-def _gru(hidden: int) -> Template:
-    return networks.GRU(hidden)
-
-
-def _euler_mlp(state_size: int, step_size: float) -> Template:
-    return networks.EulerMLP(1, state_size=state_size, step_size=step_size)
-
-
-def _state_space() -> Template:
-    return networks.StateSpace(4, 10)
-
-
 def _kinds(sizes: Sizes) -> list[Forecaster]:
     """Return one forecaster of each kind, the simple ones last."""
     low, high = sizes.hidden_low, sizes.hidden_high
     alone, of_low, of_high = (
-        Unbuilt("gru", "GRU", partial(_gru, hidden)) for hidden in (high + low, low, high)
+        Unbuilt("gru", "GRU", "GRU", {"hidden_size": hidden}) for hidden in (high + low, low, high)
     )
-    step = partial(_euler_mlp, sizes.state_size, sizes.step_size)
+    euler = {"state_size": sizes.state_size, "step_size": sizes.step_size}
     cells = (
         alone,
-        Unbuilt("rnn", "EulerMLP", step),
-        Unbuilt("state-space", "state-space", _state_space),
+        Unbuilt("rnn", "EulerMLP", "EulerMLP", euler),
+        Unbuilt("state-space", "state-space", "StateSpace", {"states": 4, "hidden": 10}),
     )
     return [
         *(Single(cell) for cell in cells),
@@ -135,19 +122,21 @@ def variants(forecaster: Forecaster, calibrate: bool, conditioned: bool) -> list
     """Return a forecaster and, if requested, its calibrated and conditioned variants."""
     found = [forecaster]
     if calibrate:
-        found.append(forecaster._calibrated())
+        found.append(with_parts_changed(forecaster, _calibrated))
     if conditioned and "conditioned" in forecaster.get_params():
         found += [each.clone().set_params(conditioned=True) for each in found]
     return [*{each.name: each for each in found}.values()]
 
 
+def _calibrated(part: Forecaster) -> Forecaster:
+    return Calibrated(part.simulator) if isinstance(part, Simulation) else part
+
+
 def _on_base(forecaster: Forecaster, base: Forecaster) -> Forecaster:
     """Return a forecaster with its simulator replaced by a base."""
-    if "simulator" not in forecaster.needs:
-        return forecaster
-    if not parts_of(forecaster):
-        return base.clone()
-    return forecaster._with_parts(lambda part: _on_base(part, base))
+    return with_parts_changed(
+        forecaster, lambda part: base.clone() if "simulator" in part.needs else part
+    )
 
 
 NAMES = {each.name: each for each in _methods(Sizes())}
@@ -203,16 +192,15 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
     Raises ValueError where no method has a requested variant.
     """
     found = {v.name: v for name in names for v in variants(known(name), calibrate, conditioned)}
-    for argument, wanted in (
-        ("calibrate", calibrate and not any(each._calibrates for each in found.values())),
-        ("conditioned", conditioned and not any(_conditioned(f) for f in found.values())),
+    for argument, wanted, has in (
+        ("calibrate", calibrate, lambda variant: variant._calibrates),
+        ("conditioned", conditioned, lambda variant: getattr(variant, "conditioned", False)),
     ):
-        if wanted:
-            options = {"calibrate": argument == "calibrate", "conditioned": argument != "calibrate"}
-            able = [name for name in NAMES if len(variants(NAMES[name], **options)) > 1]
+        if wanted and not any(map(has, found.values())):
+            able = [n for n in NAMES if len(variants(NAMES[n], **_only(argument))) > 1]
             raise InputError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
     return [*found]
 
 
-def _conditioned(forecaster: Forecaster) -> bool:
-    return bool(forecaster.get_params().get("conditioned"))
+def _only(argument: str) -> dict[str, bool]:
+    return {name: name == argument for name in ("calibrate", "conditioned")}

@@ -20,13 +20,15 @@ from splitband.baselines.delays import delayed, input_delays
 from splitband.data import Record
 from splitband.data.signals import first_after, last_before
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import Forecaster, Training, cells_of
+from splitband.forecasters.base import Forecaster, Training, cells_of, with_parts_changed
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.initialisation import begin_as_linear
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.stepping import NotSteppedError, Recursion, Warmed
+from splitband.forecasters.stepping import NotSteppedError, Recursion, warmed
 from splitband.models.labels import FAST, SLOW
+from splitband.networks.cell import Cell, Template
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
 from splitband.runtime.errors import InputError
@@ -35,7 +37,6 @@ from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
 from splitband.training.recipes import recipe_settings
-from splitband.training.settings import SHORTEST_WINDOW, longest_window
 from splitband.training.window_starts import checked_starts
 
 if TYPE_CHECKING:
@@ -92,11 +93,6 @@ class Network(Forecaster):
     random = True
 
     @property
-    def _network(self) -> Network:
-        """Return itself."""
-        return self
-
-    @property
     def warmup(self) -> int:
         """Return the samples of its warm-up; 0 where `fit` has yet to choose the settings."""
         settings = self._trained_by or self.settings
@@ -113,26 +109,25 @@ class Network(Forecaster):
         return {} if self._fitted_base is None else self._fitted_base.parameters
 
     @property
-    def _shares_bands(self) -> bool:
-        """Return whether it, or its base, takes the bands that a comparison chooses.
+    def _takes_bands(self) -> bool:
+        """Return whether it takes the bands that a comparison chooses.
 
         A comparison chooses bands for networks alone and for the simulator output of the record.
         Another base shows only after its fit up to which frequency it is accurate; the bands are
         chosen then.
         """
-        return self._takes_bands or super()._shares_bands
-
-    @property
-    def _takes_bands(self) -> bool:
         return self.bands == OPEN and (self.base is None or "simulator" in self.base.needs)
 
     _slow_part = "network"
 
-    @property
-    def _conditioning_note(self) -> str:
-        """Return the words on conditioning, which end `in_words`."""
+    def in_words(self) -> str:
+        """Return a description."""
         seen = ", with the slower part's output as an input"
-        return seen if self.conditioned else ""
+        return self._model_in_words() + (seen if self.conditioned else "")
+
+    @abstractmethod
+    def _model_in_words(self) -> str:
+        """Return the beginning of its description."""
 
     @abstractmethod
     def _derived_name(self) -> str:
@@ -153,25 +148,14 @@ class Network(Forecaster):
             self._fitted_base.to(device)
         return super().to(device)
 
-    def _with_defaults(self, settings: Settings, bands: Bands) -> Self:
-        """Return it with a comparison's settings and bands, where its own are not set."""
-        new = super()._with_defaults(settings, bands)
-        shared: dict[str, Any] = {} if self.settings is not None else {"settings": settings}
-        # Bands that are given in part are completed later, to suit the given cut-off or order.
-        if self._takes_bands:
-            shared["bands"] = bands
-        return new.clone().set_params(**shared) if shared else new
-
-    def _trained_as(self, settings: Settings) -> Self:
+    def _trained_as(self, settings: Settings | None) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
     def untrained(self) -> Forecaster:
         """Return it not trained, with the settings and bands of its training."""
-        chosen = {"settings": self._trained_by or self.settings}
-        return self.clone().set_params(
-            **chosen, **({} if self._trained_in is None else {"bands": self._trained_in})
-        )
+        new = self._trained_as(self._trained_by or self.settings)
+        return new if self._trained_in is None else new.set_params(bands=self._trained_in)
 
     def _training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
@@ -212,18 +196,6 @@ class Network(Forecaster):
         beside_network = self._fitted_base is not None and self._fitted_base.random
         return 0 if beside_network else super()._first_needed()
 
-    def _for_samples(self, samples: int, instead_of: int) -> Self:
-        """Return it adapted to a part of the training record: long windows shrink with it."""
-        new = super()._for_samples(samples, instead_of)
-        if self.settings is None:
-            return new
-        window = self.settings.window
-        # A shrunken window stays as long as the default recipe's shortest, and beyond the warm-up.
-        least = max(min(SHORTEST_WINDOW, longest_window(samples)), self.settings.warmup + 1)
-        shorter = max(round(window * samples / instead_of), least)
-        settings = replace(self.settings, window=min(window, shorter))
-        return new.clone().set_params(settings=settings)
-
     def check(self, *records: Record) -> None:
         """Raise ValueError for records that do not fit its warm-up, windows, filters or base."""
         super().check(*records)
@@ -238,10 +210,6 @@ class Network(Forecaster):
             raise InputError(
                 f"warmup must fit between the gaps of the {len(first)} training samples, "
                 f"got {settings.warmup}"
-            )
-        if settings.window > len(first):
-            raise InputError(
-                f"window must fit into the {len(first)} training samples, got {settings.window}"
             )
         checked_starts(records, settings.window, settings.warmup)
         # Cells that are given by name are built when they are trained, as torch loads slowly.
@@ -300,8 +268,7 @@ class Network(Forecaster):
 
     def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
-        known = known_of(self, steps, history, None, None)[0]
-        return self._run(self._trained().simulate_unfiltered, known)
+        return self._run(self._trained().simulate_unfiltered, known_of(self, steps, history))
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
@@ -336,7 +303,7 @@ class Network(Forecaster):
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
         part = None if self._fitted_base is None else self._fitted_base._part(outside)
-        return Warmed(model, part, self.warmup, self.delays)
+        return warmed(model, part, self.warmup, self.delays)
 
     def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return model and base as a torch module, warmed up."""
@@ -353,7 +320,9 @@ class Network(Forecaster):
         beside = None if base is None else base.differentiable(known)
         y, u, slow, since = self._warmed(known)
         longest = max(self.delays, default=0)
-        late = np.zeros((0, 0)) if known.u is None else _last(known.u, longest)
+        late = np.zeros((0, 0))
+        if known.u is not None:  # as in `delayed`, the first row is repeated before it
+            late = np.concatenate([np.repeat(known.u[:1], longest, axis=0), known.u])
         made = ModelSimulation(model, (y, u, slow), since, late, self.delays, beside)
         return made.to(next(model.parameters()).device)
 
@@ -381,16 +350,13 @@ class Network(Forecaster):
         return start
 
     def _seen(self, records: Sequence[Record], seed: int, start: Self | None) -> list[Record]:
-        """Return the records that the model is trained on.
-
-        Their `y_sim` is the output of the base, and their inputs are shifted by the delays.
-        """
+        """Return the records for the model: with the base's output, and with delayed inputs."""
         seen = [*records]
         if self.base is not None:
-            same = start is not None and _same(start.base, self.base)
-            base = start._base_for(records) if start is not None and same else None
+            base = None if start is None else start._base_of(self.base, records)
             if base is None:
-                base = self.base.clone().fit(*records, seed=seed)._as_simulator()
+                base = self.base.clone().fit(*records, seed=seed)
+                base = base._as_simulator() if isinstance(base, Linear) else base
             self._fitted_base = base
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
@@ -399,11 +365,11 @@ class Network(Forecaster):
             self.delays = delays_of(driven) if start is None else start.delays
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
-    def _base_for(self, records: Sequence[Record]) -> Forecaster | None:
-        """Return its base where that was fitted to the same samples, which saves another fit."""
+    def _base_of(self, base: Forecaster, records: Sequence[Record]) -> Forecaster | None:
+        """Return its base where the same one was fitted to the same samples; that saves a fit."""
         fitted = self.require_fitted()
-        same = _samples([fitted.record, *fitted.others]) == _samples(records)
-        return self._fitted_base if same else None
+        alike = _samples([fitted.record, *fitted.others]) == _samples(records)
+        return self._fitted_base if alike and _same(self.base, base) else None
 
     def _remarks(self, record: Record) -> list[str]:
         """Return remarks for the user on a training record with the base's output."""
@@ -418,18 +384,19 @@ class Network(Forecaster):
         assert self.bands is not None
         if self._trained_in is not None:
             return self._trained_in
-        if self.bands.complete:
+        if None not in (self.bands.cutoff, self.bands.order, self.bands.downsampling):
             return self.bands
         slow = None if self.base is None else record.y_sim
         return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, slow)
 
-    def _fast_network_inputs(self, record: Record) -> int:
-        """Return the number of inputs of the network that runs at every sample.
+    def _sized(self, cell: Template, record: Record, settings: Settings) -> Cell:
+        """Return the cell of the network that runs at every sample.
 
-        They are the record's inputs at this sample and the next and, if it is conditioned, value
-        and slope of the slow component.
+        Its inputs are the record's at this sample and the next and, if it is conditioned, value and
+        slope of the slow component.
         """
-        return 2 * record.nu + (2 * record.ny if self.conditioned else 0)
+        nu = 2 * record.nu + (2 * record.ny if self.conditioned else 0)
+        return cell.sized(record.ny, nu, settings.warmup)
 
     def _built(self, record: Record, settings: Settings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
@@ -452,10 +419,7 @@ class Network(Forecaster):
     def _run(
         self, simulate: Callable[..., dict[str, Array]], known: ForecastContext
     ) -> dict[str, Array]:
-        """Return what a simulation of the model gives after the history, by component.
-
-        The base labels the slow one.
-        """
+        """Return what a simulation gives after the history; the base labels its component."""
         y, u, slow, since = self._warmed(known)
         found = {}
         for part, values in simulate(y, since + known.steps, u, slow).items():
@@ -471,8 +435,7 @@ class Network(Forecaster):
     def _warmed(self, known: ForecastContext) -> tuple[Array, Array | None, Array | None, int]:
         """Return the last warm-up without a gap, and the samples between its end and the origin.
 
-        The warm-up holds the measured samples `(warmup, ny)`, and the inputs and the base's output
-        from its beginning to the last sample of the forecast.
+        Inputs and the base's output go on to the last sample of the forecast.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
         slow, base = None, self._fitted_base
@@ -493,11 +456,19 @@ class Network(Forecaster):
         return y[begin:start], None if u is None else u[begin:], slow, since
 
 
-def _last(u: Array, rows: int) -> Array:
-    """Return the last rows; the first row is repeated where there are fewer, as in `delayed`."""
-    return np.concatenate(
-        [np.repeat(u[:1], max(rows - len(u), 0), axis=0), u[max(len(u) - rows, 0) :]]
-    )
+def with_defaults(forecaster: Forecaster, settings: Settings, bands: Bands) -> Forecaster:
+    """Return a forecaster with a comparison's settings and bands, where its own are not set."""
+
+    def changed(part: Forecaster) -> Forecaster:
+        if not isinstance(part, Network):
+            return part
+        shared: dict[str, Any] = {} if part.settings is not None else {"settings": settings}
+        # Bands that are given in part are completed later, to suit the given cut-off or order.
+        if part._takes_bands:
+            shared["bands"] = bands
+        return part.clone().set_params(**shared) if shared else part
+
+    return with_parts_changed(forecaster, changed)
 
 
 def _same(one: Any, other: Any) -> bool:

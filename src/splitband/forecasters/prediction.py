@@ -18,6 +18,7 @@ import pandas as pd
 
 from splitband.data import Grid, Record, check_alike
 from splitband.data.preparation import Preparation, seconds
+from splitband.data.signals import signal_of
 from splitband.data.timing import same_sampling, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
@@ -67,12 +68,7 @@ def continued(
 ) -> Array:
     """Return a signal up to the origin and its next `steps` samples; with `more`, all after it.
 
-    Parameters
-    ----------
-    name : For errors.
-    past : `(time, channels)`.
-    beyond, given : Samples after the origin that the history brings, and that a user gives in their
-        place, `(steps or more, channels)`, or `(steps or more,)` for a single channel.
+    `given` is what a user gives in place of the samples that a history has `beyond` its end.
 
     Raises
     ------
@@ -82,13 +78,11 @@ def continued(
     """
     n, channels = past.shape
     ahead = beyond if given is None else given
-    values = None if ahead is None else np.asarray(ahead, dtype=np.float64)
-    if values is not None and values.ndim == 1:
-        values = values[:, None]
-    if values is None or len(values) < steps or values.shape[1] != channels:
-        shape = "none" if values is None else values.shape
+    values = past[:0] if ahead is None else signal_of(name, ahead)
+    if len(values) < steps or values.shape[1] != channels:
         raise InputError(
-            f"{name} must hold the {steps} samples to come in {channels} channel(s), got {shape}"
+            f"{name} must hold the {steps} samples to come in {channels} channel(s), got "
+            f"{'none' if ahead is None else values.shape}"
         )
     whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
     if whole and n and np.ptp(past):
@@ -101,14 +95,9 @@ def continued(
 def median_components(
     parts: Sequence[Mapping[str, Array]], totals: Sequence[Array]
 ) -> dict[str, Array]:
-    """Return the components of the median of several predictions, which add up to it.
+    """Return components that add up to the median of several predictions.
 
     At each sample they are those of the member in the middle, or the mean of the two there.
-
-    Parameters
-    ----------
-    parts : The components of each member, by the same names, `(time, ny)` each.
-    totals : Their sums.
     """
     count = len(totals)
     ordered = np.argsort(totals, axis=0, kind="stable")
@@ -122,10 +111,7 @@ def median_components(
 def median(values: Sequence[Any], least: Callable[..., Any], most: Callable[..., Any]) -> Any:
     """Return the median by comparing pairs (odd-even sort), which an export can write down.
 
-    Parameters
-    ----------
-    values : Arrays of equal shape.
-    least, most : Functions that return the element-wise minimum and maximum of two of them.
+    `least` and `most` return the element-wise minimum and maximum of two arrays.
     """
     ordered, count = [*values], len(values)
     for turn in range(count):
@@ -185,20 +171,20 @@ class Prediction:
 
     def restored(self, prepared: Sequence[Preparation], time: Array) -> Prediction:
         """Return the prediction with the preparation of its record undone, at these times in s."""
-        signals = {"y": self.y, "lower": self.lower, "upper": self.upper}
-        for step in reversed(prepared):
-            signals = {
-                name: None if signal is None else step.restored(signal, time)
-                for name, signal in signals.items()
-            }
-        assert signals["y"] is not None
-        trend = signals["y"] - self.y
+
+        def restored(signal: Array) -> Array:
+            for step in reversed(prepared):
+                signal = step.restored(signal, time)
+            return signal
+
+        y = restored(self.y)
+        trend = y - self.y
         parts = {**self.components, "trend": trend} if self.components and trend.any() else {}
         return replace(
             self,
-            y=signals["y"],
-            lower=signals["lower"],
-            upper=signals["upper"],
+            y=y,
+            lower=None if self.lower is None else restored(self.lower),
+            upper=None if self.upper is None else restored(self.upper),
             components=parts or self.components,
         )
 
@@ -253,11 +239,11 @@ def known_of(
     forecaster: Forecaster,
     steps: int,
     history: Record | None,
-    u: npt.ArrayLike | None,
-    y_sim: npt.ArrayLike | None,
     other_record: bool = False,
-) -> tuple[ForecastContext, Record]:
-    """Return the data for a forecast of `steps` samples, and the history; see `predict`."""
+    u: npt.ArrayLike | None = None,
+    y_sim: npt.ArrayLike | None = None,
+) -> ForecastContext:
+    """Return the data for a forecast of `steps` samples after a history; see `predict`."""
     fitted = forecaster.require_fitted()
     if other_record and forecaster.anchored:
         raise InputError(
@@ -289,30 +275,26 @@ def known_of(
             )
         simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
     own = history is None and not other_record
-    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own), past
+    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own)
 
 
-def known_at_origin(
-    forecaster: Forecaster, history: Record | None, other_record: bool = False
-) -> ForecastContext:
-    """Return the data at the end of a history, by default of the training record."""
-    past = forecaster.require_fitted().record if history is None else history
-    u = None if past.u is None else past.u[:0]
-    y_sim = None if past.y_sim is None or past.beyond is not None else past.y_sim[:0]
-    return known_of(forecaster, 0, history, u, y_sim, other_record)[0]
+def extrapolated(forecaster: Forecaster, known: ForecastContext) -> tuple[Array, dict[str, Array]]:
+    """Return a forecast and its components; raises ValueError for one of another shape."""
+    found = forecaster.extrapolate(known)
+    parts = found if isinstance(found, dict) else {"": found}
+    y, ny = total([*parts.values()]), known.y.shape[1]
+    if y.shape != (known.steps, ny):
+        raise InputError(
+            f"{forecaster.name} must extrapolate {known.steps} samples of {ny} channel(s), "
+            f"got the shape {y.shape}"
+        )
+    return y, parts
 
 
 def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> Prediction:
     """Return the prediction of a forecaster, with the reasons to doubt it."""
     fitted, steps = forecaster.require_fitted(), known.steps
-    extrapolated = forecaster.extrapolate(known)
-    parts = extrapolated if isinstance(extrapolated, dict) else {"": extrapolated}
-    y = total([*parts.values()])
-    if y.shape != (steps, past.ny):
-        raise InputError(
-            f"{forecaster.name} must extrapolate {steps} samples of {past.ny} channel(s), "
-            f"got the shape {y.shape}"
-        )
+    y, parts = extrapolated(forecaster, known)
     beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
     messages = [each.describe(past.inputs[each.channel]) for each in beyond]
     messages += (doubts := forecaster.doubts(known))

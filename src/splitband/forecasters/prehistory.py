@@ -26,7 +26,7 @@ from splitband.training.window_starts import window_starts
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from splitband.models import Model, Signals
+    from splitband.models import Model
 
 COMPONENTS = 16
 """Largest number of principal components of a warm-up. By eye."""
@@ -75,8 +75,13 @@ class Prehistory:
         cls, model: Model, records: Sequence[Record], warmup: int, error: float
     ) -> Prehistory | None:
         """Return the distribution in the training records; None for fewer than two warm-ups."""
-        seen = [model.normalised(record) for record in records]
-        signals = [_side_by_side(model, each).double().cpu().numpy() for each in seen]
+        import torch  # noqa: PLC0415  a loaded model that is not asked does not need it
+
+        signals = []
+        for seen in map(model.normalised, records):
+            used = seen.y, seen.u, seen.y_sim if model.uses_simulator else None
+            every = torch.cat([each for each in used if each is not None], dim=-1)
+            signals.append(every.double().cpu().numpy())
         starts = window_starts(records, warmup + 1, warmup)
         if len(starts) < 2:
             return None
@@ -94,23 +99,15 @@ class Prehistory:
     def completed(
         self, model: Model, y: Array, u: Array | None, slow: Array | None
     ) -> tuple[Array, Array | None, Array | None]:
-        """Return the signals with estimated rows before them, so that `y` is a whole warm-up.
+        """Return signals from the same sample on, with estimated rows before them.
 
-        Parameters
-        ----------
-        y : The measured history, `(samples, ny)`.
-        u : The inputs from the same sample on, `(samples or more, nu)`.
-        slow : The output of the base from the same sample on, `(samples or more, ny)`.
+        `y`, the measured history, is then a whole warm-up; `slow` is the output of the base.
         """
-        import torch  # noqa: PLC0415  a loaded model that is not asked does not need it
+        import torch  # noqa: PLC0415  see `of`
 
         samples = len(y)
-        history = Record(
-            y,
-            1.0,
-            u=None if u is None else u[:samples],
-            y_sim=None if slow is None else slow[:samples],
-        )
+        past_u, past_slow = (None if x is None else x[:samples] for x in (u, slow))
+        history = Record(y, 1.0, u=past_u, y_sim=past_slow)
         known = model.normalised(history)
         mean, root = (torch.from_numpy(x).to(known.y) for x in (self.mean, self.root))
 
@@ -149,11 +146,3 @@ def _widths(model: Model) -> list[int]:
 def _before(known: Array, guess: Tensor, mean: Tensor, std: Tensor) -> Array:
     """Return a signal preceded by rows that are given normalised."""
     return np.concatenate([(guess.double() * std + mean).cpu().numpy(), known])
-
-
-def _side_by_side(model: Model, seen: Signals) -> Tensor:
-    """Return the signals that the model uses, without a simulator's output that it does not."""
-    import torch  # noqa: PLC0415  see `completed`
-
-    y_sim = seen.y_sim if model.uses_simulator else None
-    return torch.cat([x for x in (seen.y, seen.u, y_sim) if x is not None], dim=-1)

@@ -131,14 +131,10 @@ def residual_tests(
     inputs: Sequence[str],
     simulated: Array | None = None,
 ) -> tuple[ResidualTests, ...]:
-    """Test the residuals of each output.
+    """Test the residuals `(time, ny)` of each output, NaN in gaps.
 
-    Parameters
-    ----------
-    residuals : `(time, ny)`, NaN in gaps.
-    u : The inputs, `(time, nu)`; they may begin earlier, and end with the residuals.
-    columns, inputs : Names of outputs and inputs.
-    simulated : The output of the model, `(time, ny)`, whose powers are tested, too.
+    The inputs `u` may begin earlier, and end with the residuals. Powers of what was `simulated`,
+    `(time, ny)`, are tested with them.
     """
     found = []
     simulated = np.zeros_like(residuals) if simulated is None else simulated
@@ -191,8 +187,7 @@ class _NestedTest:
 
     The autoregression has all orders there are, as choosing the order raises the level: by AIC to
     2 %, and by BIC, for a slow disturbance with white noise and 5 steps, to 15 %. Where nothing is
-    left beside all groups, it has the first order that does: a higher one would explain sinusoids
-    alone.
+    left beside all groups, it has the first order that does: a higher one explains sinusoids alone.
     """
 
     def __init__(self, y: Array, past: Array, groups: Sequence[Array]) -> None:

@@ -173,13 +173,6 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
     True
     """
-    return load_with_facts(folder, simulator)[0]
-
-
-def load_with_facts(
-    folder: str | Path, simulator: Simulator | None = None
-) -> tuple[Forecaster, dict[str, Any]]:
-    """Return the forecaster as `load` does, and the facts that were saved with it."""
     folder = Path(folder)
     if not (folder / FILE).is_file():
         old = f"; its model.json is of version 0.1 or 0.2: {_AGAIN}"
@@ -206,7 +199,7 @@ def load_with_facts(
         raise InputError(f"{folder / FILE} holds no forecaster that can be read: {error}") from None
     if simulator is not None:
         _give(loaded, simulator)
-    return loaded, facts
+    return loaded
 
 
 def _read_description(folder: Path) -> dict[str, Any]:
@@ -246,7 +239,7 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
         each.check_start_of(simulator)
     for said in dict.fromkeys(each.difference(simulator) for each in saved):
         if said:
-            warnings.warn(said, stacklevel=4)
+            warnings.warn(said, stacklevel=3)
     for each in given:
         each.simulator = simulator
 
@@ -280,29 +273,22 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         ordered = sorted(value) if isinstance(value, frozenset) else value
         inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
         return {type(value).__name__: inner}
-    if "torch" in sys.modules:  # otherwise it can be nothing of torch's
+    try:
         return _of_torch(value, tensors, place)
-    raise InputError(f"{type(value).__name__} cannot be saved with a forecaster")
+    except TypeError as error:  # of `options`, or a number format that NumPy does not have
+        raise InputError(f"{type(value).__name__} cannot be saved: {error}") from None
 
 
 def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
-    """Return the description of a tensor, a device or a cell."""
-    import torch  # noqa: PLC0415  see `described`
-
+    """Return the description of a tensor, a device or a cell; raises TypeError for others."""
+    torch: Any = sys.modules.get("torch")  # without it, the value is nothing of torch's
+    if torch is None or not isinstance(value, torch.Tensor | torch.device | torch.nn.Module):
+        raise TypeError("it is no number, text, array, date, list or dict")
     if isinstance(value, torch.Tensor):
-        try:
-            array = value.detach().cpu().numpy()
-        except TypeError:
-            raise InputError(f"a tensor of {value.dtype} cannot be saved") from None
-        return described(array, tensors, place)
+        return described(value.detach().cpu().numpy(), tensors, place)
     if isinstance(value, torch.device):
         return {"device": str(value)}
-    if isinstance(value, torch.nn.Module):
-        try:
-            return _named("cell", value, options(value), tensors, place)
-        except TypeError as error:
-            raise InputError(f"{type(value).__name__} cannot be saved: {error}") from None
-    raise InputError(f"{type(value).__name__} cannot be saved with a forecaster")
+    return _named("cell", value, options(value), tensors, place)
 
 
 def _named(

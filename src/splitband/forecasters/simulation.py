@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Self, final
 import numpy as np
 
 from splitband.data import Aligned, Grid, Record, check_alike
-from splitband.data.timing import in_words, stamp_after
-from splitband.forecasters.base import Forecaster
+from splitband.data.timing import stamp_after
+from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import NotSteppedError, Part, State
@@ -41,38 +41,20 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
-    """Hold a simulator's output `(time, ny)` on a grid, with the inputs that drove it, if any."""
-
-    grid: Grid
-    u: Array | None
-    y: Array
-
-    def begins(self, grid: Grid, u: Array | None) -> bool:
-        """Return whether it has the start, the inputs and, but for rounding, the step of a grid."""
-        step, own = grid.step, self.grid.step
-        if self.grid.start != grid.start or abs(own - step) >= NEAR_ROW * own / max(len(self.y), 1):
-            return False
-        if self.u is None or u is None:
-            return self.u is u
-        count = min(len(self.u), len(u))
-        return np.array_equal(self.u[:count], u[:count])
-
-
-@dataclass(frozen=True, eq=False)
 class _Runs:
     """Hold a simulator's runs, computed once for all processes.
 
-    `ran`: the `id` of the simulator, see `with_simulators_of`; `driven`: whether it takes inputs.
+    `runs`: grid, inputs that drove it, if any, and output `(time, ny)` of each; `driven`: whether
+    it takes inputs; `ran`: the `id` of the simulator, see `with_simulators_of`.
     """
 
-    runs: Sequence[_Run]
+    runs: Sequence[tuple[Grid, Array | None, Array]]
     driven: bool
     ran: int
 
     def fingerprint(self) -> str:
         """Return a hash of all outputs."""
-        return key_of(*(each.y for each in self.runs))
+        return key_of(*(y for _, _, y in self.runs))
 
     def reach(self, grid: Grid, u: Array | None = None) -> int:
         """Return the number of samples that are available from the start of the grid on."""
@@ -86,8 +68,20 @@ class _Runs:
         return Aligned(y[: grid.samples], "")
 
     def _beginning(self, grid: Grid, u: Array | None) -> Array:
-        found = [run.y for run in self.runs if run.begins(grid, u)]
+        """Return the longest output from the start of the grid on, with the same inputs."""
+        found = [y for own, by, y in self.runs if _alike(own, grid) and _same_inputs(by, u)]
         return max(found, key=len, default=np.empty((0, 0)))
+
+
+def _alike(run: Grid, grid: Grid) -> bool:
+    """Return whether a run has the start and, but for rounding, the step of a grid."""
+    near = NEAR_ROW * run.step / max(run.samples, 1)
+    return run.start == grid.start and abs(run.step - grid.step) < near
+
+
+def _same_inputs(by: Array | None, u: Array | None) -> bool:
+    """Return whether the shorter of two inputs is the beginning of the longer one."""
+    return by is u if by is None or u is None else np.array_equal(by[: len(u)], u[: len(by)])
 
 
 def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
@@ -101,6 +95,19 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
         if isinstance(part.simulator, Absent) and own:
             part.simulator = own[0]
         part.simulator = by_id.get(getattr(part.simulator, "ran", 0), part.simulator)
+
+
+def with_simulators_run(
+    method: Forecaster, record: Record, horizon: int, *others: Record
+) -> Forecaster:
+    """Return a method whose simulators have been run, see `SimulatorForecaster._simulated`."""
+
+    def changed(part: Forecaster) -> Forecaster:
+        if not isinstance(part, SimulatorForecaster):
+            return part
+        return part._simulated(record, horizon, *others)
+
+    return with_parts_changed(method, changed)
 
 
 def simulations(value: Any) -> Iterator[Any]:
@@ -144,10 +151,6 @@ class SimulatorForecaster(Forecaster):
         """Return the end of its name and of that of a hybrid: the terms that it fits."""
         return ""
 
-    def _hybrid_name(self, kind: str, cell: str) -> str:
-        """Return the name of a hybrid of this kind, with the simulator as the slow component."""
-        return f"{kind}-{cell}{self._suffix}"
-
     def check(self, *records: Record) -> None:
         """Raise ValueError for wrong records; only the first one needs a simulator's output."""
         super().check(*records[:1])
@@ -155,7 +158,10 @@ class SimulatorForecaster(Forecaster):
             check_alike(other, records[0], other.name or "another record")
 
     def _simulated(self, record: Record, horizon: int, *others: Record) -> Self:
-        """Return it with its simulator run over these records."""
+        """Return it with its simulator's output computed once, for all processes.
+
+        The output covers the training record and `horizon` samples more, and other records.
+        """
         if self.simulator is None or hasattr(self.simulator, "reach"):
             return self
         longest: dict[Any, tuple[Grid, Record, Array | None]] = {}
@@ -166,7 +172,7 @@ class SimulatorForecaster(Forecaster):
             key = each.start, each.sampling_time, None if u is None else u.tobytes()
             if key not in longest or longest[key][0].samples < needed:
                 longest[key] = Grid(each.start, each.sampling_time, needed), each, u
-        runs = [_Run(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
+        runs = [(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
         return self.clone().set_params(simulator=_Runs(runs, self._driven, id(self.simulator)))
 
     def _to_dict(self) -> dict[str, Any]:
@@ -202,19 +208,23 @@ class SimulatorForecaster(Forecaster):
         record = self.require_fitted().record
         begin = known.begin or 0.0  # for another record the simulator starts with that record
         if begin < 0 and not self.applied.stays:
-            raise InputError(self._before(known))
+            raise InputError(
+                f"history must not begin before the training record, for {self.name}, as the time "
+                f"of its calibration ({self.applied}) counts from there; it begins "
+                f"{-begin * record.sampling_time:.7g} s earlier"
+            )
         if self._at_own_times:
             return self._recorded(self.simulator, known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
-            positions = self.applied.positions(samples, record.sampling_time, begin)
-            if not positions[-1] < MAX_SIMULATED_SAMPLES:
+            last = self.applied.positions(samples, record.sampling_time, begin)[-1]
+            if not last < MAX_SIMULATED_SAMPLES:
                 raise InputError(
                     f"history must lie so that {self.name} is run for at most "
-                    f"{MAX_SIMULATED_SAMPLES} samples, got {positions[-1]:.3g}; without time "
-                    "stamps it begins with the training record"
+                    f"{MAX_SIMULATED_SAMPLES} samples, got {last:.3g}; without time stamps it "
+                    "begins with the training record"
                 )
-            times, needed = self._times(known), int(np.ceil(positions[-1] - 1e-6)) + 1
+            times, needed = self._times(known), math.ceil(last - ON_A_SAMPLE) + 1
             begin_sim = min(begin, 0.0)  # an earlier history moves the start of the simulation
             if begin_sim and times.start is not None:
                 earlier = stamp_after(times.start, begin_sim * record.sampling_time)
@@ -284,7 +294,7 @@ class SimulatorForecaster(Forecaster):
         if self._driven and not outside:
             raise NotSteppedError(f"{self.name} has a simulator that its inputs drive")
         if self.simulator is not None and not outside:
-            return RunAhead(self.trajectory)
+            return _run_ahead(self.trajectory)
         if not self.applied.stays:
             raise NotSteppedError(
                 f"{self.name} cannot be stepped, as its time is calibrated ({self.applied}); "
@@ -292,18 +302,7 @@ class SimulatorForecaster(Forecaster):
             )
         ny = self.require_fitted().record.ny
         gain, offset = self.applied.gain or [1.0] * ny, self.applied.offset or [0.0] * ny
-        return Given(np.array(gain), np.array(offset), self.trajectory)
-
-    def _before(self, known: ForecastContext) -> str:
-        """Return the error message for a history that begins before the training record."""
-        fitted = self.require_fitted()
-        began = "" if fitted.start is None else f", at {in_words(fitted.start)}"
-        begins = None if known.grid is None else known.grid.start
-        found = "" if begins is None else f": it begins at {in_words(begins)}"
-        return (
-            f"history must not begin before the training record{began}, for {self.name}, as the "
-            f"time of its calibration ({self.applied}) counts from there{found}"
-        )
+        return given(np.array(gain), np.array(offset), self.trajectory)
 
     def on(self, record: Record, first: bool = True) -> Record:
         """Return a record with the calibrated output as `y_sim`; both begin together."""
@@ -349,9 +348,8 @@ class SimulatorForecaster(Forecaster):
             return self._run(replace(record.grid, samples=samples), record, u)
         if record.y_sim is None:
             raise InputError(f"{self.name} needs a simulator, the record has none")
-        return (
-            record.y_sim if record.beyond is None else np.concatenate([record.y_sim, record.beyond])
-        )
+        ahead = record.y_sim[:0] if record.beyond is None else record.beyond
+        return np.concatenate([record.y_sim, ahead])
 
     def _needed(self, samples: int, train: int) -> int:
         """Return how many samples its own simulator must run for to cover `samples`."""
@@ -359,7 +357,6 @@ class SimulatorForecaster(Forecaster):
 
     def _run(self, grid: Grid, record: Record, u: Array | None) -> Array:
         """Return the simulator's own output at these times, in the channels of a record."""
-        assert self.simulator is not None
         if hasattr(self.simulator, "ran"):
             return np.asarray(self.simulator.on(grid, u).values)
         if hasattr(self.simulator, "on"):
@@ -387,10 +384,6 @@ class Simulation(SimulatorForecaster):
     """
 
     _slow_part = "simulator"
-
-    def _calibrated(self) -> Calibrated:
-        """Return the same simulator with calibration."""
-        return Calibrated(self.simulator)
 
     _words = "the simulator as it is"
 
@@ -452,11 +445,12 @@ class Calibrated(SimulatorForecaster):
     def learn(self, records: Sequence[Record], **how: Any) -> None:
         """Fit the terms to the first record."""
         super().learn(records, **how)
-        self.applied = self._fitted_to(records[0])
+        self.applied = self._prepare(records)
 
-    def _prepare(self, records: Sequence[Record], *_: Any) -> None:
-        """Fit the terms once for all seeds and trials."""
-        self._fitted_to(records[0])
+    def _prepare(self, records: Sequence[Record], *_: Any) -> Calibration:
+        """Return the terms, fitted once for all seeds and trials."""
+        first, terms = records[0], () if self.terms is None else (self.terms,)
+        return calibrated(self._output(first), first.y_with_gaps, first.sampling_time, *terms)
 
     def describe(self) -> str:
         """Return the fitted terms."""
@@ -465,70 +459,48 @@ class Calibrated(SimulatorForecaster):
     def _needed(self, samples: int, train: int) -> int:
         return samples_needed(samples, train)
 
-    def _fitted_to(self, record: Record) -> Calibration:
-        terms = () if self.terms is None else (self.terms,)
-        return calibrated(self._output(record), record.y_with_gaps, record.sampling_time, *terms)
 
-
-class Given(Part):
-    """Calibrate a simulator's output, which is given with each sample.
+def given(gain: Array, offset: Array, trajectory: Callable[[ForecastContext], Array]) -> Part:
+    """Return a simulator's output, which is given with each sample, calibrated.
 
     `gain`, `offset`: of the calibration, `(ny,)` each. `trajectory`: see `Forecaster.trajectory`.
     """
 
-    simulated = True
-
-    def __init__(
-        self, gain: Array, offset: Array, trajectory: Callable[[ForecastContext], Array]
-    ) -> None:
-        self.gain, self.offset, self.trajectory = gain, offset, trajectory
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return an empty state."""
-        return {}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the calibrated output."""
-        return state, (y_sim[: 1 + ahead] * self.gain + self.offset)[..., None]
-
-    def simulated_over(self, known: ForecastContext, ahead: int) -> Array | None:
+    def simulated_over(known: ForecastContext, ahead: int) -> Array:
         """Return the output before calibration; its last known sample is held beyond its end."""
-        known = replace(known, steps=0)
-        if ahead and known.y_sim is not None and len(known.y_sim) > len(known.y):
-            known = replace(known, steps=ahead)
-        values = (self.trajectory(known) - self.offset) / np.where(self.gain, self.gain, 1.0)
+        more = ahead and known.y_sim is not None and len(known.y_sim) > len(known.y)
+        values = trajectory(replace(known, steps=ahead if more else 0)) - offset
+        values = values / np.where(gain, gain, 1.0)
         return np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
 
+    return Part(
+        lambda state, u, y_sim, ahead: (state, (y_sim[: 1 + ahead] * gain + offset)[..., None]),
+        simulated_over=simulated_over,
+    )
 
-class RunAhead(Part):
-    """Run a simulator ahead, over twice the time whenever its output does not reach far enough.
+
+def _run_ahead(trajectory: Callable[[ForecastContext], Array]) -> Part:
+    """Return a simulator that is run over twice the time whenever its output ends too early.
 
     Recorded output, which has an end, is read only as far as needed.
-
-    `trajectory`: see `Forecaster.trajectory`.
     """
 
-    def __init__(self, trajectory: Callable[[ForecastContext], Array]) -> None:
-        self.trajectory = trajectory
-
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return a sample count of 0, after a run over the history, if there is one."""
-        if known is not None:
-            self.known = known
-            self.output = self._run(len(known.y), 2 * len(known.y) + MARGIN)
-        return {"samples": 0}
-
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the output at the sample and at `ahead` more."""
-        at, end = state["samples"], state["samples"] + 1 + ahead
-        if end + MARGIN > len(self.output):
-            self.output = self._run(end, 2 * end + MARGIN)
-        return {"samples": at + 1}, self.output[at:end, :, None]
-
-    def _run(self, least: int, most: int) -> Array:
-        """Return the output of `most` samples or, if it ends earlier, of `least`."""
-        begun = len(self.known.y)
+    def reaching(known: ForecastContext, end: int) -> Array:
+        begun = len(known.y)
         try:
-            return self.trajectory(replace(self.known, steps=most - begun))
+            return trajectory(replace(known, steps=2 * end + MARGIN - begun))
         except ValueError:
-            return self.trajectory(replace(self.known, steps=max(least - begun, 0)))
+            return trajectory(replace(known, steps=max(end - begun, 0)))
+
+    def initial(known: ForecastContext | None) -> State:
+        assert known is not None, "a program is given the output"
+        return {"samples": 0, "history": known, "output": reaching(known, len(known.y))}
+
+    def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+        end, output = state["samples"] + 1 + ahead, state["output"]
+        if end + MARGIN > len(output):
+            output = reaching(state["history"], end)
+        new = state | {"samples": state["samples"] + 1, "output": output}
+        return new, output[state["samples"] : end, :, None]
+
+    return Part(row, initial)

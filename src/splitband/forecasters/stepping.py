@@ -8,8 +8,7 @@ traced for exported programs, see `runtime.tracing`.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -19,17 +18,9 @@ import numpy.typing as npt
 from splitband.data import Record, require_records
 from splitband.data.preparation import Preparation, seconds
 from splitband.data.signals import last_before
-from splitband.forecasters.prediction import (
-    ForecastContext,
-    known_at_origin,
-    known_of,
-    median,
-    predicted,
-)
-from splitband.metrics import ExtrapolationWarning
+from splitband.forecasters.prediction import ForecastContext, extrapolated, known_of, median
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.threads import without_warnings
 from splitband.runtime.tracing import cond
 
 if TYPE_CHECKING:
@@ -39,100 +30,89 @@ if TYPE_CHECKING:
 
 State = dict[str, Any]
 """The state of a recursion, by name; it is never changed in place."""
+Tick = Callable[[State, Array, Array, Array], tuple[State, Array, Any]]
 
 
 class NotSteppedError(InputError):
     """Report that a forecaster cannot run sample by sample; the message gives the reason."""
 
 
-class Recursion(ABC):
+@dataclass(frozen=True)
+class Part:
+    """Compute a value for each sample, alone or as the slow component of a hybrid.
+
+    Each channel has a row: the value, and its derivatives by the parameters that are estimated from
+    the history. The parameters are constant from the origin of a forecast on.
+
+    Attributes
+    ----------
+    row : Takes the state, the inputs and a simulator's output at a sample, and `ahead`; returns the
+        next state, and the rows of the sample and of `ahead` more, `(1 + ahead, ny, n)`.
+    initial : Returns the state before the first sample of a history; None is for another record.
+    correct : Takes the state after a sample, its rows and what was measured, `(ny,)`, NaN where
+        nothing was; returns the updated state.
+    settle : Returns the parameters estimated from the samples so far, `(ny, n - 1)`.
+    after_training : Returns the state after the training record, to which a model is fitted.
+    simulated_over : Returns a simulator's output over a history and `ahead` more samples,
+        `(time, ny)`; None for a part that needs none.
+    """
+
+    row: Callable[[State, Array, Array, int], tuple[State, Array]]
+    initial: Callable[[ForecastContext | None], State] = lambda known: {}
+    correct: Callable[[State, Array, Array], State] = lambda state, row, y: state
+    settle: Callable[[State], Array] = lambda state: np.zeros((1, 0))
+    after_training: Callable[[State], State] = lambda state: state
+    simulated_over: Callable[[ForecastContext, int], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Recursion:
     """Define the update of a forecaster's state with each sample.
 
     Attributes
     ----------
     ny, nu : Numbers of channels and inputs.
+    initial : Returns the state before the first sample of a history; None is for another record.
+    tick : Takes the state after the previous sample and, of this one, what was measured, `(ny,)`,
+        NaN where nothing was, the inputs, `(nu,)`, and a simulator's output there and at `ahead`
+        more, `(1 + ahead, ny)`; returns the state, the prediction, and whether there is one.
     ahead : Samples by which a simulator's output must be known in advance, 0 or 1.
     simulated : Whether it needs a simulator's output.
     warmup : Number of samples in a row that must be measured before a forecast.
-    prepared : Preparation of the measured signals, which is undone on predictions.
-    part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`; None
-        without.
+    prepared : Whether signals are prepared, and predictions restored.
+    repeats : Whether each sample is predicted anew, from all of the history.
+    part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`.
+    first_row : Returns the first sample of a history on which the forecast depends.
+    followed : Returns the state after a history; by default that of a tick for each sample.
     """
 
     ny: int
     nu: int
-    ahead = 0
-    simulated = False
-    warmup = 0
-    prepared: Sequence[Preparation] = ()
+    initial: Callable[[ForecastContext | None], State]
+    tick: Tick
+    ahead: int = 0
+    simulated: bool = False
+    warmup: int = 0
+    prepared: bool = False
+    repeats: bool = False
     part: Part | None = None
+    first_row: Callable[[ForecastContext], int] = lambda known: 0
+    followed: Callable[[ForecastContext], State] | None = None
 
-    @abstractmethod
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the state before the first sample of a history; None is for another record."""
-
-    @abstractmethod
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the state after a sample, its prediction, and whether there is a prediction.
-
-        Parameters
-        ----------
-        state : After the previous sample.
-        y : The measured sample, `(ny,)`, NaN for channels that were not measured.
-        u : Inputs of the sample, `(nu,)`.
-        y_sim : A simulator's output at the sample and at `ahead` more, `(1 + ahead, ny)`.
-        """
-
-    def first_row(self, known: ForecastContext) -> int:
-        """Return the first sample of a history on which the forecast depends."""
-        return 0
-
-    def followed(self, known: ForecastContext) -> State:
+    def after(self, known: ForecastContext) -> State:
         """Return the state after a history, from which a forecast starts."""
-        begin, rows, part = self.first_row(known), len(known.y), self.part
+        if self.followed is not None:
+            return self.followed(known)
+        assert self.part is not None
+        rows = len(known.y)
         u = np.zeros((rows, 0)) if known.u is None else known.u
-        y_sim = None if part is None else part.simulated_over(known, self.ahead)
-        y_sim = np.zeros((rows + self.ahead, 0)) if y_sim is None else y_sim
+        y_sim = np.zeros((rows + self.ahead, 0))
+        if self.part.simulated_over is not None:
+            y_sim = self.part.simulated_over(known, self.ahead)
         state = self.initial(known)
-        for n in range(begin, rows):
+        for n in range(self.first_row(known), rows):
             state = self.tick(state, known.y[n], u[n], y_sim[n : n + 1 + self.ahead])[0]
-        if part is not None and known.own:
-            state = state | {"part": part.after_training(state["part"])}
-        return state
-
-
-class Part(ABC):
-    """Compute a value for each sample, alone or as the slow component of a hybrid.
-
-    Each channel has a row: the value, and its derivatives by the parameters that are estimated from
-    the history. The parameters are constant from the origin of a forecast on.
-    """
-
-    simulated = False
-
-    @abstractmethod
-    def initial(self, known: ForecastContext | None) -> State:
-        """Return the state before the first sample of a history; None is for another record."""
-
-    @abstractmethod
-    def row(self, state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        """Return the next state and the rows of a sample and `ahead` more, `(1 + ahead, ny, n)`."""
-
-    def correct(self, state: State, row: Array, y: Array) -> State:
-        """Return the state updated with a sample, `(ny,)`, NaN where it was not measured."""
-        return state
-
-    def settle(self, state: State) -> Array:
-        """Return the parameters estimated from the samples so far, `(ny, n - 1)`."""
-        return np.zeros((1, 0))
-
-    def simulated_over(self, known: ForecastContext, ahead: int) -> Array | None:
-        """Return the simulator's output over a history and `ahead` more samples, `(time, ny)`."""
-        return None
-
-    def after_training(self, state: State) -> State:
-        """Return the state after the training record, from which no parameters are estimated."""
-        return state
+        return state | {"part": self.part.after_training(state["part"])} if known.own else state
 
 
 def read(rows: Array, settled: Array) -> Array:
@@ -142,127 +122,108 @@ def read(rows: Array, settled: Array) -> Array:
     return rows[..., 0] + (rows[..., 1:] * settled).sum(axis=-1)
 
 
-class Extrapolated(Recursion):
-    """Run a part alone."""
+def alone(part: Part, ny: int, nu: int) -> Recursion:
+    """Return the recursion of a part alone."""
 
-    part: Part
+    def initial(known: ForecastContext | None) -> State:
+        state = part.initial(known)
+        return {"part": state, "settled": part.settle(state), "stale": np.ones(())}
 
-    def __init__(self, part: Part, ny: int, nu: int) -> None:
-        self.part, self.ny, self.nu, self.simulated = part, ny, nu, part.simulated
-
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the state of the part, and its parameters before the first sample."""
-        part = self.part.initial(known)
-        return {"part": part, "settled": self.part.settle(part), "stale": np.ones(())}
-
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
         """Evaluate the part at a sample, and estimate its parameters where a forecast begins."""
-        part, rows = self.part.row(state["part"], u, y_sim, 0)
+        new, rows = part.row(state["part"], u, y_sim, 0)
         missing = np.isnan(y)
         settled = cond(
             missing.any() & (state["stale"] > 0),
-            lambda: self.part.settle(state["part"]),
+            lambda: part.settle(state["part"]),
             lambda: state["settled"],
         )
         predicted = read(rows, settled)[0]
         stale = np.where(missing.all(), np.where(missing.any(), 0.0, state["stale"]), 1.0)
-        new = {"part": self.part.correct(part, rows[0], y), "settled": settled, "stale": stale}
-        return new, predicted, np.logical_not(np.isnan(predicted).any())
+        after = {"part": part.correct(new, rows[0], y), "settled": settled, "stale": stale}
+        return after, predicted, np.logical_not(np.isnan(predicted).any())
+
+    return Recursion(ny, nu, initial, tick, simulated=part.simulated_over is not None, part=part)
 
 
-@dataclass(frozen=True)
-class DelayLine:
-    """Delay each input by its number of samples; before the first sample its value is held."""
+def delay_line(delays: Sequence[int]) -> tuple[State, Callable[[State, Array], Any]]:
+    """Return the initial state of a line that delays each input by some samples, and its tick.
 
-    delays: tuple[int, ...]
+    The tick returns the next state and the delayed inputs; before the first sample they are held.
+    """
+    if not any(delays):
+        return {}, lambda state, u: (state, u)
 
-    def initial(self) -> State:
-        """Return the line before the first sample."""
-        if not any(self.delays):
-            return {}
-        return {"past": np.zeros((max(self.delays), len(self.delays))), "filled": np.zeros(())}
-
-    def tick(self, state: State, u: Array) -> tuple[State, Array]:
-        """Return the next line, and the delayed inputs."""
-        if not state:
-            return state, u
+    def tick(state: State, u: Array) -> tuple[State, Array]:
         past = np.where(state["filled"] > 0, state["past"], u[None])
-        all_of_them = np.concatenate([past, u[None]])
-        last = len(all_of_them) - 1
-        late = np.stack([all_of_them[last - d, i] for i, d in enumerate(self.delays)])
-        return {"past": all_of_them[1:], "filled": np.ones(())}, late
+        rows = np.concatenate([past, u[None]])
+        late = np.stack([rows[len(rows) - 1 - delay, i] for i, delay in enumerate(delays)])
+        return {"past": rows[1:], "filled": np.ones(())}, late
+
+    return {"past": np.zeros((max(delays), len(delays))), "filled": np.zeros(())}, tick
 
 
-class Warmed(Recursion):
-    """Run a trained model after a warm-up on the last measured samples, with a slow part or none.
+def warmed(model: Stepped, slow: Part | None, warmup: int, delays: Sequence[int]) -> Recursion:
+    """Return the recursion of a trained model, with a slow part or none.
 
     It keeps the last `warmup` samples. A free run starts from them when a sample is not measured,
     and ends when as many samples in a row have been measured again.
     """
+    ny, nu, (line, delayed) = len(model.y_mean), len(model.u_mean), delay_line(delays)
+    part = slow or Part(lambda state, u, y_sim, ahead: (state, np.zeros((1, ny, 1))))
+    kept, ahead = (warmup, model.ahead) if slow else (0, 0)  # rows of the slow part
+    last = warmup - 1
 
-    def __init__(
-        self, model: Stepped, part: Part | None, warmup: int, delays: Sequence[int]
-    ) -> None:
-        self.model, self.part, self.warmup = model, part, warmup
-        self.ny, self.nu = len(model.y_mean), len(model.u_mean)
-        self.line = DelayLine(tuple(delays))
-        self.simulated = part is not None and part.simulated
-        self.ahead = model.ahead if part is not None else 0
-
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the state before any measurement."""
-        part = {} if self.part is None else self.part.initial(known)
-        y_sim = np.zeros((1 + self.ahead, self.ny))
-        _, rows = self._row(part, np.zeros(self.nu), y_sim)
-        y, u = np.zeros((self.warmup, self.ny)), np.zeros((self.warmup, self.nu))
-        window = np.zeros((self.warmup + 1 + self.ahead, self.ny))
-        run, _ = self.model.begin(y, np.zeros((self.warmup + 1, self.nu)), window)
+    def initial(known: ForecastContext | None) -> State:
+        begun = part.initial(known)
+        _, rows = part.row(begun, np.zeros(nu), np.zeros((1 + ahead, ny)), ahead)
+        y, u = np.zeros((warmup, ny)), np.zeros((warmup, nu))
+        run, _ = model.begin(y, np.zeros((warmup + 1, nu)), np.zeros((warmup + 1 + ahead, ny)))
         return {
-            "line": self.line.initial(),
-            "part": part,
+            "line": line,
+            "part": begun,
             "y": y,
             "u": u,
-            "rows": np.zeros((self.warmup if self.part else 0, *rows.shape[1:])),
+            "rows": np.zeros((kept, *rows.shape[1:])),
             "count": np.zeros(()),
             "running": np.zeros(()),
             "run": run,
-            "settled": np.zeros((1, 0)) if self.part is None else self.part.settle(part),
+            "settled": part.settle(begun),
         }
 
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
         """Start a free run, continue it, or wait until the warm-up is complete."""
-        last = self.warmup - 1
-        part, rows = self._row(state["part"], u, y_sim)
-        line, late = self.line.tick(state["line"], u)
+        now, rows = part.row(state["part"], u, y_sim, ahead)
+        past_inputs, late = delayed(state["line"], u)
         inputs = np.concatenate([state["u"], late[None]])
-        past = state["rows"] if self.part else np.zeros((self.warmup, *rows.shape[1:]))
+        past = state["rows"] if kept else np.zeros((warmup, *rows.shape[1:]))
         window = np.concatenate([past, rows])
         missing, running = np.isnan(y).any(), state["running"] > 0
-        count = np.where(missing, 0.0, np.minimum(state["count"] + 1, self.warmup))
-        ready = running | (state["count"] >= self.warmup)
-        runs = ready & (missing | (running & (count < self.warmup)))
+        count = np.where(missing, 0.0, np.minimum(state["count"] + 1, warmup))
+        ready = running | (state["count"] >= warmup)
+        runs = ready & (missing | (running & (count < warmup)))
 
         def begun() -> list[Any]:
-            settled = state["settled"] if self.part is None else self.part.settle(part)
-            run, first = self.model.begin(state["y"], inputs, read(window, settled))
+            settled = part.settle(now)
+            run, first = model.begin(state["y"], inputs, read(window, settled))
             return [run, settled, first]
 
         def moved() -> list[Any]:
-            slow = read(window[last:], state["settled"])
-            run, following = self.model.advance(state["run"], inputs[last:], slow)
+            signal = read(window[last:], state["settled"])
+            run, following = model.advance(state["run"], inputs[last:], signal)
             return [run, state["settled"], following]
 
         run, settled, predicted = cond(
             runs,
             lambda: cond(running, moved, begun),
-            lambda: [state["run"], state["settled"], np.full(self.ny, np.nan)],
+            lambda: [state["run"], state["settled"], np.full(ny, np.nan)],
         )
         new = {
-            "line": line,
-            "part": part if self.part is None else self.part.correct(part, rows[0], y),
+            "line": past_inputs,
+            "part": part.correct(now, rows[0], y),
             "y": np.concatenate([state["y"][1:], y[None]]),
             "u": inputs[1:],
-            "rows": window[1 : self.warmup + 1] if self.part else state["rows"],
+            "rows": window[1 : warmup + 1] if kept else state["rows"],
             "count": count,
             "running": np.where(runs, 1.0, 0.0),
             "run": run,
@@ -270,39 +231,24 @@ class Warmed(Recursion):
         }
         return new, predicted, runs
 
-    def first_row(self, known: ForecastContext) -> int:
+    def first_row(known: ForecastContext) -> int:
         """Return the first sample that the warm-up and delayed inputs need."""
-        if self.part is not None:
-            return 0
         complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        start = last_before(complete, self.warmup, len(known.y))
-        return max((start or 0) - self.warmup - max(self.line.delays, default=0), 0)
+        start = 0 if kept else last_before(complete, warmup, len(known.y)) or 0
+        return max(start - warmup - max(delays, default=0), 0)
 
-    def _row(self, part: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        if self.part is None:
-            return part, np.zeros((1, self.ny, 1))
-        return self.part.row(part, u, y_sim, self.ahead)
+    simulated = part.simulated_over is not None
+    return Recursion(ny, nu, initial, tick, ahead, simulated, warmup, part=part,
+                     first_row=first_row)  # fmt: skip
 
 
-class Medians(Recursion):
-    """Predict the median of several recursions."""
+def medians(members: Sequence[Recursion]) -> Recursion:
+    """Return the recursion of the median of several, which predicts once all of them do."""
 
-    def __init__(self, members: Sequence[Recursion]) -> None:
-        self.members = [*members]
-        first = members[0]
-        self.ny, self.nu, self.simulated = first.ny, first.nu, first.simulated
-        self.ahead = max(member.ahead for member in members)
-        self.warmup = max(member.warmup for member in members)
-
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the states of the members."""
-        return {"members": [member.initial(known) for member in self.members]}
-
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the median prediction of the members, once all of them have one."""
+    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
         ticks = [
             member.tick(own, y, u, y_sim[: 1 + member.ahead])
-            for member, own in zip(self.members, state["members"], strict=True)
+            for member, own in zip(members, state["members"], strict=True)
         ]
         ready = ticks[0][2]
         for _, _, able in ticks[1:]:
@@ -310,9 +256,14 @@ class Medians(Recursion):
         predicted = median([each for _, each, _ in ticks], np.minimum, np.maximum)
         return {"members": [new for new, _, _ in ticks]}, predicted, ready
 
-    def followed(self, known: ForecastContext) -> State:
-        """Return the states of the members after the history."""
-        return {"members": [member.followed(known) for member in self.members]}
+    return replace(
+        members[0],
+        initial=lambda known: {"members": [member.initial(known) for member in members]},
+        tick=tick,
+        followed=lambda known: {"members": [member.after(known) for member in members]},
+        ahead=max(member.ahead for member in members),
+        warmup=max(member.warmup for member in members),
+    )
 
 
 @final
@@ -390,28 +341,27 @@ class Stream:
         self, y: Array, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
     ) -> tuple[Array, bool]:
         recursion = self.recursion
-        inputs = self._given("u", u, recursion.nu > 0, (recursion.nu,))
         shape = (1 + recursion.ahead, recursion.ny)
-        if not recursion.simulated and y_sim is not None:
-            raise InputError(f"y_sim must be left out: {self.name} needs no simulator's output")
-        simulated = self._given("y_sim", y_sim, recursion.simulated, shape)
+        inputs = self._signal("u", u, (recursion.nu,), recursion.nu > 0)
+        simulated = self._signal("y_sim", y_sim, shape, recursion.simulated)
         self.state, predicted, ready = recursion.tick(self.state, y, inputs, simulated)
         return predicted, bool(ready)
 
-    def _given(
-        self, name: str, value: npt.ArrayLike | None, needed: bool, shape: tuple[int, ...]
-    ) -> Array:
-        if not needed:
-            if value is not None:
-                raise InputError(f"{name} must be left out: {self.name} has no inputs")
-            return np.zeros((*shape[:-1], 0))
-        if value is None:
-            raise InputError(f"{name} must be given at every sample for {self.name}, {shape}")
-        return self._signal(name, value, shape)
-
     def _signal(
-        self, name: str, value: npt.ArrayLike, shape: tuple[int, ...], gaps: bool = False
+        self,
+        name: str,
+        value: npt.ArrayLike | None,
+        shape: tuple[int, ...],
+        needed: bool = True,
+        gaps: bool = False,
     ) -> Array:
+        """Return a signal at a sample, of this shape, or without channels if it is not needed."""
+        if value is None and needed:
+            raise InputError(f"{name} must be given at every sample for {self.name}, {shape}")
+        if value is not None and not needed:
+            raise InputError(f"{name} must be left out: {self.name} needs none")
+        if value is None:
+            return np.zeros((*shape[:-1], 0))
         signal = np.asarray(value, dtype=np.float64)
         if signal.size != np.prod(shape) or signal.ndim > len(shape):
             raise InputError(f"{name} must have the shape {shape}, got {signal.shape}")
@@ -429,10 +379,15 @@ def stream_of(
     try:
         return _begun(forecaster, forecaster._stepped(), history, other_record)
     except NotSteppedError:
-        own = None if history is None else _prepared(forecaster, history)
-        begin = known_at_origin(forecaster, own, other_record).begin
-        asked = Repredicted(forecaster, _prepared(forecaster, history), begin)
-        return _begun(forecaster, asked, history, other_record)
+        return _begun(forecaster, _repredicted(forecaster), history, other_record)
+
+
+def _begun(
+    forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
+) -> Stream:
+    recursion, past = _in_units(forecaster, recursion, history)
+    known = known_of(forecaster, 0, past, other_record)
+    return Stream(forecaster.name, recursion, recursion.after(known))
 
 
 def program_of(
@@ -442,129 +397,90 @@ def program_of(
 
     The state is None where it depends on past output of a simulator that is not available.
     """
-    recursion = forecaster._stepped(outside=True)
+    recursion, past = _in_units(forecaster, forecaster._stepped(outside=True), history)
     try:
-        stream = _begun(forecaster, recursion, history, False)
+        return recursion, recursion.after(known_of(forecaster, 0, past))
     except ValueError:
         if not recursion.simulated or history is not None:
             raise
-        return _in_units(forecaster, recursion, history), None
-    return stream.recursion, stream.state
+        return recursion, None
 
 
-def _prepared(forecaster: Forecaster, history: Record | None) -> Record:
+def _in_units(
+    forecaster: Forecaster, recursion: Recursion, history: Record | None
+) -> tuple[Recursion, Record | None]:
+    """Return the recursion in a history's units, else in measured ones; the prepared history."""
     record = forecaster.require_fitted().record
-    return record if history is None else history.prepared_as(record)
+    past = record if history is None else history.prepared_as(record)
+    if past.prepared and (history is None or history.prepared != past.prepared):
+        steps = [each.counted_from(seconds(past)[0]) for each in past.prepared]
+        recursion = _prepared(recursion, steps, past.sampling_time)
+    return recursion, None if history is None else past
 
 
-def _begun(
-    forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
-) -> Stream:
-    """Return a stream whose state is that after a history."""
-    own = None if history is None else _prepared(forecaster, history)
-    known = known_at_origin(forecaster, own, other_record)
-    recursion = _in_units(forecaster, recursion, history)
-    return Stream(forecaster.name, recursion, recursion.followed(known))
+def _repredicted(forecaster: Forecaster) -> Recursion:
+    """Return the recursion that predicts each sample anew, ever more slowly."""
+    record, simulated = forecaster.require_fitted().record, "simulator" in forecaster.needs
 
+    def followed(known: ForecastContext | None) -> State:
+        assert known is not None
+        none, samples = np.zeros((len(known.y), 0)), len(known.y)
+        u, y_sim = (none if each is None else each[:samples] for each in (known.u, known.y_sim))
+        return {"history": known, "y": known.y, "u": u, "y_sim": y_sim}
 
-def _in_units(forecaster: Forecaster, recursion: Recursion, history: Record | None) -> Recursion:
-    """Return the recursion in the units of a history; without one, in measured units."""
-    past = _prepared(forecaster, history)
-    prepared = past.prepared
-    if not prepared or (history is not None and history.prepared == prepared):
-        return recursion
-    steps = [each.counted_from(seconds(past)[0]) for each in prepared]
-    return InUnits(recursion, steps, past.sampling_time)
-
-
-class Repredicted(Recursion):
-    """Predict each sample anew, which takes longer the longer the history is.
-
-    `begin`: where the history begins, see `ForecastContext`.
-    """
-
-    def __init__(self, forecaster: Forecaster, history: Record, begin: float | None) -> None:
-        self.forecaster, self.history, self.begin = forecaster, history, begin
-        self.simulated = "simulator" in forecaster.needs
-        self.ny, self.nu, self.warmup = history.ny, history.nu, forecaster.warmup
-
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the history."""
-        past = self.history
-        return {
-            "y": past.y_with_gaps,
-            "u": np.zeros((len(past), 0)) if past.u is None else past.u,
-            "y_sim": past.y_sim if self.simulated else np.zeros((len(past), 0)),
-        }
-
-    def followed(self, known: ForecastContext) -> State:
-        """Return the history, which is the whole state."""
-        return self.initial(known)
-
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Return the history with another sample, and its forecast if it was not measured."""
+    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
         rows = {"y": y[None], "u": u[None], "y_sim": y_sim}
-        new = {name: np.concatenate([state[name], row]) for name, row in rows.items()}
-        if np.isnan(y).any():
-            return new, self._predicted(new), True
-        return new, y, True
+        new = state | {name: np.concatenate([state[name], row]) for name, row in rows.items()}
+        return new, last_of(new) if np.isnan(y).any() else y, True
 
-    def _predicted(self, state: State) -> Array:
+    def last_of(state: State) -> Array:
         """Return the last of these samples, predicted from the last measured one before it."""
-        measured = np.flatnonzero(~np.isnan(state["y"]).all(axis=1))
-        origin = int(measured[measured < len(state["y"]) - 1].max()) + 1
-        past = self.history
-        record = Record.with_gaps(
-            state["y"][:origin],
-            past.sampling_time,
-            u=state["u"][:origin] if self.nu else None,
-            y_sim=state["y_sim"][:origin] if self.simulated else None,
-            columns=past.columns,
-            inputs=past.inputs,
-            start=past.start,
+        y, history = state["y"], state["history"]
+        measured = np.flatnonzero(~np.isnan(y).all(axis=1))
+        origin = int(measured[measured < len(y) - 1].max()) + 1
+        known = replace(
+            history,
+            y=y[:origin],
+            steps=len(y) - origin,
+            u=state["u"] if record.nu else None,
+            y_sim=state["y_sim"] if simulated else None,
+            grid=history.grid and replace(history.grid, samples=origin),
+            own=False,
         )
-        with without_warnings(ExtrapolationWarning):
-            known, _ = known_of(
-                self.forecaster,
-                len(state["y"]) - origin,
-                record,
-                state["u"][origin:] if self.nu else None,
-                state["y_sim"][origin:] if self.simulated else None,
-                other_record=self.begin is None,
-            )
-            # Without time stamps the record cannot say where it begins.
-            return predicted(self.forecaster, replace(known, begin=self.begin), record).y[-1]
+        return extrapolated(forecaster, known)[0][-1]
+
+    return Recursion(
+        record.ny,
+        record.nu,
+        followed,
+        tick,
+        simulated=simulated,
+        warmup=forecaster.warmup,
+        repeats=True,
+        followed=followed,
+    )
 
 
-class InUnits(Recursion):
-    """Run a recursion for prepared signals in measured units.
+def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: float) -> Recursion:
+    """Return a recursion for prepared signals in measured units; time counts from the history."""
 
-    The times of the preparations count from the first sample of the history; `step` is in s.
-    """
-
-    def __init__(self, inner: Recursion, prepared: Sequence[Preparation], step: float) -> None:
-        self.inner, self.prepared, self.step = inner, prepared, step
-        self.ny, self.nu, self.ahead = inner.ny, inner.nu, inner.ahead
-        self.simulated, self.warmup = inner.simulated, inner.warmup
-
-    def initial(self, known: ForecastContext | None = None) -> State:
-        """Return the state of the inner recursion, and the number of samples so far."""
-        return {"inner": self.inner.initial(known), "samples": np.zeros(())}
-
-    def followed(self, known: ForecastContext) -> State:
-        """Return the state after a prepared history."""
-        return {"inner": self.inner.followed(known), "samples": np.array(float(len(known.y)))}
-
-    def tick(self, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        """Prepare the signals of a sample, and undo the preparation on the prediction."""
-        time = self.step * np.stack([state["samples"] + i for i in range(1 + self.ahead)])
+    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        time = sampling_time * np.stack([state["samples"] + i for i in range(1 + inner.ahead)])
         rows, inputs = y[None], u[None]
-        for each in self.prepared:
-            rows = each.measured(rows, time[:1])
-            inputs = each.inputs(inputs, time[:1]) if self.nu else inputs
-            y_sim = each.outputs(y_sim, time) if self.simulated else y_sim
-        inner, predicted, able = self.inner.tick(state["inner"], rows[0], inputs[0], y_sim)
+        for step in steps:
+            rows = step.measured(rows, time[:1])
+            inputs = step.inputs(inputs, time[:1]) if inner.nu else inputs
+            y_sim = step.outputs(y_sim, time) if inner.simulated else y_sim
+        new, predicted, able = inner.tick(state["inner"], rows[0], inputs[0], y_sim)
         predicted = predicted[None]
-        for each in reversed(self.prepared):
-            predicted = each.restored(predicted, time[:1])
-        return {"inner": inner, "samples": state["samples"] + 1}, predicted[0], able
+        for step in reversed(steps):
+            predicted = step.restored(predicted, time[:1])
+        return {"inner": new, "samples": state["samples"] + 1}, predicted[0], able
+
+    def followed(known: ForecastContext) -> State:
+        return {"inner": inner.after(known), "samples": np.array(float(len(known.y)))}
+
+    def initial(known: ForecastContext | None) -> State:
+        return {"inner": inner.initial(known), "samples": np.zeros(())}
+
+    return replace(inner, initial=initial, tick=tick, followed=followed, prepared=True)

@@ -12,6 +12,7 @@ from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import parts_of
 from splitband.forecasters.checking import ModelCheck, Responses
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import LEVEL, ResidualTests
 from splitband.models.labels import SLOW
 from splitband.report import table, words
@@ -94,8 +95,9 @@ def _linear(result: Comparison) -> list[Section]:
     """Return the section of the linear model, if it is one of the methods."""
     sections = []
     for fitted in (fit.fitted for fits in result.fits.values() for fit in fits):
-        if (model := fitted._linear_model()) is None:
+        if not isinstance(fitted, Linear):
             continue
+        model = fitted.model
         over_order = plots.orders(model)
         gains = plots.gains(fitted.require_fitted().record, model)
         text = [fitted.describe() + "."]
