@@ -29,8 +29,6 @@ depends on the input at once. By eye."""
 SAME = 1e-6
 """Relative difference within which changes count as the same. By eye."""
 
-Mask = NDArray[np.bool_]
-
 
 def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
     """Return how the outputs are read, and whether that is known.
@@ -39,21 +37,35 @@ def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
     that cannot be read at its sample, or where that cannot be reported.
     """
     nothing = np.zeros(len(task.outputs), dtype=bool)
-    if task.u is None or not task.u.shape[1]:
-        return Reading(nothing), True
     start = replace(task, time=task.time[:SAMPLES])
-    if len(start.time) < 2:
+    if task.u is None or not task.u.shape[1] or len(start.time) < 2:
         return Reading(nothing), True
+    usual = task.u[len(start.time) - 1]
+    changes = _changes(unit, task, usual)
     try:
-        reported, before = _reported_when_set(unit, start), False
+        reported, before = _reported_when_set(unit, start, usual, changes), False
     except _UnreadableError:
         reported, before = nothing, True
-    declared, free = _declared(unit, task)
-    open_ones = ~reported & ~free
+    depends = _declared(unit, task)
+    open_ones = ~reported & np.array([each is not False for each in depends])
     if not open_ones.any():
         return Reading(nothing, before), True
-    late, changes = _late(unit, start, open_ones, declared)
-    return Reading(late, before), bool(changes[open_ones].all())
+    late, moved = nothing.copy(), nothing.copy()
+    able = unit.description.coSimulation.canHandleVariableCommunicationStepSize
+    able = able or unit.version == 1  # of which FMPy does not read it
+    shares = (1.0, FRACTION_OF_A_STEP, FRACTION_OF_A_STEP / 2) if able else (1.0,)
+    begin = [_two_steps(unit, start, usual, usual, share) for share in shares]
+    for changed in changes:
+        moves = [None if at is None else _two_steps(unit, start, changed, usual, share)
+                 for at, share in zip(begin, shares, strict=True)]  # fmt: skip
+        moves = [None if to is None or at is None else to - at
+                 for to, at in zip(moves, begin, strict=True)]  # fmt: skip
+        assert moves[0] is not None
+        moved |= moves[0][0] != 0
+        for i in np.flatnonzero(open_ones & (moves[0][0] != 0)).tolist():
+            each = [move[:, i] for move in moves if move is not None]
+            late[i] |= _is_late(each, f"{task.outputs[i]} of {unit.path}", depends[i])
+    return Reading(late, before), bool(moved[open_ones].all())
 
 
 class LateError(InputError):
@@ -64,26 +76,68 @@ class _UnreadableError(Exception):
     """Report that outputs cannot be read after inputs were set, without a step."""
 
 
-def _declared(unit: Unit, task: Task) -> tuple[Mask, Mask]:
-    """Return which outputs the FMU declares to depend on an input, and which to depend on none."""
-    reported = {each.variable.name: each.dependencies for each in unit.description.outputs
+def _is_late(moves: Sequence[Array], name: str, depends: bool | None) -> bool:
+    """Return whether an output shows its sample's inputs only after a step.
+
+    `moves`: what an input changes in it after a step in which that was changed, and after the next
+    one: with whole steps, with short ones and with some half as long, if the FMU makes these. What
+    it changes in a step without length, which the short ones tell, depends on it at once; if the
+    next step forgets it, there is no state.
+    """
+    first, second = np.abs(moves[0])
+    forgets = second <= SAME * first
+    # One that makes steps of its own does nothing in a step that is shorter than these.
+    if len(moves) == 3 and np.any(moves[1:]):
+        (at_once, then), (half, _) = moves[1:]
+        if abs(2 * half - at_once) <= AT_ONCE * first:
+            return False  # by its states
+        same = np.allclose(np.abs([at_once, then]), [first, second], rtol=SAME, atol=0.0)
+        unknown = same and not forgets  # its steps do not depend on their length
+    elif depends:
+        unknown = False
+    elif forgets:
+        raise LateError(
+            f"{name} cannot be read at its sample: it is either a function of the inputs that is "
+            "computed in the step after it, or one sample late, and steps of another length, which "
+            "would tell, are not made; declare its dependencies in the model description, or "
+            "export the FMU for model exchange"
+        )
+    else:
+        unknown = True
+    if unknown:
+        warnings.warn(
+            f"{name} is taken not to depend on the inputs at once, which its description does not "
+            "say and a run cannot tell; otherwise it comes one sample late",
+            stacklevel=2,
+        )
+    elif not forgets:
+        raise LateError(
+            f"{name} cannot be read at its sample: it depends on the inputs at once, and is "
+            "computed only in the step after them; export the FMU for model exchange, or so that "
+            "its outputs can be read when inputs are set"
+        )
+    return not unknown
+
+
+def _declared(unit: Unit, task: Task) -> list[bool | None]:
+    """Return for each output whether the FMU declares it to depend on an input; None: not said."""
+    said = {each.variable.name: each.dependencies for each in unit.description.outputs
             if each.variable is not None and each.dependencies is not None}  # fmt: skip
-    depends = [
-        None if name not in reported else any(v.name in task.inputs for v in reported[name])
-        for name in task.outputs
-    ]
-    return np.array([d is True for d in depends]), np.array([d is False for d in depends])
+    return [any(v.name in task.inputs for v in said[name]) if name in said else None
+            for name in task.outputs]  # fmt: skip
 
 
-def _reported_when_set(unit: Unit, task: Task) -> Mask:
+def _reported_when_set(
+    unit: Unit, task: Task, usual: Array, changes: Sequence[Array]
+) -> NDArray[np.bool_]:
     """Return which outputs change when an input is set, without a step."""
     with unit.instance() as instance:
         run = CoSimulation(unit, instance, task)
-        _advance(run)
+        run.advance()
         reported = np.zeros(len(task.outputs), dtype=bool)
-        for changed in _changes(unit, task):
+        for changed in changes:
             values = []
-            for u in (_usual(task), changed):
+            for u in (usual, changed):
                 run.inputs.set(u)
                 try:
                     values.append(run.outputs.get())
@@ -94,118 +148,36 @@ def _reported_when_set(unit: Unit, task: Task) -> Mask:
     return reported
 
 
-def _late(unit: Unit, task: Task, asked: Mask, declared: Mask) -> tuple[Mask, Mask]:
-    """Return which of the outputs that are `asked` about show their sample's inputs after a step.
+def _two_steps(unit: Unit, task: Task, first: Array, second: Array, share: float) -> Array | None:
+    """Return the outputs after two steps of these inputs and this share of the sampling time.
 
-    Also return which ones change with an input at all. Two steps follow, in the first of which one
-    input is changed. What changes with the input in a step without length, which two short ones
-    tell, depends on it at once; if the second step forgets it, there is no state.
+    `(2, outputs)`; None for an FMU that makes no short steps.
     """
-    late, moved = np.zeros((2, len(task.outputs)), dtype=bool)
-    usual = _two_steps(unit, task, _usual(task), 1.0)
-    shares = FRACTION_OF_A_STEP, FRACTION_OF_A_STEP / 2
-    short = [_short_steps(unit, task, _usual(task), share) for share in shares]
-    for changed in _changes(unit, task):
-        first, second = np.abs(_two_steps(unit, task, changed, 1.0) - usual)
-        forgets = second <= SAME * first
-        moved |= first > 0
-        soon = [None if before is None else _short_steps(unit, task, changed, share)
-                for before, share in zip(short, shares, strict=True)]  # fmt: skip
-        for i in np.flatnonzero(asked & (first > 0)).tolist():
-            name = task.outputs[i]
-            steps = [(after - before)[:, i] for after, before in zip(soon, short, strict=True)
-                     if after is not None and before is not None]  # fmt: skip
-            # One that makes steps of its own does nothing in a step that is shorter than these.
-            if len(steps) == len(shares) and np.any(steps):
-                (at_once, then), (half, _) = steps
-                if abs(2 * half - at_once) <= AT_ONCE * first[i]:
-                    continue  # by its states
-                changes = np.abs([at_once, then])
-                same = np.allclose(changes, [first[i], second[i]], rtol=SAME, atol=0.0)
-                if same and not forgets[i]:  # its steps do not depend on their length
-                    _warn(unit, name)
-                    continue
-            elif not declared[i]:
-                if forgets[i]:
-                    raise LateError(
-                        f"{name} of {unit.path} cannot be read at its sample: it is either a "
-                        "function of the inputs that is computed in the step after it, or one "
-                        "sample late, and steps of another length, which would tell, are not made; "
-                        "declare its dependencies in the model description, or export the FMU for "
-                        "model exchange"
-                    )
-                _warn(unit, name)
-                continue
-            if not forgets[i]:
-                raise LateError(
-                    f"{name} of {unit.path} cannot be read at its sample: it depends on the inputs "
-                    "at once, and is computed only in the step after them; export the FMU for "
-                    "model exchange, or so that its outputs can be read when inputs are set"
-                )
-            late[i] = True
-    return late, moved
-
-
-def _warn(unit: Unit, name: str) -> None:
-    warnings.warn(
-        f"{name} of {unit.path} is taken not to depend on the inputs at once, which its "
-        "description does not say and a run cannot tell; otherwise it comes one sample late",
-        stacklevel=2,
-    )
-
-
-def _advance(run: CoSimulation) -> None:
-    """Go on to the last sample of the task."""
-    for n in range(len(run.task.time) - 1):
-        run.drive(n)
-        run.step(run.task.step)
-
-
-def _two_steps(unit: Unit, task: Task, changed: Array, share: float) -> Array:
-    """Return the outputs after two steps of this share of the sampling time, `(2, outputs)`.
-
-    The inputs are those `changed` in the first one, and the usual ones in the second.
-    """
-    found = []
-    with unit.instance() as instance:
-        run = CoSimulation(unit, instance, replace(task, time=task.time))
-        _advance(run)
-        for u in (changed, _usual(task)):
-            run.inputs.set(u)
-            run.step(share * task.step)
-            found.append(run.outputs.get())
-        run.instance.terminate()
+    try:
+        with unit.instance() as instance:
+            run, found = CoSimulation(unit, instance, task), []
+            run.advance()
+            for u in (first, second):
+                run.inputs.set(u)
+                run.step(share * task.step)
+                found.append(run.outputs.get())
+            run.instance.terminate()
+    except Exception:
+        if share == 1.0:
+            raise
+        return None
     return np.stack(found)
 
 
-def _short_steps(unit: Unit, task: Task, changed: Array, share: float) -> Array | None:
-    """Return the outputs after two short steps; None for an FMU that makes none."""
-    able = unit.description.coSimulation.canHandleVariableCommunicationStepSize
-    if not able and unit.version > 1:  # FMPy does not read it of FMI 1
-        return None
-    try:
-        return _two_steps(unit, task, changed, share)
-    except Exception:
-        return None
-
-
-def _changes(unit: Unit, task: Task) -> Sequence[Array]:
+def _changes(unit: Unit, task: Task, usual: Array) -> list[Array]:
     """Return the usual inputs with one of them changed, as far as in the record, then with all."""
     assert task.u is not None
-    changes, usual, together = [], _usual(task), _usual(task).copy()
+    changes, together = [], usual.copy()
     for j, name in enumerate(task.inputs):
-        values, last = task.u[:, j], usual[j]
-        others = [other for other in (values.min(), values.max()) if other != last]
+        last = usual[j]
+        others = [each for each in (task.u[:, j].min(), task.u[:, j].max()) if each != last]
         if not others:
             others = [1.0 - last if unit.by_name[name].type == "Boolean" else last + 1.0]
-        for other in others:
-            changes.append(np.where(np.arange(len(usual)) == j, other, usual))
+        changes += [np.where(np.arange(len(usual)) == j, other, usual) for other in others]
         together[j] = max(others, key=lambda other: abs(other - last))
     return changes if len(usual) == 1 else [*changes, together]
-
-
-def _usual(task: Task) -> Array:
-    """Return the inputs at the last sample of a task, whose inputs may go on."""
-    assert task.u is not None
-    usual: Array = task.u[len(task.time) - 1]
-    return usual
