@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, final
+from uuid import uuid4
 
 import numpy as np
 
@@ -50,7 +51,8 @@ class _Fit:
 
     def __repr__(self) -> str:
         experiments = [Experiment.of(record, self.simulator) for record in self.records]
-        return f"{fit_key(self.simulator, experiments, self.effort.starts)} {self.effort.seconds}"
+        key = fit_key(self.simulator, experiments, self.effort.starts)
+        return f"{key or uuid4().hex} {self.effort.seconds}"  # without a key none is like it
 
 
 estimated = cached(_Fit.result)

@@ -93,12 +93,12 @@ def matched(
 def identity(simulator: Any) -> str | None:
     """Return what tells a simulator, with the ranges of its parameters, from all others.
 
-    It is equal in every process; None for a simulator that nothing is known of.
+    It is equal in every process; None for a simulator that nothing is known of, or whose code
+    cannot be told.
     """
-    if hasattr(simulator, "digest"):
-        return f"{simulator.digest()} {simulator.known}"
-    said = getattr(simulator, "fingerprint", lambda: None)()
-    return None if said is None else str(said)
+    adjustable = hasattr(simulator, "digest")
+    said = simulator.digest() if adjustable else getattr(simulator, "fingerprint", lambda: None)()
+    return None if said is None else f"{said} {simulator.known}" if adjustable else str(said)
 
 
 def check_undriven(simulator: Any, name: str, inputs: Sequence[str] = ()) -> None:

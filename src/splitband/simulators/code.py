@@ -8,7 +8,7 @@ import hashlib
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from sysconfig import get_path
 from traceback import extract_tb
@@ -200,7 +200,8 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
     if isinstance(value, dict):
         return [part for pair in value.items() for part in pair]
     if isinstance(value, ModuleType):
-        return [value.__name__, content_digest([value.__file__]) if is_users(value.__name__) else 0]
+        own = [value.__file__ or ""] if is_users(value.__name__) else []
+        return [value.__name__, content_digest(own)]
     if isinstance(value, CodeType):
         shape = value.co_argcount, value.co_kwonlyargcount, value.co_flags
         return [value.co_code, value.co_names, value.co_consts, value.co_exceptiontable, shape]
@@ -214,10 +215,8 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
         parts = dict(vars(value)) if is_users(value.__module__) else {}
         used = [n for n in sorted(parts) if not n.startswith("__") or callable(parts[n])]
         return [value.__qualname__, *value.__bases__, [(name, parts[name]) for name in used]]
-    if isinstance(value, property):
-        return [value.fget, value.fset]
-    if isinstance(value, classmethod | staticmethod):
-        return [value.__func__]
+    if isinstance(value, property | cached_property | classmethod | staticmethod):
+        return [getattr(value, name, None) for name in ("fget", "fset", "func", "__func__")]
     stored = value.__reduce_ex__(4)
     if isinstance(stored, str):  # by its name
         return [value.__module__, stored, getattr(value, "__dict__", {})]

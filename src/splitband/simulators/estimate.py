@@ -149,10 +149,7 @@ def uncertainty(
 
 
 def _directions(jacobian: Array, noise: Array) -> tuple[Array, Array]:
-    """Return the factor V / S of the identifiable directions, `(n, k)`, and the other directions.
-
-    A direction is not identifiable if its standard error is a large share of the ranges.
-    """
+    """Return the factor V / S of the identifiable directions, `(n, k)`, and the other directions."""
     if not jacobian.shape[1]:
         return np.empty((0, 0)), np.empty((0, 0))
     _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
@@ -193,10 +190,7 @@ def labelled(name: Name) -> str:
 
 
 def _remark(names: Sequence[Name], changes: Array) -> str:
-    """Return a remark about a direction that is not identifiable.
-
-    `changes` are the relative changes of the values along it.
-    """
+    """Return a remark about a direction along which the values change by `changes`, relatively."""
     called = [labelled(name) for name in names]
     if len(names) == 1:
         return f"the record does not tell {called[0]}: its value does not matter"

@@ -115,9 +115,10 @@ class Function(UserCode):
         """Return the cache key, or None without a `key`."""
         return None if self.key is None else f"{self.key} {self.known}".strip() + self._begins
 
-    def digest(self) -> str:
-        """Return an identifier of the response, without the values of parameters."""
-        return (self.key or code_digest(self.function)) + self._begins
+    def digest(self) -> str | None:
+        """Return an identifier of code and start; None for code that cannot be told."""
+        code = self.key or code_digest(self.function)
+        return None if code is None else code + self._begins
 
     @property
     def _begins(self) -> str:

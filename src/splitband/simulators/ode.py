@@ -211,9 +211,11 @@ class Ode(UserCode):
         x0 = np.asarray(self.x0, float).tolist()
         return f"{self.key} {x0} {self.known} {self._precision}"
 
-    def digest(self) -> str:
-        """Return an identifier of code and settings, without the values of parameters."""
+    def digest(self) -> str | None:
+        """Return an identifier of code and settings; None for code that cannot be told."""
         code = self.key or code_digest(self.rhs, self.observe)
+        if code is None:
+            return None
         x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
         fixed = {n: x for n, x in zip(self._states, x0, strict=True) if n not in self.known.given}
         return f"{code} {fixed} {self._precision} {self.held}"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -59,20 +59,21 @@ class Experiment:
         return Experiment(self.time[begin:end], self.y[begin:end].copy(), u)
 
 
-def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str:
-    """Return a digest of the simulator, experiments and number of starts of a fit."""
-    said = sha256(f"{identity(simulator)} {starts}".encode())
+def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str | None:
+    """Return a digest of simulator, experiments and number of starts; None without an identity."""
+    if (known := identity(simulator)) is None:
+        return None
+    said = sha256(f"{known} {starts}".encode())
     for array in (a for e in experiments for a in (e.time, e.y, e.u)):
         said.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
     return said.hexdigest()
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
+class Window(NamedTuple):
     """Hold a part of a record that is simulated at once.
 
-    `record`: its number; `unknowns`: which of all unknowns concern it, the last `states` of
-    which are its initial state. At the beginning of a record, parameters define that.
+    `unknowns`: which of all unknowns concern it, the last `states` of which are its initial state.
+    At the beginning of a record, parameters define that.
     """
 
     record: int
@@ -133,8 +134,7 @@ class Shooting:
             samples = len(experiment.y)
             own = [i for i, (_, record) in enumerate(self.names) if record in (-1, r)]
             if not self.simulator.states:
-                part = experiment.part(0, min(length, samples))
-                self.windows.append(Window(r, part, own, slice(0)))
+                self.windows.append(Window(r, experiment.part(0, length), own, slice(0)))
                 continue
             cuts = np.linspace(0, samples, -(-samples // length) + 1).round().astype(int)
             values, state = self.values(fractions, r), None
@@ -160,12 +160,9 @@ class Shooting:
 
     def residuals(self, unknowns: Array) -> Array:
         """Return all residuals in deviations of the channels, `(samples * ny,)`, 0 in gaps."""
-        return np.concatenate(
-            [
-                self._errors(each.part, self.respond(each.part, [self._point(each, unknowns)])[0])
-                for each in self.windows
-            ]
-        )
+        found = [self.respond(each.part, [self._point(each, unknowns)])[0] for each in self.windows]
+        pairs = zip(self.windows, found, strict=True)
+        return np.concatenate([self._errors(window.part, each) for window, each in pairs])
 
     def jacobian(self, unknowns: Array) -> Array:
         """Return the derivatives of the residuals, `(samples * ny, unknowns)`."""
