@@ -27,13 +27,9 @@ NEAR = 1e-9
 class Task:
     """Say what a run is given, and what it returns.
 
-    Attributes
-    ----------
-    time : Evenly spaced times in s, two at least.
-    u : Inputs, `(time, inputs)`; None without any.
-    values : Start values of variables.
-    outputs, inputs : Names of the variables to read, and of those that take `u`.
-    held : Whether model exchange holds inputs until the next sample; else it interpolates them.
+    `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
+    of variables; `outputs`, `inputs`: names of the variables to read, and of those that take `u`;
+    `held`: whether model exchange holds inputs until the next sample, or interpolates them.
     """
 
     time: Array
@@ -151,10 +147,6 @@ class _Inputs:
         n = min(int(place), len(self.lines) - 2)
         self.smooth.set(self.lines[n] + (place - n) * (self.lines[n + 1] - self.lines[n]))
 
-    def jump(self, n: int) -> bool:
-        """Return whether an input jumps at sample n."""
-        return bool((self.jumps[n] != self.jumps[n - 1]).any())
-
 
 class Exchange:
     """Integrate an FMU for model exchange by CVODE (Hindmarsh et al., ACM TOMS 31, 2005)."""
@@ -166,7 +158,7 @@ class Exchange:
         self.event_time = np.inf
         if unit.version > 1:
             self._update()
-        self.solver = _solver(unit, instance, task, self.inputs)
+        self.solver = self._solver()
 
     def run(self) -> Array:
         """Return the outputs, `(time, outputs)`, of events at a sample those after them."""
@@ -191,8 +183,7 @@ class Exchange:
                 event, _, now = self.solver.step(now, stop)
             if self.event_time <= now + near:
                 event, now = True, max(now, self.event_time)
-            instance.setTime(now)
-            self.inputs.apply(now)
+            self._set_time(now)
             if self.unit.description.modelExchange.needsCompletedIntegratorStep:
                 done = instance.completedIntegratorStep()
                 event |= bool(done if self.unit.version == 1 else done[0])
@@ -200,9 +191,8 @@ class Exchange:
                 self._event(now)
         else:
             raise InputError(f"the FMU {self.unit.path} has no end of events at {now:g} s")
-        instance.setTime(end)
-        self.inputs.apply(end)
-        if self.inputs.jump(n):
+        self._set_time(end)
+        if (self.inputs.jumps[n] != self.inputs.jumps[n - 1]).any():
             self._event(end, n)
 
     def _event(self, now: float, n: int | None = None) -> None:
@@ -232,49 +222,42 @@ class Exchange:
         if version > 1:
             instance.enterContinuousTimeMode()
 
+    def _set_time(self, time: float) -> None:
+        """Set the time and its inputs, also where derivatives are evaluated: FMPy leaves them."""
+        self.instance.setTime(time)
+        self.inputs.apply(time)
 
-def _solver(unit: Unit, instance: Any, task: Task, inputs: _Inputs) -> Any:
-    from fmpy.sundials import CVodeSolver  # noqa: PLC0415  the optional extra
+    def _solver(self) -> Any:
+        from fmpy.sundials import CVodeSolver  # noqa: PLC0415  the optional extra
 
-    class Solver(CVodeSolver):  # type: ignore[misc]
-        """Also set the inputs where derivatives are evaluated, which FMPy's own does not."""
-
-        def f(self, t: float, y: Any, ydot: Any, user_data: Any) -> int:
-            self.set_time(t)
-            self.input.apply(t)
-            result: int = super().f(t, y, ydot, user_data)
-            return result
-
-    description, version = unit.description, unit.version
-    nominals = "getNominalContinuousStates" if version == 1 else "getNominalsOfContinuousStates"
-    slopes = "getContinuousStateDerivatives" if version == 3 else "getDerivatives"
-    experiment = description.defaultExperiment
-    given = None if experiment is None else experiment.tolerance
-    return Solver(
-        nx=description.numberOfContinuousStates,
-        nz=description.numberOfEventIndicators,
-        get_x=instance.getContinuousStates,
-        set_x=instance.setContinuousStates,
-        get_dx=getattr(instance, slopes),
-        get_z=instance.getEventIndicators,
-        get_nominals=getattr(instance, nominals),
-        set_time=instance.setTime,
-        input=inputs,
-        startTime=float(task.time[0]),
-        maxStep=task.step,
-        relativeTolerance=min(RELATIVE_TOLERANCE, float(given or 1.0)),
-        maxNumSteps=MOST_STEPS,
-    )
+        instance, description, version = self.instance, self.unit.description, self.unit.version
+        nominals = "getNominalContinuousStates" if version == 1 else "getNominalsOfContinuousStates"
+        slopes = "getContinuousStateDerivatives" if version == 3 else "getDerivatives"
+        experiment = description.defaultExperiment
+        given = None if experiment is None else experiment.tolerance
+        return CVodeSolver(
+            nx=description.numberOfContinuousStates,
+            nz=description.numberOfEventIndicators,
+            get_x=instance.getContinuousStates,
+            set_x=instance.setContinuousStates,
+            get_dx=getattr(instance, slopes),
+            get_z=instance.getEventIndicators,
+            get_nominals=getattr(instance, nominals),
+            set_time=self._set_time,
+            input=self.inputs,
+            startTime=float(self.task.time[0]),
+            maxStep=self.task.step,
+            relativeTolerance=min(RELATIVE_TOLERANCE, float(given or 1.0)),
+            maxNumSteps=MOST_STEPS,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Say when the outputs of a co-simulation FMU are read.
 
-    Attributes
-    ----------
-    late : Outputs that are those of a sample's inputs only after the step, `(outputs,)`.
-    before : Whether the others are read before the inputs are set, as they cannot be read then.
+    `late`: those that show a sample's inputs only after the step, `(outputs,)`; `before`: whether
+    the others are read before the inputs are set, as they cannot be read then.
     """
 
     late: NDArray[np.bool_]

@@ -10,6 +10,7 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from zipfile import ZipFile
 
 from splitband.data.signals import bare_name
 from splitband.runtime.errors import InputError
@@ -29,20 +30,20 @@ _MOST = 12
 
 
 class Variables:
-    """Know the names of an FMU's variables; `description` by FMPy, `folder` holds its XML file.
+    """Know the names of an FMU's variables; `description` by FMPy.
 
     `outputs` and `inputs` of an FMU are numbers; `inputs` must be driven, while the `optional` ones
     of an FMU of this package, which take measured samples, may keep their start values.
     """
 
-    def __init__(self, path: Path, description: Any, folder: Path) -> None:
-        every = description.modelVariables
+    def __init__(self, path: Path, description: Any) -> None:
+        every, optional = description.modelVariables, _optional(path)
         self.file, self.names = path, [v.name for v in every]
         usable = [v for v in every if v.type in NUMERIC and not (v.shape or v.dimensions)]
         inputs = [v.name for v in usable if v.causality == "input"]
         self.outputs = [v.name for v in usable if v.causality == "output"]
         self.others = [v.name for v in usable if v.name not in {*self.outputs, *inputs}]
-        self.optional = [name for name in inputs if name in _optional(folder)]
+        self.optional = [name for name in inputs if name in optional]
         self.inputs = [name for name in inputs if name not in self.optional]
         self.able = {*inputs, *(v.name for v in usable if v.variability == "tunable")}
         self.arrays = [
@@ -122,12 +123,10 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST]) + (", ..." if len(names) > _MOST else "")
 
 
-def _optional(folder: Path) -> list[str]:
+def _optional(path: Path) -> list[str]:
     """Return the inputs that our own annotation in a model description lists."""
-    try:
-        root = ElementTree.parse(folder / "modelDescription.xml").getroot()
-    except (OSError, ElementTree.ParseError):
-        return []
+    with ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}/Input")
     return [each.get("name", "") for each in listed]
 
@@ -136,14 +135,8 @@ class Unit:
     """Hold an unpacked FMU and an idle instance of it.
 
     The archive is unpacked once; between runs an instance is reset, not loaded again. The unpacked
-    files are removed by `close`, when the object is deleted, or when the process ends.
-
-    Attributes
-    ----------
-    description : By FMPy.
-    variables : The names of its variables.
-    kind : `EXCHANGE` or `COSIMULATION`.
-    readings : How its outputs are read, by outputs, inputs and sampling time.
+    files are removed by `close`, when the object is deleted, or when the process ends. `readings`
+    says how its outputs are read, by outputs, inputs and sampling time.
     """
 
     def __init__(self, path: Path) -> None:
@@ -160,7 +153,7 @@ class Unit:
         try:
             fmpy.extract(str(path), self.folder)
             self.description = fmpy.read_model_description(self.folder)
-            self.variables = Variables(path, self.description, Path(self.folder))
+            self.variables = Variables(path, self.description)
             self.kind = EXCHANGE if self.description.modelExchange is not None else COSIMULATION
             self._idle.append(self._first())
         except Exception as error:
@@ -212,13 +205,10 @@ class Unit:
 def variables_of(path: Path) -> Variables:
     """Return the variables of an FMU, without running its code."""
     fmpy = _fmpy()
-    with tempfile.TemporaryDirectory(prefix="splitband-fmu-") as folder:
-        try:
-            fmpy.extract(str(path), folder, include=lambda name: name == "modelDescription.xml")
-            description = fmpy.read_model_description(folder)
-        except Exception as error:
-            raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
-        return Variables(path, description, Path(folder))
+    try:
+        return Variables(path, fmpy.read_model_description(str(path)))
+    except Exception as error:
+        raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
 
 
 def _fmpy() -> Any:

@@ -28,15 +28,14 @@ from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
 from splitband.simulators.code import failure
-from splitband.simulators.estimate import Estimate, labelled, uncertainty
-from splitband.simulators.parameters import Adjustable
+from splitband.simulators.parameters import Adjustable, Estimate, labelled, uncertainty
 from splitband.simulators.shooting import BAD, Experiment, Shooting, fit_key, projected
 
 STARTS = 32
 """Default limit of starting points. By eye."""
 ENOUGH = 4
-"""The search stops after so many starts with the same error. So many are tried in parallel, whatever
-the number of processes, so that the result does not depend on it. By eye."""
+"""The search stops after so many starts with the same error. So many are tried in parallel, on any
+number of processes, so that the result does not depend on it. By eye."""
 PATIENCE, _HARDLY_BETTER = 8, 0.02
 """The search stops if the last `PATIENCE` starts lowered the error by less than this share.
 By eye."""
@@ -143,21 +142,18 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
     fractions = unknowns[: len(fractions)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
-    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
-    if rough:
-        remarks.append("standard errors are rough, as the solver cannot keep smaller tolerances")
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
-    if lost:
-        remarks.append(
-            f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {lost[0]}"
-        )
+    reason = next(iter(lost), "")
     cut = any(o.cut for o in outcomes) or deadline.over
-    if cut:
-        remarks.append("the time was over before every starting point was tried")
-    if window < longest:
-        remarks.append(
-            f"simulated in windows of {window} samples, as a simulation of the whole record is lost"
-        )
+    more = {
+        "standard errors are rough, as the solver cannot keep smaller tolerances": rough,
+        f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {reason}": lost,
+        "the time was over before every starting point was tried": cut,
+        f"simulated in windows of {window} samples, as a simulation of the whole record is lost":
+            window < longest,
+    }  # fmt: skip
+    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
+    remarks += [remark for remark, holds in more.items() if holds]
     agreed = len(agreeing), len(ranked)
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut)
 
@@ -219,19 +215,12 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     errors, correlations, remarks = uncertainty(
         shooting.names, known, fractions, by_channel, jacobian
     )
-    names = [labelled(name) for name in shooting.names]
-    values = [
-        known.value_at(n, float(p)) for (n, _), p in zip(shooting.names, fractions, strict=True)
-    ]
+    named = [*zip(shooting.names, fractions, errors, strict=True)]
+    values = {labelled(name): known.value_at(name[0], float(at)) for name, at, _ in named}
+    deviations = {labelled(name): float(error) for name, _, error in named}
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
-    return Estimate(
-        dict(zip(names, values, strict=True)),
-        dict(zip(names, map(float, errors), strict=True)),
-        correlations,
-        tuple(map(float, rmse)),
-        tuple(remarks),
-        window,
-    )
+    rest = tuple(map(float, rmse)), tuple(remarks), window
+    return Estimate(values, deviations, correlations, *rest)
 
 
 def _alternatives(

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 from splitband.data.named import RECORDS, UNFORCED_START, unforced_van_der_pol
-from splitband.simulators.base import Simulator
-from splitband.simulators.ode import Ode
-from splitband.simulators.recorded import Recorded
+from splitband.simulators.base import Recorded, Simulator
+from splitband.simulators.functions import Ode
 
 
 def exported_simulator(name: str) -> Simulator:
