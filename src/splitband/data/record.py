@@ -178,8 +178,10 @@ class Record:
         if key.step not in (None, 1):
             raise InputError(f"a Record takes slices of step 1 only: got step {key.step}")
         begin, end, _ = key.indices(len(self))
-        parts = {name: None if (whole := getattr(self, name)) is None else whole[key]
-                 for name in ("y", "u", "y_true", "y_sim", "measured")}  # fmt: skip
+        parts: dict[str, Any] = {
+            name: None if (whole := getattr(self, name)) is None else whole[key]
+            for name in ("y", "u", "y_true", "y_sim", "measured")
+        }
         if (measured := parts["measured"]) is not None:
             # Gaps are filled again, from the samples of the slice only.
             known = measured.any(axis=0)
@@ -282,7 +284,7 @@ class Record:
     @property
     def complete(self) -> Flags:
         """Return a mask of the samples at which every channel was measured, (time,)."""
-        return ~np.isnan(self.y_with_gaps).any(axis=1)
+        return np.asarray(~np.isnan(self.y_with_gaps).any(axis=1))
 
     @property
     def ny(self) -> int:

@@ -70,14 +70,11 @@ def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> Non
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         column = f", column {columns[bad[0, 1]]!r}" if columns else ""
+        rows = row_ranges(np.asarray(~np.isfinite(values).all(axis=1)))
+        s, more = ("s", f"; {rows}") if len(bad) > 1 else ("", "")
         raise InputError(
-            f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
-            f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
-            + (
-                f"; {row_ranges(np.asarray(~np.isfinite(values).all(axis=1)))}"
-                if len(bad) > 1
-                else ""
-            )
+            f"{what} must be finite: {len(bad)} bad value{s}, the first "
+            f"({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}{more}"
         )
     largest = np.abs(values).max(axis=0, initial=0.0)
     with np.errstate(over="ignore"):

@@ -8,6 +8,7 @@ import hashlib
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copyreg import dispatch_table
 from functools import cached_property, lru_cache
 from pathlib import Path
 from sysconfig import get_path
@@ -208,7 +209,8 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
     if isinstance(value, FunctionType):
         file = Path(value.__code__.co_filename).resolve()
         installed = file.is_file() and not _of_the_user(file)
-        code = value.__qualname__ if installed else [value.__code__, _globals(value)]
+        names = value.__module__, value.__qualname__
+        code = names if installed else [value.__code__, _globals(value)]
         cells = [cell.cell_contents for cell in value.__closure__ or ()]
         return [code, cells, value.__defaults__, value.__kwdefaults__, vars(value)]
     if isinstance(value, type):
@@ -217,9 +219,10 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
         return [value.__qualname__, *value.__bases__, [(name, parts[name]) for name in used]]
     if isinstance(value, property | cached_property | classmethod | staticmethod):
         return [getattr(value, name, None) for name in ("fget", "fset", "func", "__func__")]
-    stored = value.__reduce_ex__(4)
+    reduce = dispatch_table.get(type(value))
+    stored: Any = value.__reduce_ex__(4) if reduce is None else reduce(value)
     if isinstance(stored, str):  # by its name
-        return [value.__module__, stored, getattr(value, "__dict__", {})]
+        return [getattr(value, "__module__", ""), stored, getattr(value, "__dict__", {})]
     return [[*part] if isinstance(part, Iterator) else part for part in stored]
 
 

@@ -119,15 +119,13 @@ class Function(UserCode):
 
         A parameter with a range takes the middle of it.
         """
-        inputs = np.empty((len(time), 0)) if u is None else u
-        return self._called(time, inputs, self.known.middle())
+        return self._called(time, u, self.known.middle())
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """Return the responses, without states, see `Adjustable`."""
-        inputs = np.empty((len(time), 0)) if u is None else u
         found = []
         for values, _ in points:
-            y = np.asarray(self._called(time, inputs, values), dtype=float)
+            y = np.asarray(self._called(time, u, values), dtype=float)
             found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
         return found
 
@@ -140,7 +138,8 @@ class Function(UserCode):
         code = self.key or code_digest(self.function)
         return code and code + self._begins
 
-    def _called(self, time: Array, u: Array, values: Mapping[str, float]) -> npt.ArrayLike:
+    def _called(self, time: Array, u: Array | None, values: Mapping[str, float]) -> npt.ArrayLike:
+        u = np.empty((len(time), 0)) if u is None else u
         p = parameters_class(tuple(self.known.given))(*(values[n] for n in self.known.given))
         return self.function(*(time, u, p)[: count_arguments(self.function) or 1])
 
