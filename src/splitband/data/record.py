@@ -118,7 +118,9 @@ class Record:
             measured = np.array(self.measured, dtype=np.bool_)
             measured = measured[:, None] if measured.ndim == 1 else measured
             if measured.shape != y.shape:
-                raise InputError(f"measured must have y's shape, {y.shape}: it is {measured.shape}")
+                raise InputError(
+                    f"measured must have the shape of y, {y.shape}: it is {measured.shape}"
+                )
             measured.setflags(write=False)
             vars(self)["measured"] = None if measured.all() else measured
 

@@ -9,12 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.api.types import (
-    is_complex_dtype,
-    is_numeric_dtype,
-    is_object_dtype,
-    is_string_dtype,
-)
+from pandas.api.types import is_complex_dtype, is_numeric_dtype, is_object_dtype, is_string_dtype
 
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError, one_line

@@ -12,14 +12,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype, is_timedelta64_dtype
 
-from splitband.data.signals import (
-    Column,
-    has_number,
-    in_file,
-    is_text,
-    numbers,
-    require_finite,
-)
+from splitband.data.signals import Column, has_number, in_file, is_text, numbers, require_finite
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 

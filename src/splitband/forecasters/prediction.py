@@ -188,7 +188,7 @@ class Prediction:
         signals = {"y": self.y, "lower": self.lower, "upper": self.upper}
         for step in reversed(prepared):
             signals = {
-                name: None if signal is None else step.restored(signal, time)
+                name: None if signal is None else step.undone("y", signal, time)
                 for name, signal in signals.items()
             }
         assert signals["y"] is not None
@@ -342,10 +342,10 @@ def prepared_like(
     for step in record.prepared:
         if u is not None:
             u = np.asarray(u, np.float64).reshape(-1, history.nu)
-            u = step.inputs(u, seconds_after(prepared, len(u)))
+            u = step.done("u", u, seconds_after(prepared, len(u)))
         if y_sim is not None:
             y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
-            y_sim = step.outputs(y_sim, seconds_after(prepared, len(y_sim)))
+            y_sim = step.done("y_sim", y_sim, seconds_after(prepared, len(y_sim)))
     return prepared, u, y_sim
 
 

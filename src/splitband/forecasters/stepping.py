@@ -560,11 +560,11 @@ class InUnits(Recursion):
         time = self.step * np.stack([state["samples"] + i for i in range(1 + self.ahead)])
         rows, inputs = y[None], u[None]
         for each in self.prepared:
-            rows = each.measured(rows, time[:1])
-            inputs = each.inputs(inputs, time[:1]) if self.nu else inputs
-            y_sim = each.outputs(y_sim, time) if self.simulated else y_sim
+            rows = each.done("y", rows, time[:1])
+            inputs = each.done("u", inputs, time[:1]) if self.nu else inputs
+            y_sim = each.done("y_sim", y_sim, time) if self.simulated else y_sim
         inner, predicted, able = self.inner.tick(state["inner"], rows[0], inputs[0], y_sim)
         predicted = predicted[None]
         for each in reversed(self.prepared):
-            predicted = each.restored(predicted, time[:1])
+            predicted = each.undone("y", predicted, time[:1])
         return {"inner": inner, "samples": state["samples"] + 1}, predicted[0], able

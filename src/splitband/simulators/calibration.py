@@ -154,10 +154,7 @@ def spline_of(y: Array) -> Callable[[Array], Array]:
 
 
 def calibrate(
-    y_sim: Array,
-    y: Array,
-    sampling_time: float,
-    terms: Iterable[Term] | None = None,
+    y_sim: Array, y: Array, sampling_time: float, terms: Iterable[Term] | None = None
 ) -> Calibration:
     """Calibrate a simulator on the training part of a record.
 

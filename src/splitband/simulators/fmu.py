@@ -125,8 +125,8 @@ class Fmu(Adjustable):
         return found
 
     def _run(self, time: Array, u: Array | None, values: Mapping[str, float]) -> Array:
-        unit, names = self._unit, [*self._unit.variables.inputs]
-        names = names if self.inputs is None else self.inputs
+        unit = self._unit
+        names = [*unit.variables.inputs] if self.inputs is None else self.inputs
         count = 0 if u is None else u.shape[1]
         if names and count != len(names):
             raise InputError(
@@ -181,14 +181,10 @@ class Fmu(Adjustable):
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()
         return f"{content} {self.outputs} {self.inputs} {self.start} {self.held}"
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments, with which another process opens it."""
-        names = "path", "outputs", "parameters", "inputs", "start", "held"
         outputs = self.outputs if self._named else None
-        return {name: getattr(self, name) for name in names} | {"outputs": outputs}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        Fmu.__init__(self, **state)
+        return Fmu, (self.path, outputs, self.parameters, self.inputs, self.start, self.held)
 
     def fingerprint(self) -> str:
         """Return the cache key: everything the output depends on except the time grid."""
