@@ -33,13 +33,19 @@ class ReadingWarning(UserWarning):
 # ---------------------------------------------------------------- values
 
 
+def as_float(value: Any) -> float:
+    """Return a value as a float; NaN for what is no finite number."""
+    try:
+        number = np.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return np.nan
+    return number if np.isfinite(number) else np.nan
+
+
 def positive_seconds(value: Any) -> float:
     """Return a sampling time as a float; raises ValueError unless it is finite and positive."""
-    try:
-        seconds = float(value)
-    except (TypeError, ValueError):
-        seconds = np.nan
-    if not (np.isfinite(seconds) and seconds > 0):
+    seconds = as_float(value)
+    if not seconds > 0:
         raise InputError(f"sampling_time must be a positive number of seconds: got {value!r}")
     return seconds
 

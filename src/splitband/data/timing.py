@@ -12,7 +12,7 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
-from splitband.data.signals import Column, Gaps, in_file, stretches
+from splitband.data.signals import Column, Gaps, as_float, in_file, stretches
 from splitband.data.stamps import last_place, readings
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -37,11 +37,7 @@ def as_stamp(value: Any) -> Stamp:
     """Check a time stamp; raises ValueError unless it is a finite number or a date."""
     if isinstance(value, datetime | np.datetime64) and not pd.isna(value):
         return pd.Timestamp(value).as_unit("ns")
-    try:
-        seconds = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        seconds = math.nan
-    if not math.isfinite(seconds):
+    if math.isnan(seconds := as_float(value)):
         raise InputError(f"a time stamp must be a finite number of seconds or a date: got {value}")
     return seconds
 

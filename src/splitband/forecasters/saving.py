@@ -242,9 +242,7 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
     if not given:
         raise InputError(f"simulator must be left out for {forecaster.name}, which asks for none")
     saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
-    for each in saved:
-        each.check_start_of(simulator)
-    for said in dict.fromkeys(each.difference(simulator) for each in saved):
+    for said in dict.fromkeys([each.difference(simulator) for each in saved]):
         if said:
             warnings.warn(said, stacklevel=4)
     for each in given:

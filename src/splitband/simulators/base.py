@@ -21,6 +21,7 @@ import numpy.typing as npt
 import splitband
 from splitband.data import Aligned, Grid, Record, Stamp, aligned
 from splitband.data.alignment import reach
+from splitband.data.signals import as_float
 from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import key_of
@@ -59,11 +60,7 @@ def check_start(start: Any) -> Any:
     """Return a simulator's `start` if it is one; raises ValueError otherwise."""
     if start is None or start == "record":
         return start
-    try:
-        seconds = math.nan if isinstance(start, bool) else float(start)
-    except (TypeError, ValueError):
-        seconds = math.nan
-    if not math.isfinite(seconds):
+    if math.isnan(seconds := as_float(start)):
         raise InputError(f'start must be a number of seconds or "record", got {start!r}')
     return seconds
 
@@ -362,27 +359,25 @@ class Absent:
             f"sb.load(folder, simulator={how})"
         )
 
-    def check_start_of(self, given: Any) -> None:
-        """Raise ValueError if `given` begins at another time than the described simulator."""
-        other = Absent.of(given).start
-        if self.start is not None and other is not None and self.start != other:
-            raise InputError(
-                f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
-                f"which the model was saved, got start={json.dumps(other)}; fit the model again "
-                "for another start"
-            )
-
     def difference(self, given: Any) -> str:
         """Return a sentence if `given` is not the described simulator, else an empty string.
 
-        Simulators without a fingerprint are not compared.
+        Simulators without a fingerprint are not compared. Raises ValueError for one that begins at
+        another time.
         """
-        saved, other = self.fingerprint, Absent.of(given, self.fitted).fingerprint
-        if saved is None or other is None or saved == other:
+        other = Absent.of(given, self.fitted)
+        if self.start is not None and other.start is not None and self.start != other.start:
+            raise InputError(
+                f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
+                f"which the model was saved, got start={json.dumps(other.start)}; fit the model "
+                "again for another start"
+            )
+        saved, found = self.fingerprint, other.fingerprint
+        if saved is None or found is None or saved == found:
             return ""
         return (
             f"the simulator is another one than {self}, with which the model was saved: its "
-            f"fingerprint is {_shown(other)}, not {_shown(saved)}"
+            f"fingerprint is {_shown(found)}, not {_shown(saved)}"
         )
 
     def __str__(self) -> str:
