@@ -24,11 +24,11 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def measured(samples: int = 150) -> sb.Record:
     """By SciPy: k = 4, from x = 1 on."""
-    random = np.random.default_rng(0)
-    u = np.repeat(random.choice([-2.0, 2.0], samples // 10), 10)
+    u = np.repeat(np.resize([2.0, -2.0, -2.0], samples // 10), 10)
     system = [[-4.0]], [[1.0]], [[1.0]], [[0.0]]
     _, y, _ = scipy.signal.lsim(system, u, 0.1 * np.arange(samples), X0=[1.0], interp=False)
-    return sb.Record(y + random.normal(0, 0.002, samples), 0.1, u=u)
+    noise = np.random.default_rng(0).normal(0, 0.002, samples)
+    return sb.Record(y + noise, 0.1, u=u)
 
 
 def test_two_parameters_are_found_and_what_was_stopped_goes_on(rig: Path, tmp_path: Path) -> None:
