@@ -123,6 +123,18 @@ PAIRS = {
                   "f = C(1)",
                   "class C:\n  def __init__(s, k): s.k = k\n  def __call__(s, x): return s.k * x\n"
                   "f = C(2)"),
+    "a cached function": (
+        "import functools as t\n@t.cache\ndef g(k): return 2 * k\ndef f(x): return g(x)",
+        "import functools as t\n@t.cache\ndef g(k): return 3 * k\ndef f(x): return g(x)",
+    ),
+    "a function of a library": (
+        "from math import sin as g\ndef f(x): return g(x)",
+        "from cmath import sin as g\ndef f(x): return g(x)",
+    ),
+    "a function of NumPy": (
+        "from numpy import sin as g\ndef f(x): return g(x)",
+        "from numpy import cos as g\ndef f(x): return g(x)",
+    ),
     "a table": ("g = [np.arange(3.0)]\ndef f(x): return g[0] * x",
                 "g = [np.arange(3.0) + 1]\ndef f(x): return g[0] * x"),
 }  # fmt: skip
@@ -131,8 +143,26 @@ PAIRS = {
 @pytest.mark.parametrize("what", PAIRS)
 def test_an_edited_equation_is_another_one(what: str) -> None:
     first, second = PAIRS[what]
-    assert code_digest(made(first)) == code_digest(made(first))
+    assert code_digest(made(first)) == code_digest(made(first)) is not None
     assert code_digest(made(first)) != code_digest(made(second))
+
+
+def test_a_fit_of_code_that_cannot_be_told_is_not_kept(tmp_path: Path) -> None:
+    """Here it holds an open file."""
+    with (tmp_path / "table.txt").open("w") as table:
+
+        def rhs(t: float, x: Any, u: Any, p: Any) -> list[float]:
+            return [-p.k * table.closed - x[0]]
+
+        ode = sb.Ode(rhs, [1.0], parameters={"k": (0.1, 10.0)})
+        assert ode.digest() is None
+        KEPT.clear()
+        effort = sb.simulators.Effort(2, folder=tmp_path / "starts")
+        sb.identify(ode, RECORD, effort=effort)
+        assert not (tmp_path / "starts").exists()
+        for _ in range(2):
+            sb.GreyBox(ode, starts=1).fit(RECORD)
+        assert len(KEPT) == 2
 
 
 def test_an_edited_equation_is_fitted_again() -> None:

@@ -12,7 +12,7 @@ from splitband import Record
 from splitband.data.named import van_der_pol
 from splitband.metrics import rmse
 from splitband.simulators import Function, Ode, Recorded, run
-from splitband.simulators.named import van_der_pol_simulator
+from splitband.simulators.named import SIMULATORS
 
 Array = npt.NDArray[np.float64]
 SAMPLES, DT = 200, 0.05
@@ -116,7 +116,7 @@ def test_the_tolerances_and_the_method_of_an_ode_reach_the_solver() -> None:
 
 
 def test_an_ode_agrees_with_another_solver_on_a_stiff_oscillator() -> None:
-    found = run(van_der_pol_simulator(), 400, DT)
+    found = run(SIMULATORS["van-der-pol"](), 400, DT)
     expected = oscillator(3.81, (-2.0, 1.0), DT * np.arange(400, dtype=np.float64))
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-6)
 
@@ -291,7 +291,7 @@ def test_a_loose_tolerance_moves_the_simulators_error_to_the_papers(system_v: Re
 
 def test_the_named_simulator_is_that_of_the_record(system_v: Record) -> None:
     assert system_v.y_sim is not None
-    found = run(van_der_pol_simulator(), 2000, system_v.sampling_time)
+    found = run(SIMULATORS["van-der-pol"](), 2000, system_v.sampling_time)
     np.testing.assert_allclose(found, system_v.y_sim, atol=1e-6)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -85,21 +86,13 @@ def resampled(record: Record, sampling_time: float) -> Record:
     if measured is not None:
         before, after = np.floor(rows + NEAR).astype(int), np.ceil(rows - NEAR).astype(int)
         measured = measured[before] & measured[after]
-    y_true, y_sim = (
-        None if signal is None else interpolated(signal, rows)
-        for signal in (record.y_true, record.y_sim)
-    )
-    return replace(
-        record,
-        y=interpolated(record.y, rows),
-        sampling_time=sampling_time,
-        u=None if record.u is None else interpolated(record.u, rows, smooth=False),
-        y_true=y_true,
-        y_sim=y_sim,
-        beyond=None,
-        u_beyond=None,
-        measured=measured,
-    )
+    signals = {name: getattr(record, name) for name in ("y", "u", "y_true", "y_sim")}
+    changed: dict[str, Any] = {
+        name: interpolated(signal, rows, smooth=name != "u")
+        for name, signal in signals.items() if signal is not None
+    }  # fmt: skip
+    return replace(record, sampling_time=sampling_time, beyond=None, u_beyond=None,
+                   measured=measured, **changed)  # fmt: skip
 
 
 def interpolated(values: Array, rows: Array, smooth: bool = True) -> Array:
@@ -134,10 +127,8 @@ def _not_covered(what: str, own: Grid, onto: Grid) -> str:
 def _one_sided(own: Grid, onto: Grid) -> str:
     if (own.start is None) == (onto.start is None):
         return ""
-    has, lacks = (
-        ("it has", "the record has") if onto.start is None else ("the record has", "it has")
-    )
-    return f"{has} time stamps, {lacks} none: taken to begin together"
+    has, lacks = ("it", "the record") if onto.start is None else ("the record", "it")
+    return f"{has} has time stamps, {lacks} has none: taken to begin together"
 
 
 def _resampled(own: Grid, onto: Grid, off: float) -> str:

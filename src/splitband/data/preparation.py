@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from splitband.data.record import Record
 
 Numbers = tuple[float, ...]
+What = Literal["y", "u", "y_sim"]
+"""Measured samples, inputs, or a simulator's output, as which the noise-free signal counts, too."""
 AHEAD = "beyond", "u_beyond"
 """Signals of a record after its end."""
 SIGNALS = "y", "y_true", "y_sim", "u", *AHEAD
@@ -26,36 +28,24 @@ class Preparation:
     """Define the interface of a preparation step; by default it changes nothing."""
 
     def apply(self, record: Record) -> Record:
-        """Return the prepared record; `y_true`, `y_sim` and `beyond` pass through `outputs`."""
+        """Return the prepared record."""
         time = seconds(record)
-        done = {"y": self.measured, "u": self.inputs, "u_beyond": self.inputs}
+        kinds: dict[str, What] = {"y": "y", "u": "u", "u_beyond": "u"}
         changed: dict[str, Any] = {}
         for field in SIGNALS:
             if (signal := getattr(record, field)) is not None:
                 later = time[-1] + record.sampling_time * (1 + np.arange(len(signal)))
                 at = later if field in AHEAD else time
-                changed[field] = done.get(field, self.outputs)(signal, at)
+                changed[field] = self.apply(kinds.get(field, "y_sim"), signal, at)
         return replace(record, **changed)
 
-    def measured(self, y: Array, time: Array) -> Array:
-        """Prepare measured samples `(time, ny)` at `time`, in seconds."""
-        return y
+    def apply(self, what: What, signal: Array, time: Array) -> Array:
+        """Return a prepared signal, `(time, channels)`, at `time` in s."""
+        return signal
 
-    def inputs(self, u: Array, time: Array) -> Array:
-        """Prepare inputs `(time, nu)`."""
-        return u
-
-    def inputs_restored(self, u: Array, time: Array) -> Array:
-        """Undo the step on inputs `(time, nu)`."""
-        return u
-
-    def outputs(self, y: Array, time: Array) -> Array:
-        """Prepare a simulator's output, or the noise-free signal, `(time, ny)`."""
-        return y
-
-    def restored(self, y: Array, time: Array) -> Array:
-        """Undo the step on predictions `(time, ny)`."""
-        return y
+    def undo(self, what: Literal["y", "u"], signal: Array, time: Array) -> Array:
+        """Undo the step on predictions or inputs, `(time, channels)`, at `time` in s."""
+        return signal
 
     def counted_from(self, begin: float) -> Preparation:
         """Return the same step for times counted from `begin`, in seconds."""
@@ -96,30 +86,22 @@ class Detrended(Preparation):
         ny = record.ny
         return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
 
-    def measured(self, y: Array, time: Array) -> Array:
-        """Return measured samples, or a simulator's output, without the trend."""
-        return y - self._lines(time, self.levels, self.slopes)
+    def apply(self, what: What, signal: Array, time: Array) -> Array:
+        """Return a signal without its trend."""
+        return signal - self._lines(what, time)
 
-    outputs = measured
-
-    def inputs(self, u: Array, time: Array) -> Array:
-        """Return inputs without their trend."""
-        return u - self._lines(time, self.input_levels, self.input_slopes)
-
-    def inputs_restored(self, u: Array, time: Array) -> Array:
-        """Return inputs with their trend."""
-        return u + self._lines(time, self.input_levels, self.input_slopes)
-
-    def restored(self, y: Array, time: Array) -> Array:
-        """Return predictions with the trend."""
-        return y + self._lines(time, self.levels, self.slopes)
+    def undo(self, what: Literal["y", "u"], signal: Array, time: Array) -> Array:
+        """Return a signal with its trend."""
+        return signal + self._lines(what, time)
 
     def counted_from(self, begin: float) -> Detrended:
         """Return the same trend for times counted from `begin`."""
         return replace(self, begin=self.begin - begin)
 
-    def _lines(self, time: Array, levels: Numbers, slopes: Numbers) -> Array:
-        """Return straight lines through `levels` at `begin`, `(time, channels)`."""
+    def _lines(self, what: What, time: Array) -> Array:
+        """Return the straight lines of a signal at `time`, `(time, channels)`."""
+        of_inputs = self.input_levels, self.input_slopes
+        levels, slopes = of_inputs if what == "u" else (self.levels, self.slopes)
         if not any(slopes):
             return np.array([levels])
         return np.array(levels) + (time - self.begin)[:, None] * np.array(slopes)
@@ -147,10 +129,12 @@ class Clipped(Preparation):
         reach = np.where(reach > 0, reach, np.inf)
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
-    def measured(self, y: Array, time: Array) -> Array:
+    def apply(self, what: What, signal: Array, time: Array) -> Array:
         """Return measured samples limited to the range; NaN stays NaN."""
-        clipped = np.clip(y, np.array(self.low), np.array(self.high))
-        return np.where(np.isnan(y), y, clipped)
+        if what != "y":
+            return signal
+        clipped = np.clip(signal, np.array(self.low), np.array(self.high))
+        return np.where(np.isnan(signal), signal, clipped)
 
 
 @final

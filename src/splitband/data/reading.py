@@ -44,15 +44,12 @@ from splitband.runtime.errors import InputError
 
 _NAMELESS = "y"
 """Name of the channel of a file with a single column and no header."""
-
 _EXPECTED = "expected"
 """Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
-
 _ROW_NUMBERS = (
     "record", "index", "row", "sample", "scan", "number", "seq", "#", "no", "no.", "nr", "nr.",
 )  # fmt: skip
 """Names of columns that number the rows, in small letters."""
-
 _Names: TypeAlias = str | int | Sequence[str | int]
 
 
@@ -61,10 +58,9 @@ class ColumnError(InputError):
 
 
 class _Picked(NamedTuple):
-    """Hold the names of the columns of a record."""
+    """Hold the names of the columns of a record; `stamps` are one, none, or a date and a time."""
 
     stamps: list[str]
-    """The column of time stamps, if there is one; or a date and a time of the day."""
     known: list[str]
     measured: list[str]
     left_out: list[str]

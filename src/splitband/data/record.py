@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from dataclasses import dataclass, replace
 from typing import Any
@@ -178,24 +179,21 @@ class Record:
             raise TypeError(f"a Record takes slices only, as in traj[a:b]: got {key!r}")
         if key.step not in (None, 1):
             raise InputError(f"a Record takes slices of step 1 only: got step {key.step}")
-        u, y_true, y_sim = (
-            None if s is None else s[key] for s in (self.u, self.y_true, self.y_sim)
-        )
         begin, end, _ = key.indices(len(self))
-        beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
-        y, measured = self.y[key], None if self.measured is None else self.measured[key]
-        if measured is not None:
+        parts: dict[str, Any] = {
+            name: None if (whole := getattr(self, name)) is None else whole[key]
+            for name in ("y", "u", "y_true", "y_sim", "measured")
+        }
+        if (measured := parts["measured"]) is not None:
             # Gaps are filled again, from the samples of the slice only.
             known = measured.any(axis=0)
-            y = y.copy()
-            y[:, known] = filled("y", self.y_with_gaps[key][:, known])[0]
+            parts["y"] = self.y[key].copy()
+            parts["y"][:, known] = filled("y", self.y_with_gaps[key][:, known])[0]
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
-        return replace(
-            self, y=y, u=u, y_true=y_true, y_sim=y_sim, beyond=beyond, u_beyond=u_beyond,
-            measured=measured, start=start,
-        )  # fmt: skip
+        beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
+        return replace(self, beyond=beyond, u_beyond=u_beyond, start=start, **parts)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a table of time stamps, inputs and outputs, with NaN in gaps."""
@@ -259,10 +257,7 @@ class Record:
                 f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
                 "or not at all (detrend, clip_outliers, resample)"
             )
-        record = self
-        for step in other.prepared:
-            record = record._with(step)
-        return record
+        return functools.reduce(Record._with, other.prepared, self)
 
     def _with(self, step: Preparation) -> Record:
         return replace(step.apply(self), prepared=(*self.prepared, step))
@@ -291,9 +286,7 @@ class Record:
     @property
     def complete(self) -> Flags:
         """Return a mask of the samples at which every channel was measured, (time,)."""
-        if self.measured is None:
-            return np.ones(len(self), dtype=np.bool_)
-        return np.asarray(self.measured.all(axis=1))
+        return np.asarray(~np.isnan(self.y_with_gaps).any(axis=1))
 
     @property
     def ny(self) -> int:
@@ -335,9 +328,8 @@ class Record:
 
 def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:
     """Return a signal and its continuation from row `end` on, (any time, channels), or None."""
-    later = [
-        part for part in (None if signal is None else signal[end:], beyond) if part is not None
-    ]
+    later = [part for part in (signal if signal is None else signal[end:], beyond)
+             if part is not None]  # fmt: skip
     return np.concatenate(later) if sum(map(len, later)) else None
 
 

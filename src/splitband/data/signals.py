@@ -9,12 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.api.types import (
-    is_complex_dtype,
-    is_numeric_dtype,
-    is_object_dtype,
-    is_string_dtype,
-)
+from pandas.api.types import is_complex_dtype, is_numeric_dtype, is_object_dtype, is_string_dtype
 
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError, one_line
@@ -25,6 +20,9 @@ Gaps = Literal["refuse", "mask"]
 Column: TypeAlias = "pd.Series[Any]"
 _NUMBERED = re.compile(r"[yu]\d*|\d+")
 """Default names such as "y", "u1" or "2", see `same_names`."""
+_THOUSANDS = {".": ",", ",": "."}
+"""The thousands separator beside each decimal sign."""
+_INTEGER = r"\s*[-+]?\d+\s*"
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
@@ -35,13 +33,19 @@ class ReadingWarning(UserWarning):
 # ---------------------------------------------------------------- values
 
 
+def as_float(value: Any) -> float:
+    """Return a value as a float; NaN for what is no finite number."""
+    try:
+        number = np.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        return np.nan
+    return number if np.isfinite(number) else np.nan
+
+
 def positive_seconds(value: Any) -> float:
     """Return a sampling time as a float; raises ValueError unless it is finite and positive."""
-    try:
-        seconds = float(value)
-    except (TypeError, ValueError):
-        seconds = np.nan
-    if not (np.isfinite(seconds) and seconds > 0):
+    seconds = as_float(value)
+    if not seconds > 0:
         raise InputError(f"sampling_time must be a positive number of seconds: got {value!r}")
     return seconds
 
@@ -67,14 +71,11 @@ def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> Non
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         column = f", column {columns[bad[0, 1]]!r}" if columns else ""
+        rows = row_ranges(np.asarray(~np.isfinite(values).all(axis=1)))
+        s, more = ("s", f"; {rows}") if len(bad) > 1 else ("", "")
         raise InputError(
-            f"{what} must be finite: {len(bad)} bad value{'s' if len(bad) > 1 else ''}, "
-            f"the first ({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}"
-            + (
-                f"; {row_ranges(np.asarray(~np.isfinite(values).all(axis=1)))}"
-                if len(bad) > 1
-                else ""
-            )
+            f"{what} must be finite: {len(bad)} bad value{s}, the first "
+            f"({values[tuple(bad[0])]}) at row {bad[0, 0]}{column}{more}"
         )
     largest = np.abs(values).max(axis=0, initial=0.0)
     with np.errstate(over="ignore"):
@@ -120,6 +121,69 @@ def numbers(what: str, column: Column) -> Array:
 def in_file(column: Column, row: int) -> str:
     """Return where a row stands in its text file, as " (line 5)"; empty for other files."""
     return f" (line {column.index[row]})" if column.index.name == "line" else ""
+
+
+# ---------------------------------------------------------------- numbers as people write them
+
+
+def number_pattern(decimal: str) -> str:
+    """Return the pattern of a number with this decimal sign, thousands separators included."""
+    sign, thousands = re.escape(decimal), re.escape(_THOUSANDS[decimal])
+    return (
+        rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+)?"
+        rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?)\s*"
+    )
+
+
+def decimal_sign(cells: pd.DataFrame, separator: str) -> str:
+    """Return the decimal sign of a file from all of its cells, which are text.
+
+    "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" is ambiguous. If all cells of
+    the file are ambiguous, the sign counts as decimal sign, unless it separates the columns or its
+    column also contains integers without it (999 before 1.006).
+
+    Raises ValueError if cells contradict each other, or if the sign stays ambiguous; the message
+    names columns and cells.
+    """
+    found: dict[str, str] = {}
+    unclear: dict[str, str] = {}
+    doubtful = ""
+    for name, column in cells.items():
+        point, comma = (column.str.fullmatch(number_pattern(sign), na=False) for sign in ".,")
+        if not 2 * int((point | comma).sum()) > int(column.notna().sum()):
+            continue  # a text column: its numbers may be written differently
+
+        def cell(where: pd.Series[bool], name: Any = name, column: Column = column) -> str:
+            row = int(where.to_numpy().argmax())
+            return f"column {str(name)!r} holds {column.iloc[row]!r} at row {row}"
+
+        for sign, only in ((".", point & ~comma), (",", comma & ~point)):
+            if only.any():
+                found.setdefault(sign, cell(only))
+            either = point & comma & column.str.contains(sign, regex=False, na=False)
+            if either.any():
+                unclear.setdefault(sign, cell(either))
+                if sign == separator or column[point & comma].str.fullmatch(_INTEGER).any():
+                    doubtful = doubtful or unclear[sign]
+    if len(found) == 2:
+        raise InputError(
+            f"numbers must have one decimal sign in the whole file: {found['.']}, {found[',']}"
+        )
+    if not found and (doubtful or len(unclear) == 2):
+        raise InputError(
+            f"the decimal sign cannot be told from a thousands separator: "
+            f"{doubtful or unclear[',']}; save the file without thousands separators"
+        )
+    return next(iter(found or unclear), ".")
+
+
+def plain_numbers(column: Column, decimal: str) -> Column:
+    """Return a column as numbers; if a cell is not a number, as text that `float` can read."""
+    is_number = column.str.fullmatch(number_pattern(decimal), na=False)
+    plain = column.str.replace(_THOUSANDS[decimal], "", regex=False)
+    plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))
+    values = pd.to_numeric(plain, errors="coerce")
+    return plain if (values.isna() & plain.notna()).any() else values
 
 
 # ---------------------------------------------------------------- gaps

@@ -12,14 +12,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype, is_timedelta64_dtype
 
-from splitband.data.signals import (
-    Column,
-    has_number,
-    in_file,
-    is_text,
-    numbers,
-    require_finite,
-)
+from splitband.data.signals import Column, has_number, in_file, is_text, numbers, require_finite
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
@@ -68,16 +61,10 @@ _DIGITS = {6: "%Y%m", 10: "%y%m%d%H%M", 8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Hold one meaning of a column of time stamps.
+    """Hold one meaning of a column of time stamps, `words`: as `seconds` since a `date`, if any.
 
-    Attributes
-    ----------
-    words : What the stamps are taken for, in the plural.
-    seconds : Seconds since `date`, (time,).
-    grain : Resolution of their number type, in s.
-    date : Date of 0 s; None for plain seconds.
-    note : What a user should know of the reading, after the name of the column.
-    certain : Whether it leaves no room for seconds.
+    `grain`: resolution of their number type, in s; `note`: what a user should know of the reading;
+    `certain`: whether it leaves no room for seconds.
     """
 
     words: str
@@ -86,6 +73,11 @@ class Reading:
     date: pd.Timestamp | None = None
     note: str = ""
     certain: bool = False
+
+    @property
+    def step(self) -> float:
+        """Return the median step in s."""
+        return float(np.median(np.diff(self.seconds)))
 
 
 def time_name(column: str) -> tuple[str, float | None]:
@@ -195,10 +187,11 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
     if common and fine and 0 <= values[0] < 1 and round(1440 * step) not in (3, 4, 6, 12):
         yield Reading("fractions of a day", values * _DAY, last_place(values) * _DAY)
     for words, unit in _FINER.items():
-        if values.min() * unit > 9.4e8 and values.max() * unit < 2.5e9:  # years 2000 to 2049
-            since = pd.Timestamp(values[0] * unit, unit="s").round("ms")
-            note = f"is read as {words} since 1970, from {since} on"
-            yield Reading(words, values * unit, grain * unit, None, note, True)
+        since = values * unit
+        if since.min() > 9.4e8 and since.max() < 2.5e9:  # years 2000 to 2049
+            first = pd.Timestamp(since[0], unit="s").round("ms")
+            note = f"is read as {words} since 1970, from {first} on"
+            yield Reading(words, since, grain * unit, None, note, True)
     yield from _of_digits(values, dated)
     for words, of_1970 in _SERIAL_DAYS.items():
         since_1970 = values - of_1970
@@ -234,9 +227,8 @@ def _of_digits(values: Array, dated: bool) -> Iterator[Reading]:
 
 
 def _of_days(words: str, days: Array, of_1970: float, certain: bool) -> Reading:
-    # Excel resolves milliseconds.
-    milliseconds = round(_DAY * 1e3 * (days[0] - of_1970))
-    first = pd.Timestamp(0) + pd.Timedelta(milliseconds, unit="ms")
+    milliseconds = round(_DAY * 1e3 * (days[0] - of_1970))  # which Excel resolves
+    first = pd.Timestamp(milliseconds, unit="ms").as_unit("ns")
     grain = max(last_place(days), 2 * float(np.spacing(days.max())))
     note = f"holds {words}, read as dates from {first}"
     return Reading(words, (days - days[0]) * _DAY, grain * _DAY, first, note, certain)
@@ -255,10 +247,7 @@ def _steps_in_days(stamps: Array) -> bool:
 
 
 def _of_clock(column: Column) -> list[Reading]:
-    """Return the readings of times without a date, 23:59:59.5, 59:59.5 or 0.5 sec; [] for others.
-
-    A clock that begins again at 0 has passed midnight, or the hour where it shows no hours.
-    """
+    """Return the readings of times without a date, 23:59:59.5, 59:59.5 or 0.5 sec, if they are."""
     if len(column) > 1 and not _of_clock(column.iloc[:1]):
         return []
     text = column.astype(str).str.strip().str.replace(_DECIMAL, ".", regex=True)
@@ -292,7 +281,7 @@ def _of_dotted(what: str, column: Column) -> list[Reading]:
 
 
 def _unwrapped(seconds: Array, period: float) -> Array:
-    """Return the times of a clock that begins again at 0 after a period, going on instead."""
+    """Return the times of a clock that begins again at 0, at midnight or the hour, going on."""
     again = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -0.5 * period)
     return np.asarray(seconds + period * again)
 
@@ -316,14 +305,18 @@ def _of_dates(what: str, column: Column) -> Reading:
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
     if of_day:
         return Reading("times of the day", _unwrapped(seconds, _DAY))
-    return Reading("dates", seconds, date=_in_its_zone(first, column), note=note)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        zone = pd.to_datetime(column.iloc[:1]).dt.tz  # which tables and messages show
+    date = first.tz_convert(zone) if zone is not None else first.tz_localize(None)
+    return Reading("dates", seconds, date=date, note=note)
 
 
 def _dates(column: Column) -> tuple[pd.Series, str]:
-    """Parse dates in UTC, NaT where that fails: day or month first, whichever parses more cells.
+    """Parse dates in UTC, NaT where that fails, in the order of which more cells are dates.
 
-    If both parse, as in the first days of a month, the more even step decides. If that is equal
-    too, dates written with dots are read day first, others month first, which the note says.
+    Of two such orders, as in the first days of a month, the one of more even steps; else dates with
+    dots are read day first, others month first, which the note says.
     """
     first = str(column.iloc[0])
     dotted = _DOTTED.match(first) is not None
@@ -367,17 +360,6 @@ def _check_zones(what: str, column: Column) -> None:
             f"{what} must have a time zone in all rows or in none: row {row} holds "
             f"{texts.iloc[row]!r}, row {other} {texts.iloc[other]!r}"
         )
-
-
-def _in_its_zone(date: pd.Timestamp, column: Column) -> pd.Timestamp:
-    """Convert a date that was read as UTC to the time zone of its column, if that has one.
-
-    Tables and messages then show dates as the file does.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        zone = pd.to_datetime(column.iloc[:1]).dt.tz
-    return date.tz_convert(zone) if zone is not None else date.tz_localize(None)
 
 
 def last_place(stamps: Array) -> float:

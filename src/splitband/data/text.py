@@ -1,6 +1,10 @@
 """Read tables from text: find the separator, the names, the first row of numbers, the decimal sign.
 
-pandas parses the rows; what it has to be told is found here.
+pandas parses the rows; what it has to be told is found here. Numbers begin with the first row
+without a word in any column of numbers. The names stand above it: in the line that has a word for
+all of these columns, and of several in the one that names the time. What lies between are units,
+what lies above is left out. Where this leaves a choice, the file is refused, with the lines and
+what to do.
 """
 
 from __future__ import annotations
@@ -10,19 +14,16 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from splitband.data.signals import Column, is_text, unit_of
+from splitband.data.signals import decimal_sign, is_text, number_pattern, plain_numbers, unit_of
 from splitband.data.stamps import is_time, time_name
 from splitband.runtime.errors import InputError, one_line
 
-_SIGNS = {".": ",", ",": "."}
-"""Decimal signs, each with its thousands separator."""
 _SEPARATORS = (";", "\t", ",", "|", " ")
 _SAMPLE = 400
 """Rows at the beginning of a file that decide its layout. By eye."""
@@ -139,10 +140,7 @@ def _decoded(raw: bytes) -> str:
 
 
 def _without_comments(lines: Sequence[str], mark_inside: bool) -> list[str]:
-    """Blank out lines that begin with # or "% ", with `mark_inside` also what follows a " #".
-
-    Blank lines stay, so that the line numbers in pandas' messages are those of the file.
-    """
+    """Blank out lines that begin with # or "% ", with `mark_inside` also what follows a " #"."""
     whole = re.compile(rf"^\s*(?:#(?!{_ERRORS_OF_CELLS}|[,;])|%(?:\s|$)).*")
     inside = re.compile(rf'^([^"#]*\s)#(?!{_ERRORS_OF_CELLS}).*')
     kept = []
@@ -151,7 +149,7 @@ def _without_comments(lines: Sequence[str], mark_inside: bool) -> list[str]:
             line = whole.sub("", line)  # noqa: PLW2901
             line = inside.sub(r"\1", line) if mark_inside else line  # noqa: PLW2901
         kept.append(line if line.strip(" ") else "")
-    return kept
+    return kept  # blank lines stay, so that pandas' messages have the file's line numbers
 
 
 def _joined(lines: list[str], sep: str) -> list[str]:
@@ -203,17 +201,8 @@ class _Row:
         return any(map(is_time, self.cells))
 
 
-def _number_pattern(decimal: str) -> str:
-    """Return the pattern of a number with this decimal sign, thousands separators included."""
-    sign, thousands = re.escape(decimal), re.escape(_SIGNS[decimal])
-    return (
-        rf"\s*[-+]?(?:(?:\d+{sign}?\d*|{sign}\d+)(?:[eE][-+]?\d+)?"
-        rf"|[1-9]\d{{0,2}}(?:{thousands}\d{{3}})+(?:{sign}\d*)?)\s*"
-    )
-
-
 _VALUES = (
-    *(re.compile(_number_pattern(decimal)) for decimal in _SIGNS),
+    *(re.compile(number_pattern(decimal)) for decimal in ".,"),
     re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE),
     _STAMP,
 )
@@ -227,10 +216,7 @@ def _is_value(cell: str) -> bool:
 
 
 def _separator(lines: Sequence[str], layout: Layout) -> str:
-    """Return what separates the columns: the sign between which most cells are numbers or dates.
-
-    " " stands for any blanks.
-    """
+    """Return what separates the columns, so that most cells are numbers or dates; " ": blanks."""
     lines = lines[layout.header_row or 0 :]
     sample = [*islice((line for line in lines if line.strip(" \t;,|")), _SAMPLE)]
     shares, no_values = {}, layout.no_values
@@ -327,12 +313,6 @@ def _head(
     """Return the names of the columns, None without any, and the line of the first row of numbers.
 
     `lines` are those of `raw` with comments blanked out.
-
-    Numbers begin with the first row without a word in any column of numbers. The names stand above
-    it: in the line that has a word for all of these columns, and of several in the one that names
-    the time. What lies between are units, what lies above is left out.
-
-    Raises ValueError, with the lines and what to do, where this leaves a choice.
     """
     begin = layout.header_row or 0
     filled = ((i, line) for i, line in enumerate(lines[begin:], begin + 1) if line)
@@ -440,20 +420,17 @@ def _in_comments(
 
 
 def _begins_with_numbered_names(body: Sequence[_Row]) -> bool:
-    """Return whether the first row has the names 0, 1, ... of a DataFrame, after its index.
-
-    Raises ValueError where they may be numbers.
-    """
+    """Return whether the first row has the names 0, 1, ... of a DataFrame, after its index."""
     (first, *names), *rows = (row.cells for row in body)
-    if not all(map(str.isdigit, names)):
-        return False
     counted = [str(i) for i in range(len(names) + len(rows) + 1)]
+    numbered = not first or [first, *names] == counted[: len(names) + 1]
+    if not numbered or not all(map(str.isdigit, names)):
+        return False
     index = [row[0] for row in rows]
     if not first and (names == counted[: len(names)] or index == counted[: len(rows)]):
         return True
     later = [cell for row in rows for cell in row[first == "" :]]
-    numbered = not first or [first, *names] == counted[: len(names) + 1]
-    if numbered and later and not any(map(str.isdigit, later)):
+    if later and not any(map(str.isdigit, later)):
         line = body[0].line
         raise InputError(
             f"line {line} may hold names or numbers: header_row={line} (--header-row) makes them "
@@ -488,24 +465,22 @@ def _named(names: _Row, units: Sequence[_Row], below: _Row, columns: _Columns) -
 
 def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:
     """Parse rows of cells, with the decimal sign that they show."""
-    parsed = partial(_parsed, text, sep, names)
     if ('"' if sep == "," else ",") not in text and sep not in ";\t":
-        return parsed()  # no cell can hold a comma
-    cells_as_text = parsed(dtype=str)
-    decimal = _decimal(cells_as_text, sep)
-    frame = parsed(decimal=decimal)
+        return _parsed(text, sep, names)  # no cell can hold a comma
+    cells_as_text = _parsed(text, sep, names, dtype=str)
+    decimal = decimal_sign(cells_as_text, sep)
+    frame = _parsed(text, sep, names, decimal=decimal)
     for name in frame.columns:
         if is_text(frame[name]):
-            frame[name] = _without_separators(cells_as_text[name], decimal)
+            frame[name] = plain_numbers(cells_as_text[name], decimal)
     return frame
 
 
 def _parsed(text: str, sep: str, names: list[Any], **options: Any) -> pd.DataFrame:
-    file, between = io.StringIO(text), r"\s+" if sep == " " else sep
     try:
         return pd.read_csv(
-            file, sep=between, header=None, names=names, index_col=False, skipinitialspace=True,
-            na_values=["NAN"], **options,
+            io.StringIO(text), sep=r"\s+" if sep == " " else sep, header=None, names=names,
+            index_col=False, skipinitialspace=True, na_values=["NAN"], **options,
         )  # fmt: skip
     except pd.errors.ParserError as error:
         if not (ragged := _RAGGED.search(str(error))):
@@ -515,57 +490,3 @@ def _parsed(text: str, sep: str, names: list[Any], **options: Any) -> pd.DataFra
             f"line {line} holds {found} cells instead of {expected}: a cell with a separator in it "
             "needs quotes, lines above the names may be left out by skip_rows (--skip-rows)"
         ) from None
-
-
-def _decimal(cells: pd.DataFrame, sep: str) -> str:
-    """Return the decimal sign of a file from all of its cells.
-
-    "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" is ambiguous. If all cells of
-    the file are ambiguous, the sign counts as decimal sign, unless it separates the columns or its
-    column also contains integers without it (999 before 1.006).
-
-    Raises ValueError if cells contradict each other, or if the sign stays ambiguous; the message
-    names columns and cells.
-    """
-    found: dict[str, str] = {}
-    open_signs: dict[str, str] = {}
-    doubtful = ""
-    for name, column in cells.items():
-        matches = {sign: column.str.fullmatch(_number_pattern(sign), na=False) for sign in _SIGNS}
-        if not 2 * int((matches["."] | matches[","]).sum()) > int(column.notna().sum()):
-            continue  # a text column: its numbers may be written differently
-        both = matches["."] & matches[","]
-        for sign, other in _SIGNS.items():
-            only = matches[sign] & ~matches[other]
-            if only.any():
-                found.setdefault(sign, _cell(name, column, only))
-            unclear = both & column.str.contains(sign, regex=False, na=False)
-            if unclear.any():
-                open_signs.setdefault(sign, _cell(name, column, unclear))
-                if sign == sep or column[both].str.fullmatch(r"\s*[-+]?\d+\s*").any():
-                    doubtful = doubtful or open_signs[sign]
-    if len(found) == 2:
-        raise InputError(
-            f"numbers must have one decimal sign in the whole file: {found['.']}, {found[',']}"
-        )
-    if not found and (doubtful or len(open_signs) == 2):
-        raise InputError(
-            f"the decimal sign cannot be told from a thousands separator: "
-            f"{doubtful or open_signs[',']}; save the file without thousands separators"
-        )
-    return next(iter(found or open_signs), ".")
-
-
-def _cell(name: Any, column: Column, where: pd.Series[bool]) -> str:
-    """Return a description of the first marked cell for a message."""
-    row = int(where.to_numpy().argmax())
-    return f"column {str(name)!r} holds {column.iloc[row]!r} at row {row}"
-
-
-def _without_separators(column: Column, decimal: str) -> Column:
-    """Return a column as numbers; if a cell is not a number, as text that `float` can read."""
-    is_number = column.str.fullmatch(_number_pattern(decimal), na=False)
-    plain = column.str.replace(_SIGNS[decimal], "", regex=False)
-    plain = column.where(~is_number, plain.str.replace(decimal, ".", regex=False))
-    values = pd.to_numeric(plain, errors="coerce")
-    return plain if (values.isna() & plain.notna()).any() else values

@@ -12,7 +12,7 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
-from splitband.data.signals import Column, Gaps, in_file, stretches
+from splitband.data.signals import Column, Gaps, as_float, in_file, stretches
 from splitband.data.stamps import last_place, readings
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -37,11 +37,7 @@ def as_stamp(value: Any) -> Stamp:
     """Check a time stamp; raises ValueError unless it is a finite number or a date."""
     if isinstance(value, datetime | np.datetime64) and not pd.isna(value):
         return pd.Timestamp(value).as_unit("ns")
-    try:
-        seconds = math.nan if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        seconds = math.nan
-    if not math.isfinite(seconds):
+    if math.isnan(seconds := as_float(value)):
         raise InputError(f"a time stamp must be a finite number of seconds or a date: got {value}")
     return seconds
 
@@ -76,8 +72,8 @@ def seconds_between(first: Stamp, second: Stamp) -> float:
 
 def zones_differ(first: Stamp | None, second: Stamp | None) -> bool:
     """Return whether both are dates and only one of them has a time zone."""
-    dates = [each for each in (first, second) if isinstance(each, pd.Timestamp)]
-    return len(dates) == 2 and (dates[0].tzinfo is None) != (dates[1].tzinfo is None)
+    dates = isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp)
+    return dates and (first.tzinfo is None) != (second.tzinfo is None)  # type: ignore[union-attr]
 
 
 def seconds_of(stamp: Stamp | None) -> float:
@@ -144,15 +140,11 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Spacing:
-    """Describe the even grid that the rows of a file lie on.
+    """Describe the even grid that the rows of a file lie on: its step in s and its start, if known.
 
-    Attributes
-    ----------
-    step : In s.
-    start : Time stamp of its first row; None for a file without time stamps.
-    grid_rows : Grid index of each row of the file, `(time,)`; None if no rows are missing.
-    newest_first : Whether the rows of the file are to be reversed.
-    note : Message about how the stamps were interpreted; empty if that is certain.
+    `grid_rows`: grid index of each row of the file, `(time,)`, None if no rows are missing;
+    `newest_first`: whether its rows are to be reversed; `note`: how the stamps were interpreted, if
+    that is not certain.
     """
 
     step: float
@@ -170,17 +162,15 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     none of which is the expected one.
     """
     found = readings(what, name, column)
-    newest_first = float(np.median(np.diff(found[0].seconds))) < 0
+    newest_first = found[0].step < 0
     if newest_first:
         column = column.iloc[::-1]
         found = readings(what, name, column)
     found = [each for each in found if (np.diff(each.seconds) > 0).all()] or found[:1]
-    steps = {each.words: float(np.median(np.diff(each.seconds))) for each in found}
     if expected:
-        near = [each for each in found if near_sampling(steps[each.words], expected)]
-        found = near[:1] or found
+        found = [each for each in found if near_sampling(each.step, expected)][:1] or found
     if len(found) > 1:
-        ways = [f"{words} ({step:.6g} s)" for words, step in steps.items()]
+        ways = [f"{each.words} ({each.step:.6g} s)" for each in found]
         raise InputError(
             f"{what} can be read as {' or as '.join(ways)}: sampling_time (--sampling-time) in "
             f"seconds decides; it holds {column.iloc[0]}, {column.iloc[1]}, ..."
@@ -188,12 +178,18 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     read = found[0]
     rows, stamps = np.arange(len(column)), read.seconds
     in_order = column if gaps == "refuse" else None
-    _check_rising(what, stamps, in_order)
+    if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
+            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
+            "time_column='' (--time-column '') with sampling_time ignores the stamps"
+        )
     cut = _cut_to_units(what, stamps, expected)
     if gaps == "mask":
         rows, stamps = _on_grid(what, stamps, cut)
     unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
-    if not cut and unit > 0.99 * float(np.median(np.diff(stamps))):
+    if not cut and unit > 0.99 * np.median(np.diff(stamps)):
         unit = 0.0  # rounding this coarse could hide a missing row
     _check_steps(what, stamps, unit, in_order)
     step, start = _line(what, stamps, unit, read.grain)
@@ -206,24 +202,8 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     )
 
 
-def _check_rising(what: str, stamps: Array, column: Column | None) -> None:
-    """Raise ValueError unless each stamp is above the one before it."""
-    if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
-        row = int(back[0]) + 1
-        line = "" if column is None else in_file(column, row)
-        raise InputError(
-            f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
-            f"{stamps[row - 1]:.10g} s{line}; time_column='' (--time-column '') with sampling_time "
-            "ignores the stamps"
-        )
-
-
 def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -> None:
-    """Raise ValueError for steps that are not even; see `reading.read` for tolerances.
-
-    `unit` is one unit in the last place of the stamps, in s, 0 if it explains no steps; `column`
-    holds them in the file, None if rows may be missing.
-    """
+    """Raise ValueError for steps that differ by more than 1 % and the `unit` of the last place."""
     steps = np.diff(stamps)
     median, mean = float(np.median(steps)), float(steps.mean())
     line_off = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
@@ -244,11 +224,7 @@ def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -
 
 
 def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, float]:
-    """Return the step and the first stamp of the straight line through stamps, in s.
-
-    The slope of the fitted line averages out the rounding of the stamps. `unit` is as above,
-    `grain` the resolution of their number type.
-    """
+    """Return step and begin in s of the line through stamps, which averages out their rounding."""
     index = np.arange(len(stamps))
     centred = index - 0.5 * (len(stamps) - 1)
     slope = centred @ (stamps - stamps[0]) / (centred @ centred)
@@ -274,8 +250,7 @@ def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, f
 def _cut_to_units(what: str, stamps: Array, expected: float | None) -> tuple[float, float] | None:
     """Return the step and the unit of stamps that are cut to units almost as long: 0, 1, 3, 4, 6 s.
 
-    None for other stamps. Raises ValueError where steps of one unit are more frequent than those of
-    two, which may then be missing rows, unless `expected` decides.
+    Raises ValueError where few steps are of two units, and so may be missing rows.
     """
     steps = np.diff(stamps)
     unit = float(steps.min())
@@ -315,13 +290,8 @@ def _on_grid(
 ) -> tuple[NDArray[np.int_], Array]:
     """Return each stamp's row on the grid without gaps, `(time,)`, and the stamps of all rows.
 
-    `cut` is the step and the unit of stamps that are cut to units almost as long.
-    For evenly rising stamps the rows are 0, 1, 2... A logger may restart at any time after a gap:
-    its stamps are then moved to the closest rows of the grid that begins at the first stamp, so
-    that rows do not drift away from the stamps over many gaps.
-
-    Raises ValueError if more than `MOST_MISSING` of the rows are missing: a stamp is then probably
-    wrong.
+    A logger may restart at any time after a gap: its stamps are then moved to the closest rows of
+    the grid that begins at the first stamp, so that rows do not drift away over many gaps.
     """
     steps, index = np.diff(stamps), np.arange(len(stamps))
     usual, unit = cut or (float(np.quantile(steps, 0.1)), 0.0)  # the smallest steps may be jitter

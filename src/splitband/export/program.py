@@ -71,7 +71,7 @@ class Program:
         y, time = record.y[-1:], seconds(record)[-1:]
         u = np.zeros((1, 0)) if record.u is None else record.u[-1:]
         for step in reversed(record.prepared if self.raw else ()):
-            y, u = step.restored(y, time), step.inputs_restored(u, time) if u.size else u
+            y, u = step.undo("y", y, time), step.undo("u", u, time) if u.size else u
         return y[0], u[0]
 
 

@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, final
+from uuid import uuid4
 
 import numpy as np
 
@@ -19,13 +20,10 @@ from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached
 from splitband.runtime.errors import InputError
-from splitband.simulators.absent import Absent
-from splitband.simulators.adjusted import Adjusted
-from splitband.simulators.base import matched, origin
-from splitband.simulators.estimate import Estimate
+from splitband.simulators.base import Absent, matched, origin
 from splitband.simulators.identification import Effort, check_runs, identify
-from splitband.simulators.parameters import Adjustable
-from splitband.simulators.shooting import Experiment, fit_key
+from splitband.simulators.parameters import Adjustable, Estimate
+from splitband.simulators.shooting import Adjusted, Experiment, fit_key
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
@@ -50,7 +48,8 @@ class _Fit:
 
     def __repr__(self) -> str:
         experiments = [Experiment.of(record, self.simulator) for record in self.records]
-        return f"{fit_key(self.simulator, experiments, self.effort.starts)} {self.effort.seconds}"
+        key = fit_key(self.simulator, experiments, self.effort.starts)
+        return f"{key or uuid4().hex} {self.effort.seconds}"  # without a key none is like it
 
 
 estimated = cached(_Fit.result)

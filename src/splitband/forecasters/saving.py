@@ -3,7 +3,7 @@
 A folder holds forecaster.json, which describes the forecaster and its parts, and one safetensors
 file with all weights and arrays. The latter is named after its content, so that an interrupted
 `save` leaves the previous pair intact. Of a simulator that is not recorded output only a
-description is saved (`simulators.absent`); `load` takes the simulator itself.
+description is saved (`simulators.base.Absent`); `load` takes the simulator itself.
 
 Loading runs no code from a file, and none that a file names. The description of an object contains
 the name of its class, which is looked up in the modules that are loaded: nothing is imported. The
@@ -41,7 +41,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing, to_json
 from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
-from splitband.simulators.absent import Absent
+from splitband.simulators.base import Absent
 
 FORMAT = 6
 """Version of the description, which changes with the attributes of what is saved."""
@@ -235,9 +235,7 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
     if not given:
         raise InputError(f"simulator must be left out for {forecaster.name}, which asks for none")
     saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
-    for each in saved:
-        each.check_start_of(simulator)
-    for said in dict.fromkeys(each.difference(simulator) for each in saved):
+    for said in dict.fromkeys([each.difference(simulator) for each in saved]):
         if said:
             warnings.warn(said, stacklevel=3)
     for each in given:

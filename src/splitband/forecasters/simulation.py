@@ -20,8 +20,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator, run
-from splitband.simulators.absent import Absent
-from splitband.simulators.base import is_driven, matched
+from splitband.simulators.base import Absent, is_driven, matched
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
 if TYPE_CHECKING:

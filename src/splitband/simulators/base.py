@@ -1,28 +1,34 @@
 """Define black-box simulators, which turn a time grid into a simulated signal.
 
 A simulator needs neither gradients nor an accessible state (paper, Sec. 4.3). `run` calls a
-simulator and checks its output.
+simulator and checks its output; `Recorded` holds the exported output of one, and `Absent` describes
+that of a saved model until the user passes it again.
 """
 
 from __future__ import annotations
 
-import hashlib
+import json
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import Any, ClassVar, Literal, NoReturn, Protocol, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Grid, Stamp
+import splitband
+from splitband.data import Aligned, Grid, Record, Stamp, aligned
+from splitband.data.alignment import reach
+from splitband.data.signals import as_float
 from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import key_of
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import output_folder, replacing
+from splitband.runtime.options import WithRepr, saved
 from splitband.simulators.code import check_open, content_digest, count_arguments
-from splitband.simulators.recorded import Recorded
 
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
@@ -54,11 +60,7 @@ def check_start(start: Any) -> Any:
     """Return a simulator's `start` if it is one; raises ValueError otherwise."""
     if start is None or start == "record":
         return start
-    try:
-        seconds = math.nan if isinstance(start, bool) else float(start)
-    except (TypeError, ValueError):
-        seconds = math.nan
-    if not math.isfinite(seconds):
+    if math.isnan(seconds := as_float(start)):
         raise InputError(f'start must be a number of seconds or "record", got {start!r}')
     return seconds
 
@@ -93,12 +95,12 @@ def matched(
 def identity(simulator: Any) -> str | None:
     """Return what tells a simulator, with the ranges of its parameters, from all others.
 
-    It is equal in every process; None for a simulator that nothing is known of.
+    It is equal in every process; None for a simulator that nothing is known of, or whose code
+    cannot be told.
     """
-    if hasattr(simulator, "digest"):
-        return f"{simulator.digest()} {simulator.known}"
-    said = getattr(simulator, "fingerprint", lambda: None)()
-    return None if said is None else str(said)
+    adjustable = hasattr(simulator, "digest")
+    said = simulator.digest() if adjustable else getattr(simulator, "fingerprint", lambda: None)()
+    return None if said is None else f"{said} {simulator.known}" if adjustable else str(said)
 
 
 def check_undriven(simulator: Any, name: str, inputs: Sequence[str] = ()) -> None:
@@ -174,9 +176,12 @@ def run(  # noqa: PLR0913
     cache = cache or getattr(simulator, "cache", None)
     begin = 0.0 if isinstance(simulator, Recorded) else origin(simulator, start)
     u = _driving(name, simulator, u, samples)
-    stored = _cache_file(simulator, (samples, sampling_time, ny, begin, _digest(u)), cache)
-    if stored is not None and (known := _read_whole(stored, (samples, ny))) is not None:
-        return known
+    fingerprint, stored = getattr(simulator, "fingerprint", lambda: None)(), None
+    if cache is not None and fingerprint is not None:
+        key = key_of(str(fingerprint), samples, sampling_time, ny, begin, u)
+        stored = Path(cache) / f"{key[:32]}.npz"
+        if (known := _read_whole(stored, (samples, ny))) is not None:
+            return known
     # A grid has two points at least, from which a simulator can derive the step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
     try:
@@ -229,10 +234,6 @@ def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> 
     return u[:samples]
 
 
-def _digest(u: Array | None) -> str:
-    return "" if u is None else hashlib.sha256(np.ascontiguousarray(u).tobytes()).hexdigest()
-
-
 def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
     """Return the stored output; None without one, if the file is damaged, or its files changed."""
     try:
@@ -245,11 +246,144 @@ def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
     return y if same and whole else None
 
 
-def _cache_file(
-    simulator: Simulator, grid: tuple[Any, ...], cache: str | Path | None
-) -> Path | None:
-    fingerprint = getattr(simulator, "fingerprint", lambda: None)()
-    if cache is None or fingerprint is None:
-        return None
-    key = hashlib.sha256(f"{fingerprint} {grid}".encode()).hexdigest()
-    return Path(cache) / f"{key[:32]}.npz"
+# ---------------------------------------------------------------- simulators that do not run
+
+
+@saved
+@dataclass(frozen=True, eq=False, repr=False)
+class Recorded(WithRepr):
+    """Hold the exported output of a simulator, at its own times.
+
+    Attributes
+    ----------
+    y : `(time,)` or `(time, ny)`.
+    sampling_time : In s.
+    start : Time stamp of the first sample; None if it begins with the record.
+    name : Name in messages.
+    """
+
+    y: npt.ArrayLike
+    sampling_time: float
+    start: Stamp | None = None
+    name: str = "the exported trajectory"
+    own_times: ClassVar[bool] = True
+    """Marks a simulator with its own sampling times, which is interpolated to those of a record."""
+
+    @classmethod
+    def of(cls, trajectory: Record) -> Recorded:
+        """Return the channels of a record as a simulator's output, with its time stamps."""
+        return cls(trajectory.y, trajectory.sampling_time, trajectory.start)
+
+    def on(self, grid: Grid) -> Aligned:
+        """Return the simulation at other times; raises ValueError if it does not cover them."""
+        y = np.asarray(self.y, float)
+        return aligned(self.name, y.reshape(len(y), -1), self._grid, grid)
+
+    def reach(self, grid: Grid) -> int:
+        """Return how many times it covers, from the first of the grid on.
+
+        Raises ValueError if their time stamps cannot be compared.
+        """
+        try:
+            return reach(self._grid, grid)
+        except ValueError as error:
+            raise InputError(f"{self.name}: {error}") from None
+
+    def note(self, grid: Grid) -> str:
+        """Return a description of the resampling to these times; empty without any."""
+        covered = min(grid.samples, self.reach(grid))
+        return self.on(replace(grid, samples=covered)).note if covered > 0 else ""
+
+    def simulate(self, time: Array) -> npt.ArrayLike:
+        """Return the simulation at `time` in s, on the same clock if it has stamps in s."""
+        step = float(time[1] - time[0]) if len(time) > 1 else self.sampling_time
+        return self.on(Grid(float(time[0]), step, len(time))).values
+
+    @property
+    def _grid(self) -> Grid:
+        return Grid(self.start, self.sampling_time, len(np.asarray(self.y)))
+
+
+@saved
+@dataclass(frozen=True)
+class Absent:
+    """Describe a simulator in words, without opening or running anything.
+
+    Attributes
+    ----------
+    kind, file : Names of its class and of its file, without the folder; empty without a file.
+    fingerprint : Result of the simulator's `fingerprint()` (or `digest()` if fitted), by which a
+        different simulator is detected; None without one.
+    fitted : Whether its parameters were fitted; other parameter values are then no difference.
+    start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
+        has time stamps of its own.
+    """
+
+    kind: str
+    file: str = ""
+    fingerprint: str | None = None
+    fitted: bool = False
+    start: Start | None = None
+
+    def __post_init__(self) -> None:
+        """Check values that may come from a file."""
+        texts = self.kind, self.file, self.fingerprint or ""
+        if not all(isinstance(text, str) for text in texts):
+            raise InputError("a simulator must be described by texts")
+        if not self.kind.isidentifier() or PurePath(self.file).name != self.file:
+            raise InputError(
+                f"a simulator must have a class and the name of a file, got "
+                f"{self.kind[:60]!r} and {self.file[:60]!r}"
+            )
+        vars(self)["start"] = check_start(self.start)
+
+    @classmethod
+    def of(cls, simulator: Any, fitted: bool = False) -> Absent:
+        """Return the description of a simulator; a description is returned unchanged."""
+        if isinstance(simulator, cls):
+            return simulator
+        file = PurePath(str(getattr(simulator, "path", ""))).name
+        said = getattr(simulator, "fingerprint", lambda: None)()
+        if said is not None and fitted and hasattr(simulator, "digest"):
+            said = simulator.digest()
+        own = getattr(simulator, "own_times", False)
+        start = None if own else getattr(simulator, "start", None) or 0.0
+        return cls(type(simulator).__name__, file, said and str(said), fitted, start)
+
+    def simulate(self, time: object) -> NoReturn:
+        """Raise ValueError; the message says which simulator to pass, and how."""
+        ours = "sb." if self.kind in dir(splitband) else ""
+        how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
+        raise InputError(
+            f"simulator must be given: this model was saved with the simulator {self}; pass it: "
+            f"sb.load(folder, simulator={how})"
+        )
+
+    def difference(self, given: Any) -> str:
+        """Return a sentence if `given` is not the described simulator, else an empty string.
+
+        Simulators without a fingerprint are not compared. Raises ValueError for one that begins at
+        another time.
+        """
+        other = Absent.of(given, self.fitted)
+        if self.start is not None and other.start is not None and self.start != other.start:
+            raise InputError(
+                f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
+                f"which the model was saved, got start={json.dumps(other.start)}; fit the model "
+                "again for another start"
+            )
+        saved, found = self.fingerprint, other.fingerprint
+        if saved is None or found is None or saved == found:
+            return ""
+        return (
+            f"the simulator is another one than {self}, with which the model was saved: its "
+            f"fingerprint is {_shown(found)}, not {_shown(saved)}"
+        )
+
+    def __str__(self) -> str:
+        """Return the name of the simulator's file, or of its class."""
+        return _shown(self.file) if self.file else f"of the kind {self.kind}"
+
+
+def _shown(text: str) -> str:
+    return " ".join(text.split())[:300]  # it may come from a file

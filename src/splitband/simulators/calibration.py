@@ -94,8 +94,7 @@ class Calibration:
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
-        numbers = [*self.gain, *self.offset, self.delay, self.clock]
-        for value in numbers:
+        for value in (*self.gain, *self.offset, self.delay, self.clock):
             if not isinstance(value, int | float) or not np.isfinite(value):
                 raise InputError(f"a calibration must hold finite numbers, got {value!r}")
         if not self.clock > 0:
@@ -130,15 +129,11 @@ class Calibration:
 
     def __str__(self) -> str:
         """Return the calibrated terms, with units."""
-        parts = []
-        if self.gain:
-            parts.append("gain " + ", ".join(f"{g:.3g}" for g in self.gain))
-        if self.offset:
-            parts.append("offset " + ", ".join(f"{o:.3g}" for o in self.offset))
-        if self.delay:
-            parts.append(f"delay {self.delay:.4g} s")
-        if self.clock != 1:
-            parts.append(f"clock {self.clock:.5g}")
+        scales = {"gain": self.gain, "offset": self.offset}
+        parts = [f"{name} {', '.join(f'{each:.3g}' for each in values)}"
+                 for name, values in scales.items() if values]  # fmt: skip
+        parts += [f"delay {self.delay:.4g} s"] if self.delay else []
+        parts += [f"clock {self.clock:.5g}"] if self.clock != 1 else []
         return "; ".join(parts) or "as it comes"
 
     @property
@@ -159,10 +154,7 @@ def spline_of(y: Array) -> Callable[[Array], Array]:
 
 
 def calibrate(
-    y_sim: Array,
-    y: Array,
-    sampling_time: float,
-    terms: Iterable[Term] | None = None,
+    y_sim: Array, y: Array, sampling_time: float, terms: Iterable[Term] | None = None
 ) -> Calibration:
     """Calibrate a simulator on the training part of a record.
 
@@ -186,8 +178,7 @@ def calibrate(
             f"y_sim must cover the record's {len(y)} samples in y's channels, and y have 2 "
             f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
-    # Channels are scaled to deviation 1, so that each counts the same whatever its unit.
-    scale = spread(y)
+    scale = spread(y)  # so that each channel counts the same whatever its unit
     y, y_sim = y / scale, y_sim / scale
     if terms is not None:
         wanted = tuple(terms)
@@ -204,7 +195,7 @@ def calibrate(
         if pays and (not moves or (errors[kept] < errors[best]).all()):
             best = kept
     calibration = _fit(y_sim, y, sampling_time, best, scale)
-    means = {_name(kept): float(left.mean()) for kept, left in errors.items()}
+    means = {" + ".join(kept) or "none": float(left.mean()) for kept, left in errors.items()}
     return replace(calibration, errors=means)
 
 
@@ -215,8 +206,7 @@ def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
     gain 0.
     """
     mean_sim, mean = _mean(y_sim, y), _mean(y, y)
-    centred = np.where(np.isnan(y), 0.0, y_sim - mean_sim)
-    gain = _gain(centred, y - mean)
+    gain = _gain(y_sim - mean_sim, y - mean)
     return gain, mean - gain * mean_sim
 
 
@@ -231,10 +221,6 @@ def _gain(x: Array, y: Array) -> Array:
     """Return the least-squares gain from x to y where y is not NaN; 0 where x is zero."""
     power = np.where(np.isnan(y), 0.0, x**2).sum(axis=0)
     return np.asarray(np.nansum(x * y, axis=0) / np.where(power > 0, power, 1.0))
-
-
-def _name(terms: Sequence[Term]) -> str:
-    return " + ".join(terms) or "none"
 
 
 def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
@@ -264,21 +250,18 @@ def _fit(
     index: Array = np.arange(len(y), dtype=np.float64)
     spline = spline_of(y_sim)
 
-    def moved(warp: Array) -> Array:
-        delay, clock = _warp(warp, moving)
-        return spline(clock * index - delay) if moving.any() else y_sim[: len(y)]
-
-    def within(warp: Array) -> Flags:
-        """Return a mask of the samples that lie between the simulation's first and last one."""
+    def fitted(warp: Array) -> tuple[Array, Array, Array, Flags]:
+        """Return gain, offset, the simulation, and a mask of the samples that it reaches."""
         delay, clock = _warp(warp, moving)
         positions = clock * index - delay
         inside = (positions >= 0) & (positions <= len(y_sim) - 1)
-        return inside if inside.any() else np.ones_like(inside)
+        inside = inside if inside.any() else ~inside
+        x = spline(positions) if moving.any() else y_sim[: len(y)]
+        return *_affine(x[inside], y[inside], terms), x, inside
 
     def residual(warp: Array) -> Array:
-        x, seen = moved(warp), within(warp)
-        gain, offset = _affine(x[seen], y[seen], terms)
-        error = (gain * x + offset - y) * seen[:, None] / np.sqrt(seen.mean())
+        gain, offset, x, inside = fitted(warp)
+        error = (gain * x + offset - y) * inside[:, None] / np.sqrt(inside.mean())
         return np.nan_to_num(error).ravel()
 
     warp = np.empty(0)
@@ -293,9 +276,8 @@ def _fit(
             for point in _guesses(y, lambda clock: spline(clock * index), most * moving)
         ]  # fmt: skip
         warp = np.asarray(min(minima, key=lambda result: result.cost).x)
+    gain, offset, *_ = fitted(warp)
     delay, clock = _warp(warp, moving)
-    seen = within(warp)
-    gain, offset = _affine(moved(warp)[seen], y[seen], terms)
     return Calibration(
         tuple(map(float, gain)) if "gain" in terms else (),
         tuple(map(float, offset * scale)) if "offset" in terms else (),
@@ -307,10 +289,8 @@ def _fit(
 def _affine(x: Array, y: Array, terms: Sequence[Term]) -> tuple[Array, Array]:
     if "gain" in terms and "offset" in terms:
         return affine_fit(x, y)
-    if "gain" in terms:
-        return _gain(x, y), np.zeros(y.shape[1])
-    ones = np.ones(y.shape[1])
-    return ones, _mean(y - x, y) if "offset" in terms else 0 * ones
+    gain = _gain(x, y) if "gain" in terms else np.ones(y.shape[1])
+    return gain, _mean(y - x, y) if "offset" in terms else np.zeros(y.shape[1])
 
 
 def _warp(warp: Array, moving: Flags) -> tuple[float, float]:
@@ -321,10 +301,7 @@ def _warp(warp: Array, moving: Flags) -> tuple[float, float]:
 
 
 def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Iterator[Array]:
-    """Yield starting points: the identity, and those of highest correlation with the record.
-
-    Each consists of a delay in samples and a clock factor, within `most` of the identity.
-    """
+    """Yield delays and clocks within `most` of none: none, and those of highest correlation."""
     yield _STILL
     clocks = np.linspace(1 - most[1], 1 + most[1], 41) if most[1] else np.ones(1)
     shifts = np.arange(-int(most[0]), int(most[0]) + 1)  # in samples of the record

@@ -7,12 +7,13 @@ import builtins
 import hashlib
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copyreg import dispatch_table
+from functools import cached_property, lru_cache
 from pathlib import Path
 from sysconfig import get_path
 from traceback import extract_tb
-from types import CodeType, FunctionType, MethodType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -161,31 +162,28 @@ def _of_the_user(path: Path) -> bool:
 # ---------------------------------------------------------------- identity
 
 
-MOST_DEPTH = 40
-"""Depth of objects in objects from which on only their types count. By eye."""
-
-
-def code_digest(*functions: Callable[..., Any] | None) -> str:
+def code_digest(*functions: Callable[..., Any] | None) -> str | None:
     """Return a digest of functions: their code, and the values and functions that it refers to.
 
-    Names count, of globals and of attributes, so do constants, defaults, closures, functions in
-    functions, arguments of a partial, and attributes of objects. It is equal in every process.
+    Names count, of globals and of attributes, so do constants, defaults, closures and functions in
+    functions; of other objects what pickling would store. It is equal in every process, and None
+    where something cannot be pickled.
     """
-    return _digest(functions, (), {})
+    try:
+        return _digest(functions, (), {})
+    except Exception:  # of any class: each pickles in its own way
+        return None
 
 
 def _digest(value: Any, within: tuple[int, ...], told: dict[int, int]) -> str:
-    """Return a digest of a value.
-
-    `within`: what it is part of; `told`: the functions and classes so far, which are told once.
-    """
+    """Return a digest of a value, part of those `within`; `told`: functions and classes so far."""
     value = getattr(value, "py_func", value)  # the source of a Numba function
     parts = [type(value).__qualname__]
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
         parts.append(repr(value))
     elif id(value) in told:
         parts.append(f"again {told[id(value)]}")
-    elif id(value) not in within and len(within) < MOST_DEPTH:
+    elif id(value) not in within:
         if isinstance(value, FunctionType | type):
             told[id(value)] = len(told)
         inner = (*within, id(value))
@@ -197,56 +195,35 @@ def _digest(value: Any, within: tuple[int, ...], told: dict[int, int]) -> str:
 
 
 def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the other
-    """Return the values that a value consists of."""
-    if isinstance(value, ModuleType):
-        file = Path(getattr(value, "__file__", None) or "")
-        own = is_users(value.__name__) and file.is_file()
-        return [value.__name__, file.read_bytes() if own else b""]
-    if isinstance(value, CodeType):
-        table = getattr(value, "co_exceptiontable", b"")
-        shape = value.co_argcount, value.co_kwonlyargcount, value.co_flags
-        return [value.co_code, value.co_names, value.co_consts, table, shape]
-    if isinstance(value, FunctionType):
-        return [value.__code__, value.__defaults__, value.__kwdefaults__, _closure(value),
-                _globals(value), vars(value)]  # fmt: skip
-    if isinstance(value, MethodType):
-        return [value.__func__, value.__self__]
-    if isinstance(value, partial):
-        return [value.func, value.args, value.keywords]
-    if isinstance(value, dict):
-        return [part for pair in value.items() for part in pair]
+    """Return the values that a value consists of; raises TypeError for one that is not known."""
     if isinstance(value, tuple | list):
         return [*value]
-    if isinstance(value, np.ndarray) and value.dtype != object:
-        return [str(value.dtype), value.shape, value.tobytes()]
+    if isinstance(value, dict):
+        return [part for pair in value.items() for part in pair]
+    if isinstance(value, ModuleType):
+        own = [value.__file__ or ""] if is_users(value.__name__) else []
+        return [value.__name__, content_digest(own)]
+    if isinstance(value, CodeType):
+        shape = value.co_argcount, value.co_kwonlyargcount, value.co_flags
+        return [value.co_code, value.co_names, value.co_consts, value.co_exceptiontable, shape]
+    if isinstance(value, FunctionType):
+        file = Path(value.__code__.co_filename).resolve()
+        installed = file.is_file() and not _of_the_user(file)
+        names = value.__module__, value.__qualname__
+        code = names if installed else [value.__code__, _globals(value)]
+        cells = [cell.cell_contents for cell in value.__closure__ or ()]
+        return [code, cells, value.__defaults__, value.__kwdefaults__, vars(value)]
     if isinstance(value, type):
-        own = is_users(getattr(value, "__module__", ""))
-        parts = dict(vars(value)) if own else {}
+        parts = dict(vars(value)) if is_users(value.__module__) else {}
         used = [n for n in sorted(parts) if not n.startswith("__") or callable(parts[n])]
-        return [value.__qualname__, *value.__bases__, {name: parts[name] for name in used}]
-    if hasattr(value, "__array__"):
-        labels = [np.asarray(axis).tolist() for axis in getattr(value, "axes", ())]
-        return [np.asarray(value).tolist(), labels]
-    kind = type(value)
-    slots = [name for each in kind.__mro__ for name in _slots(each) if hasattr(value, name)]
-    held = {name: getattr(value, name) for name in slots} | getattr(value, "__dict__", {})
-    return [held, kind] if is_users(kind.__module__) else [held]
-
-
-def _slots(kind: type) -> tuple[str, ...]:
-    slots = vars(kind).get("__slots__", ())
-    named = (slots,) if isinstance(slots, str) else tuple(slots)
-    return tuple(name for name in named if name not in ("__dict__", "__weakref__"))
-
-
-def _closure(function: FunctionType) -> list[Any]:
-    found = []
-    for cell in function.__closure__ or ():
-        try:
-            found.append(cell.cell_contents)
-        except ValueError:  # not yet filled
-            found.append("empty")
-    return found
+        return [value.__qualname__, *value.__bases__, [(name, parts[name]) for name in used]]
+    if isinstance(value, property | cached_property | classmethod | staticmethod):
+        return [getattr(value, name, None) for name in ("fget", "fset", "func", "__func__")]
+    reduce = dispatch_table.get(type(value))
+    stored: Any = value.__reduce_ex__(4) if reduce is None else reduce(value)
+    if isinstance(stored, str):  # by its name
+        return [getattr(value, "__module__", ""), stored, getattr(value, "__dict__", {})]
+    return [[*part] if isinstance(part, Iterator) else part for part in stored]
 
 
 def _globals(function: FunctionType) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators.fmu_unit import COSIMULATION, WHOLE, Unit
+from splitband.simulators.fmu_unit import EXCHANGE, REAL, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
 """Of the solver for model exchange, relative to the nominal values of the states. By eye."""
@@ -27,13 +27,9 @@ NEAR = 1e-9
 class Task:
     """Say what a run is given, and what it returns.
 
-    Attributes
-    ----------
-    time : Evenly spaced times in s, two at least.
-    u : Inputs, `(time, inputs)`; None without any.
-    values : Start values of variables.
-    outputs, inputs : Names of the variables to read, and of those that take `u`.
-    held : Whether model exchange holds inputs until the next sample; else it interpolates them.
+    `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
+    of variables; `outputs`, `inputs`: names of the variables to read, and of those that take `u`;
+    `held`: whether model exchange holds inputs until the next sample, or interpolates them.
     """
 
     time: Array
@@ -49,43 +45,35 @@ class Task:
         return float(self.time[1] - self.time[0])
 
 
-class Variables:
+class Access:
     """Read and set variables of an instance, of several types at once."""
 
     def __init__(self, unit: Unit, instance: Any, names: Sequence[str]) -> None:
         self.count = len(names)
-        groups: dict[str, list[int]] = {}
+        self.groups: dict[str, tuple[list[int], list[int]]] = {}
         for i, name in enumerate(names):
-            groups.setdefault(_type(unit, name), []).append(i)
-        self.groups = [
-            (
-                indices,
-                [unit.by_name[names[i]].valueReference for i in indices],
-                getattr(instance, f"get{kind}"),
-                getattr(instance, f"set{kind}"),
-                float if kind in ("Real", "Float32", "Float64") else round,
-            )
-            for kind, indices in groups.items()
-        ]
+            kind = str(unit.by_name[name].type)
+            if kind == "Enumeration":
+                kind = "Int64" if unit.version == 3 else "Integer"
+            places, references = self.groups.setdefault(kind, ([], []))
+            places.append(i)
+            references.append(unit.by_name[name].valueReference)
+        self.instance = instance
 
     def set(self, values: Array) -> None:
         """Set the variables to these values, `(count,)`."""
-        for indices, references, _, setter, convert in self.groups:
-            setter(references, [convert(float(values[i])) for i in indices])
+        for kind, (places, references) in self.groups.items():
+            given = [float(values[i]) for i in places]
+            whole = kind not in REAL
+            setter = getattr(self.instance, f"set{kind}")
+            setter(references, [*map(round, given)] if whole else given)
 
     def get(self) -> Array:
         """Return the values, `(count,)`."""
         found = np.empty(self.count)
-        for indices, references, getter, _, _ in self.groups:
-            found[indices] = [*getter(references)]
+        for kind, (places, references) in self.groups.items():
+            found[places] = [*getattr(self.instance, f"get{kind}")(references)]
         return found
-
-
-def _type(unit: Unit, name: str) -> str:
-    kind = str(unit.by_name[name].type)
-    if kind == "Enumeration":
-        return "Int64" if unit.version == 3 else "Integer"
-    return kind
 
 
 def check_inputs(unit: Unit, names: Sequence[str], u: Array) -> None:
@@ -103,37 +91,34 @@ def check_inputs(unit: Unit, names: Sequence[str], u: Array) -> None:
             )
 
 
-def initialise(unit: Unit, instance: Any, task: Task, inputs: Variables, end: float) -> None:
+def initialise(unit: Unit, instance: Any, task: Task, inputs: Access, end: float) -> None:
     """Set start values and the first inputs, and leave the initialisation."""
     from fmpy import simulation as by_fmpy  # noqa: PLC0415  the optional extra
 
-    version, begin, description = unit.version, float(task.time[0]), unit.description
-    left = dict(task.values)
+    def apply(values: Mapping[str, float], settable: Any) -> dict[str, float]:
+        left: dict[str, float] = by_fmpy.apply_start_values(
+            instance, unit.description, dict(values), settable=settable
+        )
+        return left
 
-    def apply(settable: Any) -> None:
-        nonlocal left
-        left = by_fmpy.apply_start_values(instance, description, left, settable=settable)
-
-    def drive() -> None:
-        if task.u is not None:
-            inputs.set(task.u[0])
-
+    version, begin, exchange = unit.version, float(task.time[0]), unit.kind == EXCHANGE
     if version == 1:
-        if unit.kind != COSIMULATION:
+        if exchange:
             instance.setTime(begin)
-        apply(by_fmpy.has_start_value)
-        drive()
-        how = {"tStart": begin, "stopTime": end} if unit.kind == COSIMULATION else {}
-        instance.initialize(**how)
+        left = apply(task.values, by_fmpy.has_start_value)
     else:
         if version == 2:
             instance.setupExperiment(startTime=begin, stopTime=end)
-        apply(by_fmpy.settable_in_instantiated)
+        left = apply(task.values, by_fmpy.settable_in_instantiated)
         how = {"startTime": begin, "stopTime": end} if version == 3 else {}
         instance.enterInitializationMode(**how)
-        apply(by_fmpy.settable_in_initialization_mode)
-        drive()
+        left = apply(left, by_fmpy.settable_in_initialization_mode)
+    if task.u is not None:
+        inputs.set(task.u[0])
+    if version > 1:
         instance.exitInitializationMode()
+    else:
+        instance.initialize(**({} if exchange else {"tStart": begin, "stopTime": end}))
     if left:
         raise InputError(f"these variables of {unit.path} cannot be set: {', '.join(left)}")
 
@@ -142,15 +127,13 @@ class _Inputs:
     """Set the inputs of a run by model exchange; a solver calls `apply`."""
 
     def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+        kinds = [(unit.by_name[name].type, unit.by_name[name].variability) for name in task.inputs]
         smooth = [
-            i
-            for i, name in enumerate(task.inputs)
-            if unit.by_name[name].type in ("Real", "Float32", "Float64")
-            and unit.by_name[name].variability not in ("discrete", "tunable")
-            and not task.held
-        ]
-        self.all = Variables(unit, instance, task.inputs)
-        self.smooth = Variables(unit, instance, [task.inputs[i] for i in smooth])
+            i for i, (kind, variability) in enumerate(kinds) if kind in REAL and not task.held
+            and variability not in ("discrete", "tunable")
+        ]  # fmt: skip
+        self.all = Access(unit, instance, task.inputs)
+        self.smooth = Access(unit, instance, [task.inputs[i] for i in smooth])
         self.time, self.step = task.time, task.step
         self.u = np.empty((len(task.time), 0)) if task.u is None else task.u
         self.lines = self.u[:, smooth]
@@ -164,10 +147,6 @@ class _Inputs:
         n = min(int(place), len(self.lines) - 2)
         self.smooth.set(self.lines[n] + (place - n) * (self.lines[n + 1] - self.lines[n]))
 
-    def jump(self, n: int) -> bool:
-        """Return whether an input jumps at sample n."""
-        return bool((self.jumps[n] != self.jumps[n - 1]).any())
-
 
 class Exchange:
     """Integrate an FMU for model exchange by CVODE (Hindmarsh et al., ACM TOMS 31, 2005)."""
@@ -179,11 +158,11 @@ class Exchange:
         self.event_time = np.inf
         if unit.version > 1:
             self._update()
-        self.solver = _solver(unit, instance, task, self.inputs)
+        self.solver = self._solver()
 
     def run(self) -> Array:
         """Return the outputs, `(time, outputs)`, of events at a sample those after them."""
-        outputs = Variables(self.unit, self.instance, self.task.outputs)
+        outputs = Access(self.unit, self.instance, self.task.outputs)
         found = np.empty((len(self.task.time), outputs.count))
         for n in range(len(found)):
             if n:
@@ -204,8 +183,7 @@ class Exchange:
                 event, _, now = self.solver.step(now, stop)
             if self.event_time <= now + near:
                 event, now = True, max(now, self.event_time)
-            instance.setTime(now)
-            self.inputs.apply(now)
+            self._set_time(now)
             if self.unit.description.modelExchange.needsCompletedIntegratorStep:
                 done = instance.completedIntegratorStep()
                 event |= bool(done if self.unit.version == 1 else done[0])
@@ -213,9 +191,8 @@ class Exchange:
                 self._event(now)
         else:
             raise InputError(f"the FMU {self.unit.path} has no end of events at {now:g} s")
-        instance.setTime(end)
-        self.inputs.apply(end)
-        if self.inputs.jump(n):
+        self._set_time(end)
+        if (self.inputs.jumps[n] != self.inputs.jumps[n - 1]).any():
             self._event(end, n)
 
     def _event(self, now: float, n: int | None = None) -> None:
@@ -230,14 +207,12 @@ class Exchange:
     def _update(self) -> None:
         """Update the discrete states, and find the time of the next event."""
         instance, version = self.instance, self.unit.version
+        update = ("eventUpdate", "newDiscreteStates", "updateDiscreteStates")[version - 1]
         for _ in range(MOST_EVENTS):
             if version == 1:
-                settled, _, _, ended, defined, at = instance.eventUpdate()
+                settled, _, _, ended, defined, at = getattr(instance, update)()
             else:
-                update = (
-                    instance.newDiscreteStates if version == 2 else instance.updateDiscreteStates
-                )
-                more, ended, _, _, defined, at = update()
+                more, ended, _, _, defined, at = getattr(instance, update)()
                 settled = not more
             if ended:
                 raise InputError(f"the FMU {self.unit.path} has ended its simulation")
@@ -247,49 +222,42 @@ class Exchange:
         if version > 1:
             instance.enterContinuousTimeMode()
 
+    def _set_time(self, time: float) -> None:
+        """Set the time and its inputs, also where derivatives are evaluated: FMPy leaves them."""
+        self.instance.setTime(time)
+        self.inputs.apply(time)
 
-def _solver(unit: Unit, instance: Any, task: Task, inputs: _Inputs) -> Any:
-    from fmpy.sundials import CVodeSolver  # noqa: PLC0415  the optional extra
+    def _solver(self) -> Any:
+        from fmpy.sundials import CVodeSolver  # noqa: PLC0415  the optional extra
 
-    class Solver(CVodeSolver):  # type: ignore[misc]
-        """Also set the inputs where derivatives are evaluated, which FMPy's own does not."""
-
-        def f(self, t: float, y: Any, ydot: Any, user_data: Any) -> int:
-            self.set_time(t)
-            self.input.apply(t)
-            result: int = super().f(t, y, ydot, user_data)
-            return result
-
-    description, version = unit.description, unit.version
-    nominals = "getNominalContinuousStates" if version == 1 else "getNominalsOfContinuousStates"
-    slopes = "getContinuousStateDerivatives" if version == 3 else "getDerivatives"
-    experiment = description.defaultExperiment
-    given = None if experiment is None else experiment.tolerance
-    return Solver(
-        nx=description.numberOfContinuousStates,
-        nz=description.numberOfEventIndicators,
-        get_x=instance.getContinuousStates,
-        set_x=instance.setContinuousStates,
-        get_dx=getattr(instance, slopes),
-        get_z=instance.getEventIndicators,
-        get_nominals=getattr(instance, nominals),
-        set_time=instance.setTime,
-        input=inputs,
-        startTime=float(task.time[0]),
-        maxStep=task.step,
-        relativeTolerance=min(RELATIVE_TOLERANCE, float(given or 1.0)),
-        maxNumSteps=MOST_STEPS,
-    )
+        instance, description, version = self.instance, self.unit.description, self.unit.version
+        nominals = "getNominalContinuousStates" if version == 1 else "getNominalsOfContinuousStates"
+        slopes = "getContinuousStateDerivatives" if version == 3 else "getDerivatives"
+        experiment = description.defaultExperiment
+        given = None if experiment is None else experiment.tolerance
+        return CVodeSolver(
+            nx=description.numberOfContinuousStates,
+            nz=description.numberOfEventIndicators,
+            get_x=instance.getContinuousStates,
+            set_x=instance.setContinuousStates,
+            get_dx=getattr(instance, slopes),
+            get_z=instance.getEventIndicators,
+            get_nominals=getattr(instance, nominals),
+            set_time=self._set_time,
+            input=self.inputs,
+            startTime=float(self.task.time[0]),
+            maxStep=self.task.step,
+            relativeTolerance=min(RELATIVE_TOLERANCE, float(given or 1.0)),
+            maxNumSteps=MOST_STEPS,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Say when the outputs of a co-simulation FMU are read.
 
-    Attributes
-    ----------
-    late : Outputs that are those of a sample's inputs only after the step, `(outputs,)`.
-    before : Whether the others are read before the inputs are set, as they cannot be read then.
+    `late`: those that show a sample's inputs only after the step, `(outputs,)`; `before`: whether
+    the others are read before the inputs are set, as they cannot be read then.
     """
 
     late: NDArray[np.bool_]
@@ -301,8 +269,8 @@ class CoSimulation:
 
     def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
         self.unit, self.instance, self.task = unit, instance, task
-        self.inputs = Variables(unit, instance, task.inputs)
-        self.outputs = Variables(unit, instance, task.outputs)
+        self.inputs = Access(unit, instance, task.inputs)
+        self.outputs = Access(unit, instance, task.outputs)
         self.now = float(task.time[0])
         initialise(unit, instance, task, self.inputs, float(task.time[-1]) + task.step)
 
@@ -323,6 +291,12 @@ class CoSimulation:
                 found[n, late] = self.outputs.get()[late]
         self.instance.terminate()
         return found
+
+    def advance(self) -> None:
+        """Go on to the last sample."""
+        for n in range(len(self.task.time) - 1):
+            self.drive(n)
+            self.step(self.task.step)
 
     def drive(self, n: int) -> None:
         """Set the inputs of a sample."""

@@ -6,23 +6,22 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from zipfile import ZipFile
 
 from splitband.data.signals import bare_name
 from splitband.runtime.errors import InputError
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"
 """Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs can be read at once."""
-
-
 WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",\
     "UInt64"  # fmt: skip
 """Types whose values are whole numbers."""
-NUMERIC = "Real", "Float32", "Float64", "Boolean", *WHOLE
+REAL = "Real", "Float32", "Float64"
+NUMERIC = *REAL, "Boolean", *WHOLE
 """Types of variables that can be a channel or an input."""
 OPTIONAL = "OptionalInputs"
 """Name of the element that lists inputs of our own exported FMUs that need not be driven."""
@@ -30,50 +29,26 @@ _MOST = 12
 """Most names in a message. By eye."""
 
 
-@dataclass(frozen=True)
 class Variables:
-    """Hold the names of an FMU's variables.
+    """Know the names of an FMU's variables; `description` by FMPy.
 
-    Attributes
-    ----------
-    file : Path of the FMU, for messages.
-    names : All variables that can be a channel, an input or a start value.
-    outputs, inputs : Its outputs, and the inputs that must be driven.
-    optional : Inputs that may keep their start value: those of an FMU of this package that take
-        measured samples.
-    tunable : Other variables that can be set while it runs.
-    others : Other variables that can be read.
-    arrays : Inputs that are arrays, which cannot be driven.
+    `outputs` and `inputs` of an FMU are numbers; `inputs` must be driven, while the `optional` ones
+    of an FMU of this package, which take measured samples, may keep their start values.
     """
 
-    file: str
-    names: tuple[str, ...]
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
-    optional: tuple[str, ...] = ()
-    tunable: tuple[str, ...] = ()
-    others: tuple[str, ...] = ()
-    arrays: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, path: Path, description: Any, folder: Path) -> Variables:
-        """Return the variables of a description by FMPy; `folder` holds its XML file."""
-        usable = [v for v in description.modelVariables
-                  if v.type in NUMERIC and not (v.shape or v.dimensions)]  # fmt: skip
-        optional = {*_optional(folder / "modelDescription.xml")}
+    def __init__(self, path: Path, description: Any) -> None:
+        every, optional = description.modelVariables, _optional(path)
+        self.file, self.names = path, [v.name for v in every]
+        usable = [v for v in every if v.type in NUMERIC and not (v.shape or v.dimensions)]
         inputs = [v.name for v in usable if v.causality == "input"]
-        outputs = [v.name for v in usable if v.causality == "output"]
-        return cls(
-            str(path),
-            tuple(v.name for v in description.modelVariables),
-            tuple(outputs),
-            tuple(name for name in inputs if name not in optional),
-            tuple(name for name in inputs if name in optional),
-            tuple(v.name for v in usable if v.causality != "input" and v.variability == "tunable"),
-            tuple(v.name for v in usable if v.name not in {*outputs, *inputs}),
-            tuple(v.name for v in description.modelVariables
-                  if v.causality == "input" and (v.shape or v.dimensions)),
-        )  # fmt: skip
+        self.outputs = [v.name for v in usable if v.causality == "output"]
+        self.others = [v.name for v in usable if v.name not in {*self.outputs, *inputs}]
+        self.optional = [name for name in inputs if name in optional]
+        self.inputs = [name for name in inputs if name not in self.optional]
+        self.able = {*inputs, *(v.name for v in usable if v.variability == "tunable")}
+        self.arrays = [
+            v.name for v in every if v.causality == "input" and (v.shape or v.dimensions)
+        ]
 
     def check(self, outputs: Iterable[str] | None, inputs: Iterable[str] | None) -> None:
         """Raise ValueError for names that are no variables, or that cannot be driven."""
@@ -82,9 +57,8 @@ class Variables:
             if name not in self.names:
                 known = _listed(self.names)
                 raise InputError(f"{self.file} has no variable {name}; it has {known}")
-        able = {*self.inputs, *self.optional, *self.tunable}
         for name in inputs:
-            if name not in able:
+            if name not in self.able:
                 raise InputError(
                     f"inputs must be inputs of {self.file}: {name} is none; it has "
                     f"{_listed([*self.inputs, *self.optional])}"
@@ -97,7 +71,7 @@ class Variables:
         """
         if given is not None and len(given) == len(columns):
             return [*given]
-        found = [""] if given is not None else _by_name(columns, (*self.outputs, *self.others))
+        found = [""] if given is not None else _by_name(columns, [*self.outputs, *self.others])
         if not all(found) and given is None and len(columns) == len(self.outputs) == 1:
             return [*self.outputs]
         if not all(found):
@@ -122,7 +96,7 @@ class Variables:
                 f"{_listed(self.arrays)} is an array, which cannot be; it keeps its start values"
             )
         if given is None:
-            found = _by_name(inputs, (*self.inputs, *self.optional))
+            found = _by_name(inputs, [*self.inputs, *self.optional])
             if {*self.inputs} <= {*found}:
                 return found if any(found) else []
             if len(inputs) == len(self.inputs) == 1:
@@ -149,12 +123,10 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST]) + (", ..." if len(names) > _MOST else "")
 
 
-def _optional(file: Path) -> list[str]:
+def _optional(path: Path) -> list[str]:
     """Return the inputs that our own annotation in a model description lists."""
-    try:
-        root = ElementTree.parse(file).getroot()
-    except (OSError, ElementTree.ParseError):
-        return []
+    with ZipFile(path) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}/Input")
     return [each.get("name", "") for each in listed]
 
@@ -163,14 +135,8 @@ class Unit:
     """Hold an unpacked FMU and an idle instance of it.
 
     The archive is unpacked once; between runs an instance is reset, not loaded again. The unpacked
-    files are removed by `close`, when the object is deleted, or when the process ends.
-
-    Attributes
-    ----------
-    description : By FMPy.
-    variables : The names of its variables.
-    kind : `EXCHANGE` or `COSIMULATION`.
-    readings : How its outputs are read, by outputs, inputs and sampling time.
+    files are removed by `close`, when the object is deleted, or when the process ends. `readings`
+    says how its outputs are read, by outputs, inputs and sampling time.
     """
 
     def __init__(self, path: Path) -> None:
@@ -187,7 +153,7 @@ class Unit:
         try:
             fmpy.extract(str(path), self.folder)
             self.description = fmpy.read_model_description(self.folder)
-            self.variables = Variables.of(path, self.description, Path(self.folder))
+            self.variables = Variables(path, self.description)
             self.kind = EXCHANGE if self.description.modelExchange is not None else COSIMULATION
             self._idle.append(self._first())
         except Exception as error:
@@ -239,13 +205,10 @@ class Unit:
 def variables_of(path: Path) -> Variables:
     """Return the variables of an FMU, without running its code."""
     fmpy = _fmpy()
-    with tempfile.TemporaryDirectory(prefix="splitband-fmu-") as folder:
-        try:
-            fmpy.extract(str(path), folder, include=lambda name: name == "modelDescription.xml")
-            description = fmpy.read_model_description(folder)
-        except Exception as error:
-            raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
-        return Variables.of(path, description, Path(folder))
+    try:
+        return Variables(path, fmpy.read_model_description(str(path)))
+    except Exception as error:
+        raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
 
 
 def _fmpy() -> Any:

@@ -28,34 +28,22 @@ from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
 from splitband.simulators.code import failure
-from splitband.simulators.estimate import Estimate, labelled, uncertainty
-from splitband.simulators.parameters import Adjustable
-from splitband.simulators.shooting import (
-    BAD,
-    Experiment,
-    Shooting,
-    fit_key,
-    projected,
-)
+from splitband.simulators.parameters import Adjustable, Estimate, labelled, uncertainty
+from splitband.simulators.shooting import BAD, Experiment, Shooting, fit_key, projected
 
 STARTS = 32
 """Default limit of starting points. By eye."""
 ENOUGH = 4
-"""The search stops after so many starts with the same error. By eye."""
+"""The search stops after so many starts with the same error. So many are tried in parallel, on any
+number of processes, so that the result does not depend on it. By eye."""
 PATIENCE, _HARDLY_BETTER = 8, 0.02
 """The search stops if the last `PATIENCE` starts lowered the error by less than this share.
 By eye."""
-_BATCH = 4
-"""Starting points that are tried in parallel. By eye; independent of the number of processes, so
-that the result is too."""
 SAME_ERROR = 1e-3
 """Relative difference within which errors count as the same. By eye."""
-SHORTEST = 16
-"""Samples of the shortest windows. By eye."""
-_GROWTH = 4
-"""Factor by which windows grow from stage to stage. By eye."""
-_WINDOWS = 32
-"""Windows are not made shorter once the longest record has so many. By eye."""
+SHORTEST, _GROWTH, _WINDOWS = 16, 4, 32
+"""Samples of the shortest windows, the factor by which they grow from stage to stage, and how many
+the longest record has at most in the first one. By eye."""
 _PULL = 1e-6
 """Residual of an unknown that moves from its start by its unit: those that the records do not tell
 stay where they are. By eye."""
@@ -63,27 +51,19 @@ _ROUNDS, LAST_ROUNDS = 30, 100
 """Most evaluations in a search, and in the last one from the best fractions. By eye."""
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
-WINDOWS_FROM_ERROR = 0.6
-"""Error of a simulation of whole records, in deviations, from which on windows are considered.
-By eye."""
-_WORTH_WINDOWS = 0.3
-"""Windows are used if their error is below this share of the error over whole records. By eye."""
-_FEW = 3
-"""Samples for a test run of a simulator's code. By eye."""
+WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
+"""Error of a simulation of whole records, in deviations, from which on windows are considered, and
+the share of it below which they are used. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code that do not depend on parameter values."""
 
 
 @dataclass(frozen=True)
 class StartOutcome:
-    """Hold the result of one starting point.
+    """Hold what one starting point led to.
 
-    Attributes
-    ----------
-    number : Number of the start.
-    found : Places and error, in deviations, by length of the windows.
-    failure : Message of the last failed run.
-    cut : Whether the deadline passed before the search was done.
+    `found`: places in the ranges and error, in deviations, by length of the windows; `failure`: of
+    the last failed run; `cut`: whether the deadline passed before the search was done.
     """
 
     number: int
@@ -162,21 +142,18 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
     fractions = unknowns[: len(fractions)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
-    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
-    if rough:
-        remarks.append("standard errors are rough, as the solver cannot keep smaller tolerances")
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
-    if lost:
-        remarks.append(
-            f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {lost[0]}"
-        )
+    reason = next(iter(lost), "")
     cut = any(o.cut for o in outcomes) or deadline.over
-    if cut:
-        remarks.append("the time was over before every starting point was tried")
-    if window < longest:
-        remarks.append(
-            f"simulated in windows of {window} samples, as a simulation of the whole record is lost"
-        )
+    more = {
+        "standard errors are rough, as the solver cannot keep smaller tolerances": rough,
+        f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {reason}": lost,
+        "the time was over before every starting point was tried": cut,
+        f"simulated in windows of {window} samples, as a simulation of the whole record is lost":
+            window < longest,
+    }  # fmt: skip
+    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
+    remarks += [remark for remark, holds in more.items() if holds]
     agreed = len(agreeing), len(ranked)
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut)
 
@@ -189,7 +166,7 @@ def check_runs(simulator: Any, record: Record) -> Any:
     raises it where another number of channels comes than the record has.
     """
     simulator = matched(simulator, record.columns, record.inputs)
-    begin, known = Experiment.of(record, simulator).part(0, _FEW), simulator.known
+    begin, known = Experiment.of(record, simulator).part(0, 3), simulator.known
     reason: Exception | None = None
     for fractions in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
         at = dict(zip(known.free, fractions, strict=False))
@@ -219,12 +196,9 @@ def check_runs(simulator: Any, record: Record) -> Any:
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
     """Return the longest window length, unless shorter windows fit far better."""
-    best: dict[int, float] = {}
-    for outcome in outcomes:
-        for length, (_, error) in outcome.found.items():
-            best[length] = min(error, best.get(length, np.inf))
-    lengths = sorted(best, reverse=True)
-    chosen = lengths[0]
+    found = [(n, error) for each in outcomes for n, (_, error) in each.found.items()]
+    lengths = sorted({n for n, _ in found}, reverse=True)
+    best, chosen = {n: min(e for m, e in found if m == n) for n in lengths}, lengths[0]
     if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
         return chosen
     return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
@@ -241,19 +215,12 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     errors, correlations, remarks = uncertainty(
         shooting.names, known, fractions, by_channel, jacobian
     )
-    names = [labelled(name) for name in shooting.names]
-    values = [
-        known.value_at(n, float(p)) for (n, _), p in zip(shooting.names, fractions, strict=True)
-    ]
+    named = [*zip(shooting.names, fractions, errors, strict=True)]
+    values = {labelled(name): known.value_at(name[0], float(at)) for name, at, _ in named}
+    deviations = {labelled(name): float(error) for name, _, error in named}
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
-    return Estimate(
-        dict(zip(names, values, strict=True)),
-        dict(zip(names, map(float, errors), strict=True)),
-        correlations,
-        tuple(map(float, rmse)),
-        tuple(remarks),
-        window,
-    )
+    rest = tuple(map(float, rmse)), tuple(remarks), window
+    return Estimate(values, deviations, correlations, *rest)
 
 
 def _alternatives(
@@ -264,24 +231,17 @@ def _alternatives(
     fractions: Array,
 ) -> list[str]:
     """Return remarks on minima that fit as well, with other values of identifiable parameters."""
-    errors = [o.found[window][1] for o in outcomes if window in o.found]
-    told = np.array([np.isfinite(e) for e in estimate.errors.values()])
-    found: list[Array] = [fractions]
-    remarks = []
-    for outcome in outcomes:
-        if window not in outcome.found or not told.any():
-            continue
-        other, error = np.array(outcome.found[window][0]), outcome.found[window][1]
-        far = all(np.abs(other - each)[told].max() > _SAME_PLACE for each in found)
-        if far and error <= min(errors) * (1 + SAME_ERROR):
+    told = np.isfinite([*estimate.errors.values()])
+    fits = [each.found[window] for each in outcomes if window in each.found]
+    most, known = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
+    found = [fractions]
+    for other in (np.array(at) for at, error in fits if error <= most and told.any()):
+        if all(np.abs(other - each)[told].max() > _SAME_PLACE for each in found):
             found.append(other)
-            known = shooting.simulator.known
-            values = ", ".join(
-                f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
-                for name, place in zip(shooting.names, other, strict=True)
-            )
-            remarks.append(f"fits as well with {values}")
-    return remarks[:3]
+    values = [[f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
+               for name, place in zip(shooting.names, other, strict=True)]
+              for other in found[1:4]]  # fmt: skip
+    return [f"fits as well with {', '.join(each)}" for each in values]
 
 
 def starting_points(count: int, dimensions: int) -> Array:
@@ -294,22 +254,26 @@ def starting_points(count: int, dimensions: int) -> Array:
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
     """Try starting points in order until enough of them agree, and return their outcomes."""
     points = starting_points(effort.starts, len(problem.names))
-    key = fit_key(problem.simulator, problem.experiments, len(points))[:16]
+    key = fit_key(problem.simulator, problem.experiments, len(points))
 
     def file(number: int) -> Path | None:
-        folder = effort.folder
-        return None if folder is None else folder / f"start-{key}-{number}.json"
+        if effort.folder is None or key is None:
+            return None
+        return effort.folder / f"start-{key[:16]}-{number}.json"
 
     done: dict[int, StartOutcome] = {}
     work = partial(_try, problem, points, deadline)
-    for first in range(0, len(points), _BATCH):
-        batch = [*range(first, min(first + _BATCH, len(points)))]
+    for first in range(0, len(points), ENOUGH):
+        batch = [*range(first, min(first + ENOUGH, len(points)))]
         done |= {i: kept for i in batch if (kept := _kept(file(i))) is not None}
         if done and deadline.over:
             break
         for outcome in _side_by_side(work, [i for i in batch if i not in done], effort.workers):
             done[outcome.number] = outcome
-            _keep(file(outcome.number), outcome)
+            if not outcome.cut and (path := file(outcome.number)) is not None:
+                with suppress(OSError):  # a full disk only loses the file
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    write_json(path, asdict(outcome))
             if effort.progress is not None:
                 effort.progress(len(done), len(points))
         if _settled([done[i] for i in sorted(done)], problem.longest):
@@ -327,20 +291,12 @@ def _kept(path: Path | None) -> StartOutcome | None:
     return None
 
 
-def _keep(path: Path | None, outcome: StartOutcome) -> None:
-    """Keep a finished start; a full disk only loses the file."""
-    if path is not None and not outcome.cut:
-        with suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_json(path, asdict(outcome))
-
-
 def _side_by_side(
     work: Any, batch: Sequence[int], workers: int | Executor
 ) -> Iterator[StartOutcome]:
     """Yield the outcomes of several starts; a start whose process has ended has failed."""
     own = Workers(workers) if isinstance(workers, int) and workers > 1 else None
-    executor = workers if isinstance(workers, Executor) else own
+    executor = own if isinstance(workers, int) else workers
     try:
         for number, future in run_jobs(work, batch, executor):
             error = future.exception()
@@ -364,12 +320,7 @@ def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
     return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
 
 
-def _try(
-    problem: Shooting,
-    points: Array,
-    deadline: Deadline,
-    number: int,
-) -> StartOutcome:
+def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
     found: dict[int, tuple[list[float], float]] = {}

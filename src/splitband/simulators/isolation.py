@@ -27,8 +27,7 @@ from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Sta
 from splitband.simulators.code import content_digest, count_arguments, loaded_files
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of
-from splitband.simulators.function import Function, UserCode
-from splitband.simulators.ode import Ode
+from splitband.simulators.functions import Function, Ode, UserCode
 from splitband.simulators.parameters import INITIAL, Adjustable, Parameters
 
 _STDOUT, _STDERR = 1, 2
@@ -40,19 +39,10 @@ results."""
 class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
-    Attributes
-    ----------
-    path : Path of the file.
-    function : Name of the function in a Python file; None for an FMU.
-    outputs : Output variables of an FMU; empty for those of the channels' names.
-    timeout : Seconds to wait; None for no limit.
-    reads : Other files that the output depends on.
-    cache : Folder to store outputs in, see `run`.
-    inputs : Variables of an FMU that take the record's inputs; None for those of their names.
-    driven : Whether it takes the record's inputs; set for an FMU by `matched`.
-    start : Time of a record's first sample in s, or "record"; None for 0, which a function of time
-        alone does not take for granted.
-    files : Files of the modules that it had imported after its last run.
+    `timeout`: seconds to wait; `reads`: other files that the output depends on; `cache`: see `run`;
+    `outputs`, `inputs`, `start`: see `Fmu` and `Function`; `driven`: whether it takes the record's
+    inputs, set for an FMU by `matched`; `files`: those of the modules that it had imported after
+    its last run.
     """
 
     path: str
@@ -145,13 +135,13 @@ def _simulated(
 
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
     """Run the simulator in this process."""
-    if task.function is not None:
-        function = named_in(task.path, task.function)
-        if not callable(function):
-            raise InputError(f"{task.path} must define a function {task.function}")
-        return Function(function).simulate(time, u)
-    with Fmu(task.path, task.outputs or None, inputs=task.inputs) as fmu:
-        return fmu.simulate(time, u)
+    if task.function is None:
+        with Fmu(task.path, task.outputs or None, inputs=task.inputs) as fmu:
+            return fmu.simulate(time, u)
+    function = named_in(task.path, task.function)
+    if not callable(function):
+        raise InputError(f"{task.path} must define a function {task.function}")
+    return Function(function).simulate(time, u)
 
 
 def named_in(path: str, name: str) -> Any:

@@ -6,14 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 from splitband.data.named import RECORDS, UNFORCED_START, unforced_van_der_pol
-from splitband.simulators.base import Simulator
-from splitband.simulators.ode import Ode
-from splitband.simulators.recorded import Recorded
-
-
-def van_der_pol_simulator(rtol: float = 1e-10) -> Simulator:
-    """Return the simulator of the paper's system (v), solved to a relative tolerance."""
-    return Ode(unforced_van_der_pol, UNFORCED_START, tolerances=(rtol, 1e-3 * rtol))
+from splitband.simulators.base import Recorded, Simulator
+from splitband.simulators.functions import Ode
 
 
 def exported_simulator(name: str) -> Simulator:
@@ -24,6 +18,6 @@ def exported_simulator(name: str) -> Simulator:
 
 
 SIMULATORS: dict[str, Callable[[], Simulator]] = {
-    "van-der-pol": van_der_pol_simulator,
+    "van-der-pol": partial(Ode, unforced_van_der_pol, UNFORCED_START, tolerances=(1e-10, 1e-13)),
     **{name: partial(exported_simulator, name) for name in ("drill-string", "overhead-crane")},
 }

@@ -2,26 +2,30 @@
 
 Where a long simulation loses its phase or is unstable, and so does not determine the parameters,
 records are simulated in windows, each from an initial state of its own (multiple shooting; Bock,
-1987). Parameters and initial states are the unknowns of one least-squares problem.
+1987). Parameters and initial states are the unknowns of one least-squares problem. The simulator
+with fitted parameters runs from an initial state that is estimated from a history.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from hashlib import sha256
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import scipy
 
 from splitband.data import Record
-from splitband.runtime import deadlines
 from splitband.runtime.arrays import Array
+from splitband.runtime.caching import key_of
+from splitband.runtime.deadlines import DeadlineError, check
+from splitband.runtime.errors import InputError
+from splitband.runtime.options import saved
 from splitband.simulators.base import identity, origin
-from splitband.simulators.code import failure
-from splitband.simulators.parameters import Adjustable, Point, Response
+from splitband.simulators.code import failure, place
+from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Point, Response
 
 BAD = 1e3
 """Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""
@@ -30,6 +34,11 @@ STATE_STEP = 1e-6
 _STATE_RUNS = 8
 """Most evaluations in the search for the initial state of a window, from which all unknowns are
 then searched for together. By eye."""
+MOST_STATES = 500
+"""Most training states that are kept, as prior and as starting points of searches. By eye."""
+_TRIED, _MOST_RUNS = 3, 50
+"""Kept states, those with the closest outputs, from which searches for an initial state start, and
+most evaluations in each. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,20 +68,17 @@ class Experiment:
         return Experiment(self.time[begin:end], self.y[begin:end].copy(), u)
 
 
-def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str:
-    """Return a digest of the simulator, experiments and number of starts of a fit."""
-    said = sha256(f"{identity(simulator)} {starts}".encode())
-    for array in (a for e in experiments for a in (e.time, e.y, e.u)):
-        said.update(b"none" if array is None else np.ascontiguousarray(array).tobytes())
-    return said.hexdigest()
+def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str | None:
+    """Return a digest of simulator, experiments and number of starts; None without an identity."""
+    known = identity(simulator)
+    return known and key_of(known, starts, *(a for e in experiments for a in (e.time, e.y, e.u)))
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
+class Window(NamedTuple):
     """Hold a part of a record that is simulated at once.
 
-    `record`: its number; `unknowns`: which of all unknowns concern it, the last `states` of
-    which are its initial state. At the beginning of a record, parameters define that.
+    `unknowns`: which of all unknowns concern it, the last `states` of which are its initial state.
+    At the beginning of a record, parameters define that.
     """
 
     record: int
@@ -116,9 +122,9 @@ class Shooting:
         """Return every parameter's value for a record."""
         known = self.simulator.known
         found = known.middle()
-        for (name, of), place in zip(self.names, unknowns, strict=False):
+        for (name, of), fraction in zip(self.names, unknowns, strict=False):
             if of in (-1, record):
-                found[name] = known.value_at(name, float(place))
+                found[name] = known.value_at(name, float(fraction))
         return found
 
     def divide(self, length: int, fractions: Array) -> Array:
@@ -133,8 +139,7 @@ class Shooting:
             samples = len(experiment.y)
             own = [i for i, (_, record) in enumerate(self.names) if record in (-1, r)]
             if not self.simulator.states:
-                part = experiment.part(0, min(length, samples))
-                self.windows.append(Window(r, part, own, slice(0)))
+                self.windows.append(Window(r, experiment.part(0, length), own, slice(0)))
                 continue
             cuts = np.linspace(0, samples, -(-samples // length) + 1).round().astype(int)
             values, state = self.values(fractions, r), None
@@ -160,12 +165,9 @@ class Shooting:
 
     def residuals(self, unknowns: Array) -> Array:
         """Return all residuals in deviations of the channels, `(samples * ny,)`, 0 in gaps."""
-        return np.concatenate(
-            [
-                self._errors(each.part, self.respond(each.part, [self._point(each, unknowns)])[0])
-                for each in self.windows
-            ]
-        )
+        found = [self.respond(each.part, [self._point(each, unknowns)])[0] for each in self.windows]
+        pairs = zip(self.windows, found, strict=True)
+        return np.concatenate([self._errors(window.part, each) for window, each in pairs])
 
     def jacobian(self, unknowns: Array) -> Array:
         """Return the derivatives of the residuals, `(samples * ny, unknowns)`."""
@@ -188,11 +190,11 @@ class Shooting:
 
     def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
         """Return the simulator's responses at several points; NaN for all if the call fails."""
-        deadlines.check()
+        check()
         try:
             with np.errstate(all="ignore"):
                 return [*self.simulator.respond(part.time, part.u, points)]
-        except deadlines.DeadlineError:
+        except DeadlineError:
             raise
         except Exception as error:
             self.failure = failure(error)
@@ -205,13 +207,11 @@ class Shooting:
 
     def _errors(self, part: Experiment, response: Response) -> Array:
         """Return the residuals of a response, `(samples * ny,)`."""
-        errors = (response[0] - part.y) / self.scale
         bad = ~np.isfinite(response[0])
         if bad.any() and not self.failure:
             at = int(np.argmax(bad.any(axis=1)))
             self.failure = self.simulator.unfinished(float(part.time[at]))
-        errors = np.where(bad, BAD, np.clip(errors, -BAD, BAD))
-        return np.asarray(np.where(np.isnan(part.y), 0.0, errors).ravel())
+        return _scaled_errors(response[0], part.y, self.scale)
 
     def _settled(self, part: Experiment, values: Mapping[str, float], state: Array) -> Array:
         """Return the state from which a window is simulated best."""
@@ -259,3 +259,138 @@ def _difference(at: Array, beside: Array, step: float) -> Array:
     """Return the difference quotient of residuals; 0 where a run failed."""
     whole = (np.abs(at) < BAD) & (np.abs(beside) < BAD)
     return np.asarray(np.where(whole, (beside - at) / step, 0.0))
+
+
+def _scaled_errors(y: Array, measured: Array, scale: Array) -> Array:
+    """Return the errors of a simulation in units of `scale`, `(samples * ny,)`, 0 in gaps."""
+    errors = np.where(np.isfinite(y), np.clip((y - measured) / scale, -BAD, BAD), BAD)
+    return np.asarray(np.where(np.isnan(measured), 0.0, errors).ravel())
+
+
+@saved
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """Run a simulator with the fitted parameter values.
+
+    Attributes
+    ----------
+    simulator : The simulator with the ranges of the fit; None in a saved model.
+    values : Value of every parameter; initial values are those of the first training record.
+    noise : RMSE of each channel in training, `(ny,)`.
+    states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
+        `MOST_STATES` rows.
+    """
+
+    simulator: Any
+    values: dict[str, float]
+    noise: Array
+    states: Array = field(default_factory=lambda: np.empty((0, 0)))
+    outputs: Array = field(default_factory=lambda: np.empty((0, 0)))
+
+    @classmethod
+    def of(
+        cls, simulator: Adjustable, estimate: Estimate, experiments: Sequence[Experiment]
+    ) -> Self:
+        """Return the fitted simulator; `experiments` are those of the fit."""
+        middle = simulator.known.middle()
+        values = {name: estimate.values.get(name, x) for name, x in middle.items()}
+        deviation = np.nanstd(np.concatenate([each.y for each in experiments]), axis=0)
+        noise = np.maximum(np.array(estimate.rmse), MIN_NOISE * np.maximum(deviation, 1e-300))
+        usual = cls(simulator, values, noise)
+        outputs, states = usual.response(experiments[0].time, experiments[0].u)
+        rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
+        rows = rows[np.isfinite(states[rows]).all(axis=1)]
+        return replace(usual, states=states[rows], outputs=outputs[rows])
+
+    def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
+        """Simulate channels and states at `time` in s, by default from the fitted initial state.
+
+        Raises ValueError if the run fails.
+        """
+        simulator = self._given
+        with _running():
+            y, x = simulator.respond(time, u, [self._began(state)])[0]
+        return self._finite(y, time), x
+
+    def advance(
+        self, state: Any, time: Array, u: Array | None, size: float = 0.0
+    ) -> tuple[Array, Array, float]:
+        """Return channels, states, and the step size to go on with; see `Ode.advance`.
+
+        Raises ValueError if the run fails.
+        """
+        simulator = self._given
+        state = simulator.initial(self.values) if state is None else state
+        with _running():
+            y, x, size = simulator.advance(self.values, state, time, u, size)
+        return self._finite(y, time), x, size
+
+    def beginning(self, history: Experiment) -> Array | None:
+        """Estimate the initial state of a history; None for a simulator without one.
+
+        The estimate fits the history and a prior from the training states, which weighs as much as
+        one sample per state and decides where the history does not determine the state. For a
+        black box, the fitted initial values take the place of the state.
+        """
+        known = self._given.known
+        if not self.simulator.states and not known.initial:
+            return None
+        if not self.simulator.states:
+            low, high = np.transpose([known.range(name) for name in known.initial])
+            return self._searched(history, [0.5 * (low + high)], 0.5 * (low + high), high - low)
+        mean, spread = self.states.mean(axis=0), self.states.std(axis=0)
+        spread = np.maximum(spread, 1e-6 * np.maximum(np.abs(mean), 1e-6))
+        distance = np.nansum(((self.outputs - history.y[:1]) / self.noise) ** 2, axis=1)
+        similar = self.states[np.argsort(distance, kind="stable")[:_TRIED]]
+        return self._searched(history, [*similar, mean], mean, spread)
+
+    @property
+    def _given(self) -> Any:
+        """Return the simulator; raises ValueError if a saved model has not been given it."""
+        if not hasattr(self.simulator, "respond"):
+            self.simulator.simulate(None)
+        return self.simulator
+
+    def _finite(self, y: Array, time: Array) -> Array:
+        """Return the channels; raises ValueError for values that are not finite."""
+        good = np.isfinite(y).all(axis=1)
+        if not good.all():
+            raise InputError(self._given.unfinished(float(time[np.argmin(good)])))
+        return y
+
+    def _began(self, state: Any) -> Point:
+        """Return parameters and initial state as `Adjustable.respond` takes them."""
+        if state is None or self.simulator.states:
+            return self.values, state
+        return {**self.values, **dict(zip(self.simulator.known.initial, state, strict=True))}, None
+
+    def _searched(
+        self, history: Experiment, begin: Sequence[Array], mean: Array, spread: Array
+    ) -> Array:
+        """Search from several states, and return the most likely result."""
+
+        def errors(states: Sequence[Array]) -> list[Array]:
+            points = [self._began(state) for state in states]
+            with np.errstate(all="ignore"), _running():
+                found = self.simulator.respond(history.time, history.u, points)
+            return [
+                np.concatenate([_scaled_errors(y, history.y, self.noise), (state - mean) / spread])
+                for (y, _), state in zip(found, states, strict=True)
+            ]
+
+        step = max(STATE_STEP, self.simulator.difference)
+        found = [best_state(errors, state, spread, step, _MOST_RUNS) for state in begin]
+        return min(found, key=lambda each: each[1])[0]
+
+
+@contextmanager
+def _running() -> Iterator[None]:
+    """Turn errors of user code into a ValueError that states the place."""
+    try:
+        yield
+    except DeadlineError:
+        raise
+    except Exception as error:
+        if isinstance(error, ValueError) and not place(error):
+            raise  # raised by this package
+        raise InputError(f"the simulator failed: {failure(error)}") from error

@@ -1,9 +1,10 @@
-"""Use an ordinary differential equation as a simulator."""
+"""Use Python functions as simulators: of time, or the right-hand side of an ODE."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, Self
 
@@ -13,15 +14,134 @@ import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators.base import Start
-from splitband.simulators.code import code_digest, count_arguments
-from splitband.simulators.function import UserCode
-from splitband.simulators.parameters import INITIAL, Given, Point, Response, parameters_class
+from splitband.simulators.base import Start, check_start
+from splitband.simulators.code import check_arguments, code_digest, count_arguments
+from splitband.simulators.parameters import (
+    INITIAL,
+    Adjustable,
+    Given,
+    Point,
+    Response,
+    parameters_class,
+)
 
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
 times too small."""
-_NO_STEPS = np.empty(0)
+
+
+class UserCode(Adjustable):
+    """Define the base of dataclasses that hold user code.
+
+    Functions from a user's file cannot be pickled: other processes recreate them by a function of
+    the parameters, which `opened_by` sets.
+    """
+
+    _opened_by: Callable[[Given], Any] | None = None
+
+    @property
+    @abstractmethod
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        """Return the user's functions, or None, each with the names of its arguments."""
+
+    @property
+    def code(self) -> list[Any]:
+        """Return the user's functions."""
+        return [function for function, _ in self._functions]
+
+    @property
+    def driven(self) -> bool:
+        """Return whether it takes a record's inputs."""
+        return any(count_arguments(each) > names.index("u") for each, names in self._functions)
+
+    @property
+    def needs_inputs(self) -> bool:
+        """Return whether it takes inputs for no other reason than parameters after them."""
+        return any(count_arguments(each) == names.index("p") for each, names in self._functions)
+
+    def _check(self) -> None:
+        """Raise ValueError for a wrong start, or arguments in another order."""
+        check_start(self.start)
+        for function, names in self._functions:
+            check_arguments(function, *names)
+
+    def _with(self, **changes: Any) -> Self:
+        """Return a copy with changed fields, which other processes recreate as before."""
+        made = replace(self, **changes)  # type: ignore[type-var]
+        return made.opened_by(self._opened_by)
+
+    def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
+        """Set the function of the parameters by which other processes recreate it; return it."""
+        vars(self)["_opened_by"] = function
+        return self
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Return how other processes recreate it."""
+        if self._opened_by is None:
+            return super().__reduce_ex__(protocol)
+        return self._opened_by, (dict(self.parameters or {}),)
+
+    @property
+    def _begins(self) -> str:
+        return f" from {self.start}" if self.start else ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Function(UserCode):
+    """Call a Python function of time, whose parameters may be fitted to a record.
+
+    Attributes
+    ----------
+    function : `function(time, u, p) -> (time,) or (time, ny)`, or without the last or the last two
+        arguments: times in s `(time,)`, inputs `(time, nu)`, and parameters by name (`p.k`).
+    key : Identifier of the function in the cache of `run`; without a key nothing is cached.
+    parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
+        this order. Those whose names begin with `x0_` are fitted for each record separately.
+    start : Time of a record's first sample in s, by default 0, or "record" for its time stamp. A
+        function of time alone needs it where the record's clock does not begin at 0.
+    """
+
+    function: Callable[..., npt.ArrayLike]
+    key: str | None = None
+    parameters: Given | None = None
+    start: Start | None = None
+
+    def __post_init__(self) -> None:
+        """Check the start and the order of the arguments."""
+        self._check()
+
+    @property
+    def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
+        return [(self.function, ("time", "u", "p"))]
+
+    def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
+        """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.
+
+        A parameter with a range takes the middle of it.
+        """
+        return self._called(time, u, self.known.middle())
+
+    def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
+        """Return the responses, without states, see `Adjustable`."""
+        found = []
+        for values, _ in points:
+            y = np.asarray(self._called(time, u, values), dtype=float)
+            found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
+        return found
+
+    def fingerprint(self) -> str | None:
+        """Return the cache key, or None without a `key`."""
+        return self.key and f"{self.key} {self.known}".strip() + self._begins
+
+    def digest(self) -> str | None:
+        """Return an identifier of code and start; None for code that cannot be told."""
+        code = self.key or code_digest(self.function)
+        return code and code + self._begins
+
+    def _called(self, time: Array, u: Array | None, values: Mapping[str, float]) -> npt.ArrayLike:
+        u = np.empty((len(time), 0)) if u is None else u
+        p = parameters_class(tuple(self.known.given))(*(values[n] for n in self.known.given))
+        return self.function(*(time, u, p)[: count_arguments(self.function) or 1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,9 +243,8 @@ class Ode(UserCode):
                 f"{len(columns)} channels, {', '.join(columns)}: by default the first states are "
                 "observed"
             )
-        made = self._with(observe=partial(_first_states, len(columns)))
-        opened = vars(self).get("_opened_by")
-        again: Any = None if opened is None else partial(_matched_again, opened, [*columns])
+        made, opened = self._with(observe=partial(_first_states, len(columns))), self._opened_by
+        again: Any = opened and partial(_matched_again, opened, [*columns])
         return made.opened_by(again)
 
     def precise(self) -> Self:
@@ -156,7 +275,7 @@ class Ode(UserCode):
         time, u : `(time,)` in s, and the inputs `(time, nu)`.
         points : Parameters and initial state; None is the state at the record's first sample.
         """
-        steps, found = _NO_STEPS, []
+        steps, found = np.empty(0), []
         for values, state in points:
             y, x, steps, _ = self._response(values, state, time, u, (steps, 0.0))
             found.append((y, x))
@@ -179,7 +298,7 @@ class Ode(UserCode):
         time, u : See `respond`.
         size : Step size in s to go on with; 0 at the beginning.
         """
-        y, x, _, size = self._response(values, state, time, u, (_NO_STEPS, size))
+        y, x, _, size = self._response(values, state, time, u, (np.empty(0), size))
         return y, x, size
 
     def _response(
@@ -201,31 +320,32 @@ class Ode(UserCode):
             p = self._p(values)
             x, taken, size = solve(p, begin, time, (u, self.held), steps, self.tolerances)
         else:
-            x, taken, size = self._scipy(values, begin, time, u), _NO_STEPS, 0.0
+            x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
 
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
-        if self.key is None:
-            return None
         x0 = np.asarray(self.x0, float).tolist()
-        return f"{self.key} {x0} {self.known} {self._precision}"
+        return self.key and f"{self.key} {x0} {self.known} {self._precision}"
 
-    def digest(self) -> str:
-        """Return an identifier of code and settings, without the values of parameters."""
+    def digest(self) -> str | None:
+        """Return an identifier of code and settings; None for code that cannot be told."""
         code = self.key or code_digest(self.rhs, self.observe)
-        x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
-        fixed = {n: x for n, x in zip(self._states, x0, strict=True) if n not in self.known.given}
-        return f"{code} {fixed} {self._precision} {self.held}"
+        fixed = {name: x for name, x in self._fixed.items() if name not in self.known.given}
+        return code and f"{code} {fixed} {self._precision} {self.held}"
 
     @property
     def _precision(self) -> str:
-        begins = f" from {self.start}" if self.start else ""
-        return f"{self.method} {self.tolerances}{begins}"
+        return f"{self.method} {self.tolerances}{self._begins}"
 
     @property
     def _states(self) -> list[str]:
         return [f"{INITIAL}{i + 1}" for i in range(np.size(self.x0))]
+
+    @property
+    def _fixed(self) -> dict[str, float]:
+        x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
+        return dict(zip(self._states, x0, strict=True))
 
     def _p(self, values: Mapping[str, float]) -> Any:
         names = tuple(name for name in self.known.given if not name.startswith(INITIAL))
@@ -233,8 +353,7 @@ class Ode(UserCode):
 
     def initial(self, values: Mapping[str, float]) -> Array:
         """Return the state at the record's first sample."""
-        x0 = np.atleast_1d(np.array(self.x0, dtype=float))
-        return np.array([values.get(name, x) for name, x in zip(self._states, x0, strict=True)])
+        return np.array([values.get(name, x) for name, x in self._fixed.items()], dtype=float)
 
     def _scipy(self, values: Mapping[str, float], initial: Array, time: Array, u: Array) -> Array:
         """Return the states at the times by SciPy's solver, `(time, nx)`."""
