@@ -36,10 +36,10 @@ class Preparation:
             if (signal := getattr(record, field)) is not None:
                 later = time[-1] + record.sampling_time * (1 + np.arange(len(signal)))
                 at = later if field in AHEAD else time
-                changed[field] = self.apply(kinds.get(field, "y_sim"), signal, at)
+                changed[field] = self.transform(kinds.get(field, "y_sim"), signal, at)
         return replace(record, **changed)
 
-    def apply(self, what: What, signal: Array, time: Array) -> Array:
+    def transform(self, what: What, signal: Array, time: Array) -> Array:
         """Return a prepared signal, `(time, channels)`, at `time` in s."""
         return signal
 
@@ -86,7 +86,7 @@ class Detrended(Preparation):
         ny = record.ny
         return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
 
-    def apply(self, what: What, signal: Array, time: Array) -> Array:
+    def transform(self, what: What, signal: Array, time: Array) -> Array:
         """Return a signal without its trend."""
         return signal - self._lines(what, time)
 
@@ -129,7 +129,7 @@ class Clipped(Preparation):
         reach = np.where(reach > 0, reach, np.inf)
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
-    def apply(self, what: What, signal: Array, time: Array) -> Array:
+    def transform(self, what: What, signal: Array, time: Array) -> Array:
         """Return measured samples limited to the range; NaN stays NaN."""
         if what != "y":
             return signal

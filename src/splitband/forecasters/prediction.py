@@ -324,10 +324,10 @@ def prepared_like(
     for step in record.prepared:
         if u is not None:
             u = np.asarray(u, np.float64).reshape(-1, history.nu)
-            u = step.apply("u", u, seconds_after(prepared, len(u)))
+            u = step.transform("u", u, seconds_after(prepared, len(u)))
         if y_sim is not None:
             y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
-            y_sim = step.apply("y_sim", y_sim, seconds_after(prepared, len(y_sim)))
+            y_sim = step.transform("y_sim", y_sim, seconds_after(prepared, len(y_sim)))
     return prepared, u, y_sim
 
 

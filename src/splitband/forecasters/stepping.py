@@ -468,9 +468,9 @@ def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: flo
         time = sampling_time * np.stack([state["samples"] + i for i in range(1 + inner.ahead)])
         rows, inputs = y[None], u[None]
         for step in steps:
-            rows = step.apply("y", rows, time[:1])
-            inputs = step.apply("u", inputs, time[:1]) if inner.nu else inputs
-            y_sim = step.apply("y_sim", y_sim, time) if inner.simulated else y_sim
+            rows = step.transform("y", rows, time[:1])
+            inputs = step.transform("u", inputs, time[:1]) if inner.nu else inputs
+            y_sim = step.transform("y_sim", y_sim, time) if inner.simulated else y_sim
         new, predicted, able = inner.tick(state["inner"], rows[0], inputs[0], y_sim)
         predicted = predicted[None]
         for step in reversed(steps):
