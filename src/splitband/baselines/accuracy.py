@@ -48,7 +48,6 @@ class Accuracy:
     angles : Frequencies in radians per sample, `(frequencies,)`.
     response, response_errors : Absolute value of the response there, `(frequencies, ny, nu)`, and
         its error.
-    delay_errors : Of the delay of each input at each output in samples, `(ny, nu)`; 0 without one.
     """
 
     parts: Array
@@ -58,7 +57,6 @@ class Accuracy:
     angles: Array
     response: Array
     response_errors: Array
-    delay_errors: Array
 
     @property
     def poles(self) -> Complex:
@@ -99,7 +97,6 @@ class Accuracy:
             parts[0].angles,
             joined("response", 1)[:, back],
             joined("response_errors", 1)[:, back],
-            joined("delay_errors")[back],
         )
 
 
@@ -172,7 +169,6 @@ def accuracy_of(
         angles,
         np.abs(_response(a, b, c, d, angles)),
         spread[3 * n + gains :].reshape(-1, *shape),
-        np.zeros(shape),
     )
 
 
