@@ -34,9 +34,12 @@ from splitband.runtime.options import UNKNOWN
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
-from splitband.training.recipes import recipe_settings
-from splitband.training.settings import SHORTEST_WINDOW, longest_window
-from splitband.training.window_starts import checked_starts
+from splitband.training.settings import (
+    SHORTEST_WINDOW,
+    checked_starts,
+    longest_window,
+    recipe_settings,
+)
 
 if TYPE_CHECKING:
     import torch
