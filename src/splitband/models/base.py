@@ -263,8 +263,7 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
             expected = build().state_dict()
     except RuntimeError:  # a user's own cell may compute with values
         expected = build().state_dict()
-    left_out = ("u_low", "u_high")  # in older files; the forecaster knows the inputs' range
-    found = {name: torch.as_tensor(x) for name, x in weights.items() if name not in left_out}
+    found = {name: torch.as_tensor(x) for name, x in weights.items()}
     shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
