@@ -18,6 +18,7 @@ import scipy
 
 from splitband.baselines.refinement import Run, blocks_of, linear_solution, refined
 from splitband.baselines.subspace import stable, subspace
+from splitband.metrics import spread
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
@@ -85,12 +86,7 @@ class Units:
         """Return those of records; the scale of a constant signal is 1."""
         y = np.concatenate([y for y, _ in records])
         u = np.concatenate([u for _, u in records])
-
-        def scale(x: Array) -> Array:
-            flat = np.nanmax(x, axis=0) == np.nanmin(x, axis=0)
-            return np.where(flat, 1.0, np.nanstd(x, axis=0))
-
-        return cls(np.nanmean(y, axis=0), scale(y), np.nanmean(u, axis=0), scale(u))
+        return cls(np.nanmean(y, axis=0), spread(y), np.nanmean(u, axis=0), spread(u))
 
     def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
         """Return a record with delayed inputs for a fit."""
@@ -190,10 +186,6 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
 
     They are (0,) for an input that acts after fewer than `SHORTEST` samples, and empty for one
     without a significant effect.
-
-    Parameters
-    ----------
-    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
     """
     ny, nu = records[0][0].shape[1], records[0][1].shape[1]
     found: list[list[tuple[int, ...]]] = [[()] * nu for _ in range(ny)]

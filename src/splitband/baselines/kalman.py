@@ -68,9 +68,8 @@ def states(a: Array, forced: Array, first: Array) -> Array:
 
 
 def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:
-    """Return the stationary gain K of the filter x' = A x + K e, by the Riccati equation.
+    """Return the stationary gain for noise of covariance q of the state and r of the output.
 
-    `q` `(states, states)` and `r` `(ny, ny)` are the covariances of the noise of state and output.
     Raises LinAlgError where there is no stationary filter.
     """
     with np.errstate(all="ignore"):
@@ -85,10 +84,9 @@ def root_of(covariance: Array) -> Array:
 
 
 def whitening(visited: Array) -> tuple[Array, Array]:
-    """Return T and its inverse, for which the states T x are uncorrelated, of mean square 1.
+    """Return T and its inverse: the states T x, if x were `visited`, are white, of mean square 1.
 
-    `visited`: states in the records, `(time, states)`; where an unstable model leaves the range of
-    numbers, T is the unit matrix.
+    Where an unstable model leaves the range of numbers, T is the unit matrix.
     """
     unit = np.eye(visited.shape[1])
     if not np.isfinite(visited).all():
@@ -156,14 +154,10 @@ def fitted_gain(
 def most_probable(information: Array, towards: Array, usual: Array) -> Array:
     """Return the most probable state, in standard deviations of the prior, `(n,)`.
 
-    The prior has the covariance of the states in training times a factor: the `usual` one, or the
-    most likely one where the history is surprising (empirical Bayes).
-
-    Parameters
-    ----------
-    information : Sum of squares of the responses to each state, in units of the noise, `(n, n)`.
-    towards : Their products with the prediction errors, `(n,)`.
-    usual : The usual factor: 0 for a state that is known, 1 for one that is drawn from the prior.
+    The prior has the covariance of the states in training times a factor: the `usual` one (0 for a
+    state that is known, 1 for one that is drawn from the prior), or the most likely one where the
+    history is surprising (empirical Bayes). `information` `(n, n)` and `towards` `(n,)` are
+    products of the responses to each state, with each other and with the prediction errors.
     """
     n = towards.shape[0]
     factors = np.concatenate([usual[None], np.array(_PRIOR_FACTORS)])

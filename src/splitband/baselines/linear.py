@@ -129,14 +129,10 @@ class LinearModel:
     def simulate(
         self, u: Array, state: Array | None = None, before: Array | None = None, begin: int = 0
     ) -> Array:
-        """Simulate from a state on, by default from the first training sample, `(time, ny)`.
+        """Simulate from a state at the row `begin` of `u` on, `(time, ny)`.
 
-        Parameters
-        ----------
-        u : Inputs, `(time, nu)`.
-        state : At the row `begin` of `u`.
-        before : Earlier inputs, which act with a delay.
-        begin : Where the simulation begins.
+        By default that is the state at the first training sample. `before` are earlier inputs,
+        which act with a delay.
         """
         since = u if before is None else np.concatenate([before, u])
         tapped = self.tapped(since)[len(since) - len(u) + begin :]
@@ -200,23 +196,20 @@ class LinearModel:
         measured = ~np.isnan(y) & (ages >= np.asarray(self.late))
         if not measured.any():
             return self._run(tapped, x)[0], x
-        gaps = not measured.all()
-        if gaps:
-            ahead, answers, after, later = self._with_gaps(tapped, y, measured, x)
-            errors, seen = np.where(measured, y - ahead, 0.0), answers * measured[:, :, None]
-        else:
-            errors, _ = self._observed(tapped[: len(y)], y, x)
-            seen = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
-        white = self.whitener()
-        rows = np.einsum("ij,tjn->tin", white, seen).reshape(-1, self.order)
-        left = (errors[: len(seen)] @ white.T).ravel()
         usual = np.array(0.0 if expected else 1.0)
-        moved = most_probable(rows.T @ rows, rows.T @ left, usual)
-        if gaps:
-            found, after = ahead + answers @ moved, after + later @ moved
-        else:
-            errors, after = self._observed(tapped[: len(y)], y, x + self.root @ moved)
+        if measured.all():
+            errors, _ = self._observed(tapped[: len(y)], y, x)
+            answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
+            white = self.whitener()
+            rows = np.einsum("ij,tjn->tin", white, answers).reshape(-1, self.order)
+            left = (errors[: len(answers)] @ white.T).ravel()
+            x = x + self.root @ most_probable(rows.T @ rows, rows.T @ left, usual)
+            errors, after = self._observed(tapped[: len(y)], y, x)
             found = y - errors
+        else:
+            *_, information, towards = self._with_gaps(tapped, y, measured, x)
+            x = x + self.root @ most_probable(information, towards, usual)
+            found, after, *_ = self._with_gaps(tapped, y, measured, x)
         return np.concatenate([found, self._run(tapped[len(y) :], after)[0]]), after
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
@@ -230,18 +223,19 @@ class LinearModel:
     def _with_gaps(
         self, tapped: Array, y: Array, measured: Any, x: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Return predictions of a history, the state after it, and their derivatives.
-
-        These are by the initial state in units of `root`: `(time, ny, n)` and `(n, n)`.
-        """
-        answers, found, derivatives = self.root, np.empty(y.shape), np.empty((*y.shape, len(x)))
+        """Return predictions from the state x, the state after, and what `most_probable` takes."""
+        answers, white, found = self.root, self.whitener(), np.empty(y.shape)
+        information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
         for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, measured, strict=True)):
             found[n] = self.c @ x + self.d @ row + self.offset
-            derivatives[n] = self.c @ answers
+            response = (self.c @ answers) * known[:, None]
             left = np.where(known, value - found[n], 0.0)
+            counted = white @ response
+            information += counted.T @ counted
+            towards += counted.T @ (white @ left)
+            answers = self.a @ answers - self.gain @ response
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
-            answers = self.a @ answers - self.gain @ (derivatives[n] * known[:, None])
-        return found, derivatives, x, answers
+        return found, x, information, towards
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D with delays, for deviations from `mean` and the offsets.
@@ -355,14 +349,8 @@ def realised(
 ) -> Realisation:
     """Return a state-space model with `size` states, and its states in the records.
 
-    If the model has fewer, states are added that the output does not depend on.
-
-    Parameters
-    ----------
-    model : A model without delays, of at most `states` poles.
-    inputs : Inputs of each training record, `(time, nu)`.
-    size : Number of states.
-    rng : Draws the input matrix of additional states.
+    If the model, which has no delays, has fewer, states are added that the output does not depend
+    on; `rng` draws their input matrix. `inputs` are those of the training records, `(time, nu)`.
     """
     more = size - model.order
     poles = np.linspace(_FASTEST, _SLOWEST, more)

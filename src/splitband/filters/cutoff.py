@@ -109,15 +109,9 @@ def choose(
     as it is) and to errors at the ends of filtered warm-ups. A lower cut-off allows more
     down-sampling, so that the low-band network predicts fewer samples.
 
-    Raises ValueError for constant samples if no cut-off is given, and for given values that
-    violate the Nyquist condition.
-
-    Parameters
-    ----------
-    y : The training samples, `(time, ny)`; constant channels do not count.
-    sampling_rate : In Hz.
-    warmup : R, in samples.
-    cutoff, order, downsampling : Fixed values; None to choose them.
+    `y` are the training samples, of which constant channels do not count; cut-off, order and
+    down-sampling may be given. Raises ValueError for constant samples if no cut-off is given, and
+    for given values that violate the Nyquist condition.
     """
     y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)

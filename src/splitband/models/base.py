@@ -116,10 +116,9 @@ class Model(nn.Module, ABC):
     def simulate_unfiltered(
         self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
     ) -> dict[str, Array]:
-        """Return the signals before a model's filters, by name; empty for a model without filters.
+        """Return the signals before a model's filters, by name, which do not add up.
 
-        Parameters as for `simulate_components`; but each part is a whole signal: they do not add
-        up.
+        There are none for a model without filters. Parameters as for `simulate_components`.
         """
         with torch.no_grad():
             parts = self.unfiltered(self._batch_of_one(y_warmup, u, y_sim), steps)
