@@ -141,13 +141,6 @@ class Blocks:
         inside = (abs(second) < 1) & (abs(first) < 1 - second)
         return bool((inside & (~complex_ | (-self.a[free, 1] < limit**2))).all())
 
-    def poles(self) -> npt.NDArray[np.complex128]:
-        """Return all poles."""
-        root = np.sqrt((self.a[:, 0] / 2) ** 2 + self.a[:, 1] + 0j)
-        pairs = np.stack([self.a[:, 0] / 2 + root, self.a[:, 0] / 2 - root], axis=1)
-        pairs[self.single, 0] = self.a[self.single, 0]
-        return np.asarray(np.concatenate([pairs[:, 0], pairs[~self.single, 1]]))
-
     def matrices(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D, without states that a first-order block does not have."""
         kept = self.kept.ravel()

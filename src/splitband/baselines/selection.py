@@ -200,7 +200,8 @@ class Search:
         It may then need fewer poles, but for a `given` order.
         """
         longest = max(run.u.shape[1] for run in self.runs)
-        slow = int((abs(1 - free.solution.blocks.poles()) < _SLOW / longest).sum())
+        poles = np.linalg.eigvals(free.solution.blocks.matrices()[0])
+        slow = int((abs(1 - poles) < _SLOW / longest).sum())
         found = [free]
         for count in range(1, min(slow, len(self.runs[0].y) + 1) + 1):
             orders = range(count, min(free.order, _MOST_AVERAGED) + 1)
