@@ -171,7 +171,7 @@ def plants() -> None:
         known = late + int(WARMUP * len(v))
         other = "-" if late else n4sid(runs[0][2], runs[0][0], len(plant.system[0]), (v, x), known)
         # A held input acts one sample late without a dead time.
-        dead = [[max(model.delay(k, j) - 1, 0) for j in range(model.nu)] for k in range(model.ny)]
+        dead = [max(delay - 1, 0) for _, delay in model.taps]
         order = f"{model.order} / {len(plant.system[0])}"
         said = dead if late or np.any(dead) else ""
         fit = fit_of(model, v, x, known).min()

@@ -136,3 +136,16 @@ def test_no_output_depends_on_a_later_input(model: sb.Linear) -> None:
     found = np.asarray(model.predict(100, record[:TRAIN], u=u).y)
     np.testing.assert_array_equal(found[:70], expected[:70])
     assert (found[71:] != expected[71:]).all()
+
+
+def test_a_delay_has_a_standard_error_and_an_input_without_one_has_none() -> None:
+    rng = np.random.default_rng(0)
+    u, y = rng.standard_normal((1500, 2)), np.zeros(1500)
+    for n in range(7, 1500):
+        y[n] = 0.8 * y[n - 1] + u[n - 7, 0] + u[n - 1, 1]
+    record = sb.Record(y + 0.3 * rng.standard_normal(1500), 0.1, u=u)
+    model = sb.Linear(order=1).fit(record)
+    errors = model.accuracy().delay_errors
+    assert errors.shape == (1, 2)
+    assert 0 < errors[0, 0] < 0.2
+    assert errors[0, 1] == 0

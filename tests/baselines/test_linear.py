@@ -154,7 +154,7 @@ def test_each_output_has_delays_of_its_own() -> None:
     x = scipy.signal.lfilter([0.1], [1, -0.9], u[:, 0])
     y = np.stack([x, np.append(np.zeros(250), x[:-250])], axis=1)
     found = identified([(y + 0.01 * rng.standard_normal(y.shape), u)])
-    assert (found.delay(0, 0), found.delay(1, 0)) == (0, 250)
+    assert found.taps == ((0, 0), (0, 250))
     assert fit_percent(y[250:], found.simulate(u)[250:]).min() > 98
 
 
@@ -227,7 +227,7 @@ def test_order_delay_and_integrators_can_be_given() -> None:
 def test_given_delays_hold_for_each_output() -> None:
     u = inputs()
     found = sb.Linear(delay=[[4], [5]]).fit(sb.Record(oscillators(u), 0.2, u=u)).model
-    assert (found.delay(0, 0), found.delay(1, 0)) == (4, 5)
+    assert found.taps == ((0, 4), (0, 5))
 
 
 @pytest.mark.parametrize(

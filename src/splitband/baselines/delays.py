@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 import scipy
 
-from splitband.baselines.refinement import Run, blocks_of, refined
+from splitband.baselines.refinement import Run, blocks_of, linear_solution, refined
 from splitband.baselines.subspace import stable, subspace
+from splitband.metrics import spread
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
@@ -36,10 +38,10 @@ _ARX_PAST = 30
 _ARX_ROWS = 8000
 """Most samples of a record in it. By eye."""
 _CHANCE = 1e-6
-"""Probability that earlier lags without effect are significant. By eye."""
-_EFFECT = 0.03
-"""Share of the residual's power that they explain at least, as the model is but nearly right.
-By eye."""
+"""Probability that regressors without effect are significant. By eye."""
+_EFFECT = 0.02
+"""Share of what other regressors leave that tested ones explain at least, as models are but nearly
+right. By eye."""
 _SHARE = 0.4
 """Longest delay that is searched, as a share of the longest record. By eye."""
 SHORTEST = 2
@@ -84,12 +86,7 @@ class Units:
         """Return those of records; the scale of a constant signal is 1."""
         y = np.concatenate([y for y, _ in records])
         u = np.concatenate([u for _, u in records])
-
-        def scale(x: Array) -> Array:
-            flat = np.nanmax(x, axis=0) == np.nanmin(x, axis=0)
-            return np.where(flat, 1.0, np.nanstd(x, axis=0))
-
-        return cls(np.nanmean(y, axis=0), scale(y), np.nanmean(u, axis=0), scale(u))
+        return cls(np.nanmean(y, axis=0), spread(y), np.nanmean(u, axis=0), spread(u))
 
     def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
         """Return a record with delayed inputs for a fit."""
@@ -105,9 +102,9 @@ class Units:
         return replace(self, y_mean=self.y_mean[[*some]], y_scale=self.y_scale[[*some]])
 
 
-def delays_of(records: Sequence[tuple[Array, Array]], units: Units | None = None) -> Array:
+def delays_of(records: Sequence[tuple[Array, Array]]) -> Array:
     """Return the delay of each input at each output in samples, `(ny, nu)`."""
-    units = Units.of(records) if units is None else units
+    units = Units.of(records)
     found = candidates(records)
     chosen = np.zeros((len(found), len(found[0])), int)
     for k, of_inputs in enumerate(found):
@@ -132,68 +129,56 @@ def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
 def _compared(
     records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
 ) -> list[int]:
-    """Return the delays of the inputs of one output with which low orders fit best."""
+    """Return the delays of the inputs of one output with which models of low order fit best."""
     records = [(y[:_SEARCHED], u[:_SEARCHED]) for y, u in records]
     samples = sum(int((~np.isnan(y)).sum()) for y, _ in records)
-    known: dict[tuple[int, ...], float] = {}
-    longest = max(len(y) for y, _ in records) // 2
+    longest, little = max(len(y) for y, _ in records) // 2, np.log(samples) / (2 * samples)
 
-    def cost(delays: Sequence[int]) -> float:
-        key = tuple(delays)
-        if key not in known:
-            known[key] = _low_order_cost([units.run(y, u, delays) for y, u in records], samples)
-        return known[key]
+    @cache
+    def of_delays(*delays: int) -> float:
+        return _low_order_cost([units.run(y, u, delays) for y, u in records], samples)
+
+    def cost(j: int, others: tuple[int, ...], delay: int) -> float:
+        return of_delays(*others[:j], delay, *others[j + 1 :])
 
     best = [of_input[-1] if of_input else 0 for of_input in lags]
     for j, of_input in enumerate(lags):
         if of_input not in ((), (0,)):
-            best = _one_delay(best, j, of_input, cost, longest, np.log(samples) / (2 * samples))
+            best[j] = _one_delay(partial(cost, j, tuple(best)), of_input, longest, little)
     return best
 
 
 def _one_delay(
-    begin: list[int],
-    j: int,
-    of_input: Sequence[int],
-    cost: Callable[[Sequence[int]], float],
-    longest: int,
-    little: float,
-) -> list[int]:
-    """Return the delays with that of the input `j` where `cost` is least.
-
-    `of_input` are its first estimates, `longest` is the longest delay, and `little` the difference
-    that does not count.
-    """
-
-    def at(delay: int) -> list[int]:
-        return [*begin[:j], delay, *begin[j + 1 :]]
-
-    best = min((*of_input, 0), key=lambda d: cost(at(d)))
+    cost: Callable[[int], float], first: Sequence[int], longest: int, little: float
+) -> int:
+    """Return the delay where `cost` is least, from first estimates; `little` does not count."""
+    best = min((*first, 0), key=cost)
     for step in (8, 4, 2, 1):
         while not current().over:
             near = [d for d in (best - step, best + step) if 0 <= d <= longest]
-            closer = min(near, key=lambda d: cost(at(d)))
-            if cost(at(closer)) >= cost(at(best)):
+            closer = min(near, key=cost)
+            if cost(closer) >= cost(best):
                 break
             best = closer
     # Of delays that explain as much as the best, the longest is where the input acts first.
-    least = cost(at(best))
-    while best < longest and cost(at(best + 1)) < least + little:
+    least = cost(best)
+    while best < longest and cost(best + 1) < least + little:
         best += 1
     # A delay explains more than a further parameter.
-    return at(0) if cost(at(0)) < least + little else at(best)
+    return 0 if cost(0) < least + little else best
 
 
 def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     """Return the information criterion of the best model of a low order, per sample."""
     found = subspace([(np.where(r.measured > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
-    costs = []
-    for order in _DELAY_ORDERS if found is not None else ():
-        assert found is not None
+    if found is None:
+        return np.inf
+    nu, costs = len(runs[0].u), []
+    for order in _DELAY_ORDERS:
         a, c = found.matrices(order)
-        at = refined(blocks_of(stable(a), c, [True] * len(runs[0].u)), runs, 3)
-        costs.append(at.cost + order * (1 + len(runs[0].u)) * np.log(samples) / (2 * samples))
-    return min(costs, default=np.inf)
+        at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 3)
+        costs.append(at.cost + order * (1 + nu) * np.log(samples) / (2 * samples))
+    return min(costs)
 
 
 def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, ...]]]:
@@ -201,10 +186,6 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
 
     They are (0,) for an input that acts after fewer than `SHORTEST` samples, and empty for one
     without a significant effect.
-
-    Parameters
-    ----------
-    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
     """
     ny, nu = records[0][0].shape[1], records[0][1].shape[1]
     found: list[list[tuple[int, ...]]] = [[()] * nu for _ in range(ny)]
@@ -239,7 +220,7 @@ def _acts_before(
     This is the F test of a long ARX model. Lightly damped systems correlate most after many
     samples, although they act at once.
     """
-    rows, wanted = [], []
+    rows = []
     nu = records[0][1].shape[1]
     samples = sum(len(y) for y, _ in records)
     past = min(_ARX_PAST, samples // (10 * (nu + 1)))
@@ -254,28 +235,33 @@ def _acts_before(
         if len(y) <= begin + 1:
             continue
         index = np.arange(begin, len(y))[:, None]
-        others = [u[index - np.arange(past + 1), i] for i in range(nu) if i != input_]
+        beside = [u[index - np.arange(past + 1), i] for i in range(nu) if i != input_]
         measured = [y[index - np.arange(1, past + 1), i] for i in range(y.shape[1])]
-        own = [u[index - tested, input_], u[index - later, input_]]
-        row = np.hstack([*own, *others, *measured, np.ones((len(index), 1))])
-        whole = ~np.isnan(row).any(axis=1) & ~np.isnan(y[begin:, output])
-        rows.append(row[whole][:_ARX_ROWS])
-        wanted.append(y[begin:, output][whole][:_ARX_ROWS])
+        own = [u[index - later, input_], u[index - tested, input_]]
+        row = np.hstack([*beside, *measured, np.ones((len(index), 1)), *own, y[begin:, [output]]])
+        rows.append(row[~np.isnan(row).any(axis=1)][:_ARX_ROWS])
     if not rows:
         return False
-    x, target = np.concatenate(rows), np.concatenate(wanted)
-    count, freedom = len(tested), len(x) - x.shape[1]
-    if freedom < x.shape[1]:
+    data, others = np.concatenate(rows), -1 - len(tested)
+    return explains(data[:, others:-1], data[:, -1:], data[:, :others])
+
+
+def explains(tested: Array, targets: Array, others: Array) -> bool:
+    """Return whether tested regressors explain a target beside other ones, `(rows, any)` each.
+
+    That is, whether an F test says so, and they explain a share `_EFFECT` of what the others leave.
+    """
+    data = np.hstack([others, tested, targets])
+    count, both = tested.shape[1], others.shape[1] + tested.shape[1]
+    freedom = len(data) - both
+    if freedom < both:
         return False
-    scale = np.linalg.norm(x, axis=0)
-    x = np.column_stack([x[:, count:], x[:, :count], target]) / np.where(
-        np.append(np.roll(scale, -count), 1.0) > 0, np.append(np.roll(scale, -count), 1.0), 1.0
-    )
-    r = np.asarray(np.linalg.qr(x, mode="r"))[:, -1]
-    power, left = float((r[-1 - count : -1] ** 2).sum()) / count, float(r[-1] ** 2) / freedom
-    floor = (1e-9 * np.linalg.norm(target)) ** 2
-    least = max(scipy.stats.f.isf(_CHANCE, count, freedom), _EFFECT * freedom / count)
-    return bool(power > least * max(left, floor))
+    size = np.linalg.norm(data, axis=0)
+    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
+    explained = (r[both - count : both, both:] ** 2).sum(axis=0)
+    left = np.maximum((np.triu(r[both:, both:]) ** 2).sum(axis=0), 1e-18 * freedom)
+    significant = scipy.stats.f.isf(_CHANCE, count, freedom) * count / freedom
+    return bool((explained > max(_EFFECT, significant) * left).any())
 
 
 def filled(y: Array) -> Array:

@@ -15,14 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from splitband.baselines.accuracy import accuracy_of, silent
-from splitband.baselines.delays import Units, delays_of
+from splitband.baselines.delays import Units, delays_of, explains
 from splitband.baselines.kalman import (
     MAX_OBSERVER_POLE,
     covariance,
@@ -54,16 +52,10 @@ _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. By eye."""
-_ITERATIONS = 15
-"""Most iterations of a refinement by prediction error. By eye."""
 _LAGS = 16
 """Past samples from which an input is predicted. By eye."""
 _ROWS = 20_000
 """Most samples of a record for this. By eye."""
-_SHARE = 0.02
-"""Share of an input's unpredicted power that past errors explain behind a controller. By eye."""
-_CHANCE = 1e-6
-"""Probability that errors without effect do so. By eye."""
 
 
 def identified(
@@ -86,7 +78,7 @@ def identified(
     """
     units = Units.of(records)
     ny = records[0][0].shape[1]
-    found = delays_of(records, units) if delay is None else np.asarray(delay, int)
+    found = delays_of(records) if delay is None else np.asarray(delay, int)
     parts = []
     for outputs in _groups(found, _ALIKE if delay is None else 0):
         some = [(y[:, outputs], u) for y, u in records]
@@ -129,8 +121,7 @@ def _of_outputs(
             )
         chosen = given if integrators is not None else search.integrating(given, order)
     fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
-    at = chosen.solution
-    at = refined(at.blocks, fitted, ITERATIONS, at.first, search.limit)
+    at = refined(chosen.solution, fitted, ITERATIONS, search.limit)
     model = _model_of(at, runs, delays)
     if not current().over:
         late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
@@ -161,7 +152,8 @@ def _delay_errors(
             for moved in (delay - 1, delay + 1):
                 runs = [units.run(y, u, [*delays[:j], moved, *delays[j + 1 :]]) for y, u in records]
                 fitted = with_constant(runs) if at.blocks.constant else runs
-                costs.append(refined(at.blocks, fitted, 5, at.first, 1 - 1e-9).cost)
+                begin = evaluated(at.blocks, fitted, at.first)
+                costs.append(refined(begin, fitted, 5, MAX_OBSERVER_POLE).cost)
             curvature = samples * (sum(costs) - 2 * at.cost)
             found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
     return found
@@ -176,18 +168,12 @@ def _model_of(
 ) -> LinearModel:
     """Return the model of blocks in normalised units, its states uncorrelated.
 
-    Parameters
-    ----------
-    at : The blocks.
-    runs : The records, without a constant input.
-    delays : Delay of each input in samples.
-    gain : K in the coordinates of the blocks; by default it is fitted to the errors.
-    by : What was minimised.
+    `runs` have no constant input. A `gain` is that of the blocks' states; by default it is fitted.
     """
     blocks, inputs = at.blocks, [run.u.T for run in runs]
     (a, b, c, d), ny = at.matrices(), len(at.scale)
     drift = blocks.matrices()[1][:, -1] if blocks.constant else np.zeros(len(a))
-    first = [x.ravel()[blocks.kept] for x in at.first]
+    first = [x.ravel()[blocks.kept.ravel()] for x in at.first]
     x = [states(a, u @ b.T + drift, start) for u, start in zip(inputs, first, strict=True)]
     into, out = whitening(np.concatenate(x))
     a, b, c, drift = into @ a @ out, into @ b, c @ out, into @ drift
@@ -213,112 +199,54 @@ def _model_of(
 def _by_prediction(model: LinearModel, at: Solution, runs: Sequence[Run]) -> LinearModel:
     """Return the model by prediction error that begins as a `model` by output error.
 
-    A controller that answers at once cannot be told from an input that acts at once: behind a
-    controller there is taken to be no feedthrough.
+    The predictor's inputs are those of the record and its outputs, simulated in gaps. A controller
+    that answers at once cannot be told from an input that acts at once: behind a controller there
+    is taken to be no feedthrough.
     """
-    ny = model.ny
+    ny, nu, delays = model.ny, model.nu, [delay for _, delay in model.taps]
     fitted = with_constant(runs) if at.blocks.constant else runs
-    simulated = [at.blocks.simulate(run, x) for run, x in zip(fitted, at.first, strict=True)]
-    delays = [delay for _, delay in model.taps]
-    late = [delay > 0 for delay in delays]
-    found = prediction_error(model.a, model.c, model.gain, late, runs, simulated)
-    a, _, c, _, gain = found.matrices()
-    at = _simulating(found, runs)
-    # The gain in the coordinates of the blocks.
-    gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[at.blocks.kept]
-    new = _model_of(at, runs, delays, gain, "prediction error")
-    errors = accuracy_of(found.solution, found.runs, lambda step: found.matrices(step)[:4])
-    simple = errors if model.accuracy is None else model.accuracy
-    return replace(new, accuracy=replace(errors, delay_errors=simple.delay_errors))
+    both = []
+    for run, with_flow, x in zip(runs, fitted, at.first, strict=True):
+        y = np.where(run.measured > 0, run.y, at.blocks.simulate(with_flow, x))
+        both.append(run._replace(u=np.vstack([run.u, y])))
+    direct = [*(delay > 0 for delay in delays), *[False] * ny]
+    begin = linear_solution(blocks_of(model.a - model.gain @ model.c, model.c, direct), both)
+    found = refined(begin, both, ITERATIONS, MAX_OBSERVER_POLE)
 
-
-def _simulating(found: Predicted, runs: Sequence[Run]) -> Solution:
-    """Return the simulation of a predictor's system, from the best states with the best offset."""
-    a, b, c, d, _ = found.matrices()
-    blocks = blocks_of(a, c, [True] * b.shape[1], b=b, d=d)
-    zero = [np.zeros((len(blocks.a), 2)) for _ in runs]
-    at = evaluated(blocks, runs, zero)
-    free = np.zeros(len(blocks.values), bool)
-    free[-len(c) :] = True
-    return stepped(at, runs, free, equations(at, runs, free), 0.0)
-
-
-class Predicted(NamedTuple):
-    """Hold a system in innovations form that was fitted by prediction error.
-
-    `solution` has the blocks of the predictor, whose inputs are those of the record and its
-    outputs.
-    """
-
-    solution: Solution
-    runs: tuple[Run, ...]
-
-    def matrices(self, step: Array | None = None) -> tuple[Array, Array, Array, Array, Array]:
+    def matrices(step: Array | None = None) -> tuple[Array, Array, Array, Array, Array]:
         """Return A, B, C, D and K, after a step of the predictor's parameters."""
-        blocks = self.solution.blocks if step is None else self.solution.blocks.moved(step)
-        a, b, c, d = blocks.matrices()
-        nu = b.shape[1] - len(c)
+        a, b, c, d = found.matrices(step)
         gain, d = b[:, nu:], d[:, :nu]
         return a + gain @ c, b[:, :nu] + gain @ d, c, d, gain
 
-
-def prediction_error(
-    a: Array,
-    c: Array,
-    gain: Array,
-    direct: Sequence[bool],
-    runs: Sequence[Run],
-    simulated: Sequence[Array],
-) -> Predicted:
-    """Return the system of this order with the least one-step prediction error.
-
-    Parameters
-    ----------
-    a, c, gain : From where it starts.
-    direct : Whether each input may act at once.
-    runs : The records.
-    simulated : Outputs in gaps, `(ny, time)` for each record.
-    """
-    filled = []
-    for run, y in zip(runs, simulated, strict=True):
-        whole = np.where(run.measured > 0, run.y, y)
-        filled.append(run._replace(u=np.vstack([run.u, whole])))
-    begin = linear_solution(blocks_of(a - gain @ c, c, [*direct, *[False] * len(c)]), filled)
-    at = refined(begin.blocks, filled, _ITERATIONS, begin.first, MAX_OBSERVER_POLE)
-    return Predicted(at, tuple(filled))
+    a, b, c, d, gain = matrices()
+    blocks = blocks_of(a, c, [True] * nu, b=b, d=d)
+    # Its simulation, from the best initial states with the best offset.
+    at = evaluated(blocks, runs, [np.zeros((len(blocks.a), 2)) for _ in runs])
+    free = np.zeros(len(blocks.values), bool)
+    free[-ny:] = True
+    at = stepped(at, runs, free, equations(at, runs, free), 0.0)
+    # The gain in the coordinates of the blocks.
+    gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[blocks.kept.ravel()]
+    new = _model_of(at, runs, delays, gain, "prediction error")
+    errors = accuracy_of(found, both, lambda step: matrices(step)[:4])
+    simple = errors if model.accuracy is None else model.accuracy
+    return replace(new, accuracy=replace(errors, delay_errors=simple.delay_errors))
 
 
 def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     """Return whether a controller acts on the inputs: past errors of a simulation predict an input.
 
     Beside its own past and that of the other inputs, that is (C. W. J. Granger, 1969). In an open
-    loop the errors are noise, which no input knows.
-
-    Parameters
-    ----------
-    errors, inputs : Of each record, `(ny, time)` and `(nu, time)`.
+    loop the errors are noise, which no input knows. They are `(ny, time)` and `(nu, time)`.
     """
-    rows = [
-        np.vstack([_lagged(u), _lagged(e), u[:, _LAGS:]]).T[:_ROWS]
-        for e, u in zip(errors, inputs, strict=True)
-        if u.shape[1] > 2 * _LAGS
-    ]
+    rows, nu, ny = [], len(inputs[0]), len(errors[0])
+    for e, u in zip(errors, inputs, strict=True):
+        if u.shape[1] > 2 * _LAGS:
+            views = np.lib.stride_tricks.sliding_window_view(np.vstack([u, e]), _LAGS + 1, axis=1)
+            past = views[:, :_ROWS, :-1].transpose(1, 0, 2)
+            rows.append(np.hstack([past.reshape(len(past), -1), views[:nu, :_ROWS, -1].T]))
     if not rows:
         return False
-    data, nu, ny = np.concatenate(rows), len(inputs[0]), len(errors[0])
-    freedom = len(data) - data.shape[1]
-    if freedom < data.shape[1]:
-        return False
-    size = np.linalg.norm(data, axis=0)
-    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
-    own, both = nu * _LAGS, (nu + ny) * _LAGS
-    explained = (r[own:both, both:] ** 2).sum(axis=0)
-    left = (np.triu(r[both:, both:]) ** 2).sum(axis=0) + 1e-18
-    least = max(_SHARE, scipy.stats.f.isf(_CHANCE, both - own, freedom) * (both - own) / freedom)
-    return bool((explained > least * left).any())
-
-
-def _lagged(x: Array) -> Array:
-    """Return the signals 1, 2, ... `_LAGS` samples late, `(signals * _LAGS, time - _LAGS)`."""
-    time = x.shape[1]
-    return np.concatenate([x[:, _LAGS - lag : time - lag] for lag in range(1, _LAGS + 1)])
+    data, own, both = np.concatenate(rows), nu * _LAGS, (nu + ny) * _LAGS
+    return explains(data[:, own:both], data[:, both:], data[:, :own])

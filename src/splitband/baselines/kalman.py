@@ -9,7 +9,7 @@ end of the history is then what the Kalman filter with this prior finds. The ste
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,9 +24,9 @@ _FREE = 24
 """Most entries of the gain that are refined one by one. By eye."""
 MAX_OBSERVER_POLE = 1 - 1e-9
 """Largest absolute value of an observer's pole."""
-PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
+_PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
 """Candidate factors of the prior covariance of an initial state. By eye."""
-SURPRISING = 8.0
+_SURPRISING = 8.0
 """Rise of twice the log-likelihood that a factor other than the usual one must bring. By eye."""
 EXACT = 1e-5
 """Smallest standard deviation of an error, as a share of the output's in training: with smaller
@@ -40,16 +40,10 @@ with less of it there is rounding."""
 
 
 def states(a: Array, forced: Array, first: Array) -> Array:
-    """Return x_0, x_1, ... of x_{t+1} = A x_t + f_t, `(time, states)`.
+    """Return x_0, x_1, ... of x_{t+1} = A x_t + f_t, `(time, states)`, for f `(time, states)`.
 
     The record is cut into blocks of about the square root of its length. All blocks advance side by
     side from a state of zero; a second pass adds the states at their beginnings.
-
-    Parameters
-    ----------
-    a : `(states, states)`.
-    forced : f, `(time, states)`.
-    first : x_0, `(states,)`.
     """
     time, n = forced.shape
     length = max(int(np.sqrt(time)), 1)
@@ -74,9 +68,8 @@ def states(a: Array, forced: Array, first: Array) -> Array:
 
 
 def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:
-    """Return the stationary gain K of the filter x' = A x + K e, by the Riccati equation.
+    """Return the stationary gain for noise of covariance q of the state and r of the output.
 
-    `q` `(states, states)` and `r` `(ny, ny)` are the covariances of the noise of state and output.
     Raises LinAlgError where there is no stationary filter.
     """
     with np.errstate(all="ignore"):
@@ -91,10 +84,9 @@ def root_of(covariance: Array) -> Array:
 
 
 def whitening(visited: Array) -> tuple[Array, Array]:
-    """Return T and its inverse, for which the states T x are uncorrelated, of mean square 1.
+    """Return T and its inverse: the states T x, if x were `visited`, are white, of mean square 1.
 
-    `visited`: states in the records, `(time, states)`; where an unstable model leaves the range of
-    numbers, T is the unit matrix.
+    Where an unstable model leaves the range of numbers, T is the unit matrix.
     """
     unit = np.eye(visited.shape[1])
     if not np.isfinite(visited).all():
@@ -104,41 +96,28 @@ def whitening(visited: Array) -> tuple[Array, Array]:
     return axes.T / size[:, None], axes * size
 
 
-def innovations(a: Array, c: Array, gain: Array, errors: Array) -> Array:
-    """Return the prediction errors `(time, ny)` of simulation errors `(time, ny)`."""
-    x = states(a - gain @ c, errors @ gain.T, np.zeros(len(a)))
-    return errors - x @ c.T
-
-
 @np.errstate(all="ignore")
 def covariance(
     a: Array, c: Array, gain: Array, errors: Sequence[Array], measured: Sequence[Array]
 ) -> Array:
     """Return the covariance of prediction errors `(ny, ny)`; arguments as of `fitted_gain`."""
-    left = np.concatenate(
-        [innovations(a, c, gain, e) * s for e, s in zip(errors, measured, strict=True)]
-    )
-    return np.asarray(left.T @ left / np.maximum(np.concatenate(measured).sum(axis=0), 1))
+    left = []
+    for e, s in zip(errors, measured, strict=True):
+        x = states(a - gain @ c, e @ gain.T, np.zeros(len(a)))
+        left.append((e - x @ c.T) * s)
+    together = np.concatenate(left)
+    return np.asarray(together.T @ together / np.maximum(np.concatenate(measured).sum(axis=0), 1))
 
 
 def fitted_gain(
-    a: Array,
-    c: Array,
-    spread: Array,
-    errors: Sequence[Array],
-    measured: Sequence[Array],
+    a: Array, c: Array, spread: Array, errors: Sequence[Array], measured: Sequence[Array]
 ) -> Array:
     """Return the gain K `(states, ny)` that predicts best, for the errors of a simulation.
 
-    The gains of a Riccati equation, with process noise in proportion to the states' covariance in
-    the record, are the start; a small gain is then refined entry by entry.
-
-    Parameters
-    ----------
-    a, c : Of the simulated system.
-    spread : Covariance of its states in the record, `(states, states)`.
-    errors, measured : Simulation errors of each record, 0 in gaps, and 1 where outputs were
-        measured, `(time, ny)` each.
+    The gains of a Riccati equation, with process noise in proportion to `spread`, the states'
+    covariance in the records, are the start; a small gain is then refined entry by entry. `errors`
+    are those of a simulation, 0 in gaps, and `measured` is 1 where there are none, `(time, ny)`
+    for each record.
     """
 
     def cost(gain: Array) -> float:
@@ -159,39 +138,30 @@ def fitted_gain(
     stable = len(a) == 0 or abs(np.linalg.eigvals(a)).max() <= 1
     best = min(gains if stable else gains[1:] or gains, key=cost)
     if best.any() and best.size <= _FREE:
-        best = _refined(best, cost)
+        scale = float(abs(best).max())
+        shape, start = best.shape, best.ravel() / scale
+
+        def bounded(x: Array) -> float:
+            return min(cost(scale * x.reshape(shape)), 1e6)
+
+        found: Any = scipy.optimize.minimize(
+            bounded, start, method="L-BFGS-B", options={"maxiter": 15}
+        )
+        best = np.asarray(scale * found.x.reshape(shape))
     return best
-
-
-def _refined(gain: Array, cost: Callable[[Array], float]) -> Array:
-    """Return the gain after a local search."""
-    scale = float(abs(gain).max())
-
-    def bounded(x: Array) -> float:
-        return min(cost(scale * x.reshape(gain.shape)), 1e6)
-
-    start = gain.ravel() / scale
-    minimum: Any = scipy.optimize.minimize(
-        bounded, start, method="L-BFGS-B", options={"maxiter": 15}
-    )
-    return np.asarray(scale * minimum.x.reshape(gain.shape))
 
 
 def most_probable(information: Array, towards: Array, usual: Array) -> Array:
     """Return the most probable state, in standard deviations of the prior, `(n,)`.
 
-    The prior has the covariance of the states in training times a factor: the `usual` one, or the
-    most likely one where the history is surprising (empirical Bayes).
-
-    Parameters
-    ----------
-    information : Sum of squares of the responses to each state, in units of the noise, `(n, n)`.
-    towards : Their products with the prediction errors, `(n,)`.
-    usual : The usual factor: 0 for a state that is known, 1 for one that is drawn from the prior.
+    The prior has the covariance of the states in training times a factor: the `usual` one (0 for a
+    state that is known, 1 for one that is drawn from the prior), or the most likely one where the
+    history is surprising (empirical Bayes). `information` `(n, n)` and `towards` `(n,)` are
+    products of the responses to each state, with each other and with the prediction errors.
     """
     n = towards.shape[0]
-    factors = np.concatenate([usual[None], np.array(PRIOR_FACTORS)])
-    count = len(PRIOR_FACTORS) + 1
+    factors = np.concatenate([usual[None], np.array(_PRIOR_FACTORS)])
+    count = len(_PRIOR_FACTORS) + 1
     unit = np.broadcast_to(np.eye(n)[None], (count, n, n))
     square = unit + factors[:, None, None] * information[None]
     left: Any = np.concatenate(
@@ -211,7 +181,7 @@ def most_probable(information: Array, towards: Array, usual: Array) -> Array:
     least = np.min(unlikely[1:], axis=0)
     first = np.arange(count) == 0
     taken = np.where(
-        least + SURPRISING > unlikely[0], first, (unlikely <= least) & np.logical_not(first)
+        least + _SURPRISING > unlikely[0], first, (unlikely <= least) & np.logical_not(first)
     )
     weights = np.where(taken, 1.0, 0.0)
     taken_state: Array = (weights[:, None] * found).sum(axis=0) / weights.sum()

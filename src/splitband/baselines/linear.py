@@ -116,26 +116,10 @@ class LinearModel:
         """Return the number of states, without those of delays."""
         return len(self.a)
 
-    def delay(self, output: int, input_: int) -> int:
-        """Return the sample at which the response of an output to an input's impulse begins.
-
-        It is the least of several, and 0 for what acts after less than `delays.SHORTEST` samples.
-        """
-        acts = self._acts(output)
-        found = [d for (i, d), on in zip(self.taps, acts, strict=True) if i == input_ and on]
-        return min(found, default=0)
-
     @property
     def delays(self) -> tuple[int, ...]:
         """Return the least delay of each input over the outputs, `nu` of them."""
         return tuple(min(d for i, d in self.taps if i == j) for j in range(self.nu))
-
-    def _acts(self, output: int) -> Any:
-        """Return whether each tap acts on an output."""
-        reached = abs(self.c[output]) > 0
-        for _ in range(self.order):
-            reached = reached | (abs(self.a[reached]) > 0).any(axis=0)
-        return (abs(self.b[reached]) > 0).any(axis=0) | (abs(self.d[output]) > 0)
 
     def tapped(self, u: Array) -> Array:
         """Return the delayed inputs minus their means, `(time, taps)`."""
@@ -143,20 +127,12 @@ class LinearModel:
         return delayed(u[:, inputs], [d for _, d in self.taps]) - self.mean[inputs]
 
     def simulate(
-        self,
-        u: Array,
-        state: Array | None = None,
-        before: Array | None = None,
-        begin: int = 0,
+        self, u: Array, state: Array | None = None, before: Array | None = None, begin: int = 0
     ) -> Array:
-        """Simulate from a state on, by default from the first training sample, `(time, ny)`.
+        """Simulate from a state at the row `begin` of `u` on, `(time, ny)`.
 
-        Parameters
-        ----------
-        u : Inputs, `(time, nu)`.
-        state : At the row `begin` of `u`.
-        before : Earlier inputs, which act with a delay.
-        begin : Where the simulation begins.
+        By default that is the state at the first training sample. `before` are earlier inputs,
+        which act with a delay.
         """
         since = u if before is None else np.concatenate([before, u])
         tapped = self.tapped(since)[len(since) - len(u) + begin :]
@@ -221,18 +197,20 @@ class LinearModel:
         if not measured.any():
             return self._run(tapped, x)[0], x
         usual = np.array(0.0 if expected else 1.0)
-        whole = bool(measured.all())
-        if whole:
-            answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
+        if measured.all():
             errors, _ = self._observed(tapped[: len(y)], y, x)
+            answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
             white = self.whitener()
             rows = np.einsum("ij,tjn->tin", white, answers).reshape(-1, self.order)
             left = (errors[: len(answers)] @ white.T).ravel()
-            information, towards = rows.T @ rows, rows.T @ left
+            x = x + self.root @ most_probable(rows.T @ rows, rows.T @ left, usual)
+            errors, after = self._observed(tapped[: len(y)], y, x)
+            found = y - errors
         else:
-            information, towards = self._with_gaps(tapped, y, measured, x)
-        x = x + self.root @ most_probable(information, towards, usual)
-        return self._followed(tapped, y, measured, x)
+            *_, information, towards = self._with_gaps(tapped, y, measured, x)
+            x = x + self.root @ most_probable(information, towards, usual)
+            found, after, *_ = self._with_gaps(tapped, y, measured, x)
+        return np.concatenate([found, self._run(tapped[len(y) :], after)[0]]), after
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
@@ -242,33 +220,22 @@ class LinearModel:
         x = states(a, forced, first)
         return left - x @ self.c.T, a @ x[-1] + forced[-1]
 
-    def _with_gaps(self, tapped: Array, y: Array, measured: Any, x: Array) -> tuple[Array, Array]:
-        """Return `information` and `towards` of `most_probable`, sample by sample."""
-        answers, white = self.root, self.whitener()
+    def _with_gaps(
+        self, tapped: Array, y: Array, measured: Any, x: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return predictions from the state x, the state after, and what `most_probable` takes."""
+        answers, white, found = self.root, self.whitener(), np.empty(y.shape)
         information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
-        for row, value, known in zip(tapped[: len(y)], y, measured, strict=True):
-            response = self.c @ answers
-            left = np.where(known, value - self.c @ x - self.d @ row - self.offset, 0.0)
-            counted = white @ (response * known[:, None])
-            information += counted.T @ counted
-            towards += counted.T @ (white @ left)
-            answers = self.a @ answers - self.gain @ (response * known[:, None])
-            x = self.a @ x + self.b @ row + self.drift + self.gain @ left
-        return information, towards
-
-    def _followed(self, tapped: Array, y: Array, measured: Any, x: Array) -> tuple[Array, Array]:
-        """Return predictions of all samples, observing the history from the state x."""
-        if measured.all():
-            errors, after = self._observed(tapped[: len(y)], y, x)
-            ahead = self._run(tapped[len(y) :], after)[0]
-            return np.concatenate([y - errors, ahead]), after
-        found = np.empty((len(y), self.ny))
         for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, measured, strict=True)):
             found[n] = self.c @ x + self.d @ row + self.offset
+            response = (self.c @ answers) * known[:, None]
             left = np.where(known, value - found[n], 0.0)
+            counted = white @ response
+            information += counted.T @ counted
+            towards += counted.T @ (white @ left)
+            answers = self.a @ answers - self.gain @ response
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
-        ahead = self._run(tapped[len(y) :], x)[0]
-        return np.concatenate([found, ahead]), x
+        return found, x, information, towards
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D with delays, for deviations from `mean` and the offsets.
@@ -276,31 +243,29 @@ class LinearModel:
         The states are those of the model, then the delayed inputs.
         """
         longest = [max((d for i, d in self.taps if i == j), default=0) for j in range(self.nu)]
-        a = scipy.linalg.block_diag(self.a, *(np.eye(late, k=-1) for late in longest))
-        n = self.order
-        b, c, d = (
-            np.zeros((len(a), self.nu)),
-            np.zeros((self.ny, len(a))),
-            np.zeros((self.ny, self.nu)),
+        n, size = self.order, self.order + sum(longest)
+        begin = n + np.cumsum([0, *longest])
+        whole = np.zeros((size + self.ny, size + self.nu))  # [A B; C D]
+        whole[:size, :size] = scipy.linalg.block_diag(
+            self.a, *(np.eye(late, k=-1) for late in longest)
         )
-        c[:, :n] = self.c
-        begin = np.cumsum([n, *longest])
+        whole[size:, :n] = self.c
         for column, (i, late) in enumerate(self.taps):
-            if late:
-                a[:n, begin[i] + late - 1] += self.b[:, column]
-                c[:, begin[i] + late - 1] += self.d[:, column]
-            else:
-                b[:n, i] += self.b[:, column]
-                d[:, i] += self.d[:, column]
+            source = begin[i] + late - 1 if late else size + i
+            whole[:n, source] += self.b[:, column]
+            whole[size:, source] += self.d[:, column]
         for i, late in enumerate(longest):
             if late:
-                b[begin[i], i] = 1.0
-        return a, b, c, d
+                whole[begin[i], size + i] = 1.0
+        return whole[:size, :size], whole[:size, size:], whole[size:, :size], whole[size:, size:]
 
     def transfer_function(self, output: int, input_: int) -> tuple[Array, Array]:
         """Return numerator and denominator from an input to an output, in powers of z."""
         columns = [t for t, (i, _) in enumerate(self.taps) if i == input_]
-        acts = self._acts(output)
+        reached = abs(self.c[output]) > 0
+        for _ in range(self.order):
+            reached = reached | (abs(self.a[reached]) > 0).any(axis=0)
+        acts = (abs(self.b[reached]) > 0).any(axis=0) | (abs(self.d[output]) > 0)
         columns = [t for t in columns if acts[t]] or columns[:1]
         longest = max(self.taps[t][1] for t in columns)
         a = np.poly(self.a) if self.order else np.ones(1)
@@ -333,36 +298,28 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
     outputs = np.concatenate([[*of_part] for _, of_part in parts]).astype(int)
     back = np.argsort(outputs)
 
-    def diagonal(name: str) -> Array:
-        return np.asarray(scipy.linalg.block_diag(*(getattr(m, name) for m in models)))
-
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(m, name) for m in models])
-
+    found: dict[str, Any] = {
+        name: scipy.linalg.block_diag(*(getattr(m, name) for m in models))
+        for name in ("a", "b", "c", "d", "gain", "noise", "root", "spread")
+    } | {
+        name: np.concatenate([getattr(m, name) for m in models])
+        for name in ("offset", "drift", "late", "first", "last", "centre", "error", "scale")
+    }
+    found |= {
+        name: found[name][back]
+        for name in ("c", "d", "noise", "spread", "offset", "late", "error", "scale")
+    }
+    found |= {name: found[name][:, back] for name in ("gain", "noise", "spread")}
+    found["late"] = tuple(found["late"].tolist())
     accuracies = [m.accuracy for m in models if m.accuracy is not None]
     return LinearModel(
-        diagonal("a"),
-        diagonal("b"),
-        diagonal("c")[back],
-        diagonal("d")[back],
-        joined("offset")[back],
-        joined("drift"),
-        diagonal("gain")[:, back],
-        diagonal("noise")[np.ix_(back, back)],
-        models[0].mean,
-        tuple(tap for m in models for tap in m.taps),
-        tuple(np.concatenate([m.late for m in models])[back].tolist()),
-        joined("first"),
-        joined("last"),
-        joined("centre"),
-        diagonal("root"),
-        joined("error")[back],
-        diagonal("spread")[np.ix_(back, back)],
-        joined("scale")[back],
-        sum(m.integrators for m in models),
-        " and ".join(dict.fromkeys(m.by for m in models)),
+        **found,
+        mean=models[0].mean,
+        taps=tuple(tap for m in models for tap in m.taps),
+        integrators=sum(m.integrators for m in models),
+        by=" and ".join(dict.fromkeys(m.by for m in models)),
         silent=tuple(angle for m in models for angle in m.silent),
-        accuracy=(Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None),
+        accuracy=Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None,
     )
 
 
@@ -392,14 +349,8 @@ def realised(
 ) -> Realisation:
     """Return a state-space model with `size` states, and its states in the records.
 
-    If the model has fewer, states are added that the output does not depend on.
-
-    Parameters
-    ----------
-    model : A model without delays, of at most `states` poles.
-    inputs : Inputs of each training record, `(time, nu)`.
-    size : Number of states.
-    rng : Draws the input matrix of additional states.
+    If the model, which has no delays, has fewer, states are added that the output does not depend
+    on; `rng` draws their input matrix. `inputs` are those of the training records, `(time, nu)`.
     """
     more = size - model.order
     poles = np.linspace(_FASTEST, _SLOWEST, more)

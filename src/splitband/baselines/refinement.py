@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import groupby, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -83,23 +83,26 @@ class Blocks:
     constant: bool = False
 
     @property
+    def kept(self) -> Flags:
+        """Return which of two states a block has, `(blocks, 2)`: of first order it has one."""
+        return np.stack([np.ones(len(self.a), bool), ~self.single], axis=1)
+
+    @property
     def order(self) -> int:
         """Return the number of poles."""
-        return int(2 * len(self.a) - self.single.sum())
+        return int(self.kept.sum())
 
     @cached_property
     def free(self) -> Flags:
         """Return which entries of `values` are parameters."""
-        blocks, ny, nu = len(self.a), len(self.offset), len(self.direct)
-        second = ~self.single
-        both = np.stack([np.ones(blocks, bool), second], axis=1)
-        of_b = np.repeat(both[:, :, None], nu, axis=2)
+        ny, kept = len(self.offset), self.kept
+        of_b = np.repeat(kept[:, :, None], len(self.direct), axis=2)
         if self.constant:
             of_b[:, :, -1] &= self.fixed[:, None]
         parts = (
-            both & ~self.fixed[:, None],
+            kept & ~self.fixed[:, None],
             of_b,
-            np.repeat(both[:, None], ny, axis=1),
+            np.repeat(kept[:, None], ny, axis=1),
             np.repeat(self.direct[None], ny, axis=0),
             np.ones(ny, bool),
         )
@@ -108,10 +111,10 @@ class Blocks:
     @property
     def linear(self) -> Flags:
         """Return which entries of `values` the output is linear in, for given poles and C."""
-        of_c = np.zeros(self.c.size, bool)
-        parts = np.zeros(self.a.size, bool), np.ones(self.b.size, bool), of_c
-        rest = np.ones(self.d.size + len(self.offset), bool)
-        return np.concatenate([*parts, rest]) & self.free
+        linear = self.free.copy()
+        a, _, c, *_ = self.parts(np.arange(len(linear)))
+        linear[a] = linear[c] = False
+        return linear
 
     @property
     def values(self) -> Array:
@@ -124,7 +127,7 @@ class Blocks:
         a, b, c, d, offset = self.parts(self.values + step)
         return replace(self, a=a, b=b, c=c, d=d, offset=offset)
 
-    def parts(self, values: Array) -> list[Array]:
+    def parts(self, values: npt.NDArray[Any]) -> list[Any]:
         """Return one number for each of `values` in the shapes of a, b, c, d and offset."""
         own = self.a, self.b, self.c, self.d, self.offset
         cuts = np.cumsum([part.size for part in own])[:-1]
@@ -138,25 +141,11 @@ class Blocks:
         inside = (abs(second) < 1) & (abs(first) < 1 - second)
         return bool((inside & (~complex_ | (-self.a[free, 1] < limit**2))).all())
 
-    def poles(self) -> npt.NDArray[np.complex128]:
-        """Return all poles."""
-        root = np.sqrt((self.a[:, 0] / 2) ** 2 + self.a[:, 1] + 0j)
-        pairs = np.stack([self.a[:, 0] / 2 + root, self.a[:, 0] / 2 - root], axis=1)
-        pairs[self.single, 0] = self.a[self.single, 0]
-        return np.asarray(np.concatenate([pairs[:, 0], pairs[~self.single, 1]]))
-
-    @property
-    def kept(self) -> Flags:
-        """Return which of two states a block there are: a first-order block has one."""
-        return np.stack([np.ones(len(self.a), bool), ~self.single], axis=1).ravel()
-
     def matrices(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D, without states that a first-order block does not have."""
-        kept = self.kept
+        kept = self.kept.ravel()
         companions = [np.array([row, [1.0, 0.0]]) for row in self.a]
-        a = scipy.linalg.block_diag(*companions)[np.ix_(kept, kept)] if len(self.a) else np.zeros(
-            (0, 0)
-        )  # fmt: skip
+        a = scipy.linalg.block_diag(*companions)[np.ix_(kept, kept)]
         b = self.b.reshape(-1, self.b.shape[2])[kept]
         c = self.c.transpose(1, 0, 2).reshape(len(self.offset), -1)[:, kept]
         return a, b, c, self.d
@@ -168,15 +157,11 @@ class Blocks:
             found[i] = _states(row, self.b[i] @ run.u, first[i])
         return found
 
-    def outputs(self, run: Run, states: Array) -> Array:
-        """Return the outputs `(ny, time)` for states from `states`."""
-        c = self.c.transpose(1, 0, 2).reshape(len(self.offset), 2 * len(self.a))
-        y = self.d @ run.u + self.offset[:, None]
-        return y + c @ states.reshape(2 * len(self.a), states.shape[2])
-
     def simulate(self, run: Run, first: Array) -> Array:
         """Return the outputs `(ny, time)` from the initial states `(blocks, 2)` on."""
-        return self.outputs(run, self.states(run, first))
+        c = self.c.transpose(1, 0, 2).reshape(len(self.offset), 2 * len(self.a))
+        y = self.d @ run.u + self.offset[:, None]
+        return y + c @ self.states(run, first).reshape(2 * len(self.a), run.u.shape[1])
 
     def responses(self, run: Run, states: Array) -> Array:
         """Return the derivatives of both states of each block, `(blocks, 2, 4 + 2 nu, time)`.
@@ -218,7 +203,7 @@ def _states(a: Array, forced: Array, first: Array) -> Array:
     return np.stack([x1, x2])
 
 
-def blocks_of(  # noqa: PLR0913, PLR0915  a few lines for each kind of pole
+def blocks_of(  # noqa: PLR0913
     a: Array,
     c: Array,
     direct: Sequence[bool],
@@ -239,79 +224,54 @@ def blocks_of(  # noqa: PLR0913, PLR0915  a few lines for each kind of pole
     """
     ny, nu = len(c), len(direct)
     poles, vectors = np.linalg.eig(a)
-    rows, out, fixed = list[tuple[float, float]](), list[Array](), list[bool]()
-    order = [*np.argsort(abs(poles - 1), kind="stable")]
+    order = np.argsort(abs(poles - 1), kind="stable")
     real = [i for i in order if poles[i].imag == 0]
     pairs = [i for i in order if poles[i].imag > 0]
-
-    def add(row: tuple[float, float], basis: Array) -> None:
-        rows.append(row)
-        out.append(basis)
-        fixed.append(False)
-
-    def add_pair(i: int) -> None:
-        pole, v = poles[i], vectors[:, i]
-        row = (2 * pole.real, -(abs(pole) ** 2))
-        # In the basis [Re v, Im v] the block is [[re, im], [-im, re]].
-        own = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
-        add(row, np.stack([v.real, v.imag], axis=1) @ _companion(own, row))
-
-    def add_real(i: int, j: int) -> None:
-        p, q = poles[i].real, poles[j].real
-        if abs(p - q) < _SPLIT:
-            q -= _SPLIT
-        row = (p + q, -p * q)
-        add(row, vectors[:, [i, j]].real @ _companion(np.diag([p, q]), row))
-
+    # Of each block: its row of `Blocks.a`, its basis, and whether its poles are given.
+    found = list[tuple[tuple[float, float], Array, bool]]()
     if chain and (pairs or len(real) > 1):
-        if len(real) > 1 and not (pairs and abs(poles[pairs[0]] - 1) < abs(poles[real[1]] - 1)):
-            add_real(real.pop(0), real.pop(0))
-        else:
-            add_pair(pairs.pop(0))
-        rows[-1], fixed[-1] = (2.0, -1.0), True
+        near = len(real) > 1 and not (pairs and abs(poles[pairs[0]] - 1) < abs(poles[real[1]] - 1))
+        taken = [real.pop(0), real.pop(0)] if near else [pairs.pop(0)]
+        found.append(((2.0, -1.0), _second_order(poles[taken], vectors[:, taken])[1], True))
         integrators -= 2
     while integrators > 0 and (real or pairs):
-        if real:
-            add((1.0, 0.0), vectors[:, [real.pop(0)]].real)
-            fixed[-1] = True
-        else:  # a pair becomes an integrator and another real pole
-            i = pairs.pop(0)
-            add((poles[i].real, 0.0), vectors[:, [i]].imag)
-            add((1.0, 0.0), vectors[:, [i]].real)
-            fixed[-1] = True
+        i = real.pop(0) if real else pairs.pop(0)
+        if poles[i].imag:  # a pair becomes an integrator and another real pole
+            found.append(((poles[i].real, 0.0), vectors[:, [i]].imag, False))
+        found.append(((1.0, 0.0), vectors[:, [i]].real, True))
         integrators -= 1
-    for i in pairs:
-        add_pair(i)
-    while len(real) > 1:
-        add_real(real.pop(0), real.pop(0))
-    for i in real:
-        add((poles[i].real, 0.0), vectors[:, [i]].real)
+    twos = [*([i] for i in pairs), *(real[i : i + 2] for i in range(0, len(real) - 1, 2))]
+    found += [(*_second_order(poles[two], vectors[:, two]), False) for two in twos]
+    if len(real) % 2:
+        found.append(((poles[real[-1]].real, 0.0), vectors[:, [real[-1]]].real, False))
+    rows, bases, fixed = zip(*found, strict=True)
+    sizes = [basis.shape[1] for basis in bases]
     of_b, of_c = np.zeros((len(rows), 2, nu)), np.zeros((len(rows), ny, 2))
-    single = np.array([basis.shape[1] == 1 for basis in out], bool)
-    into = None if b is None else np.linalg.lstsq(np.hstack(out), b, rcond=None)[0]
-    first = 0
-    for i, basis in enumerate(out):
-        size = basis.shape[1]
-        of_c[i, :, :size] = c @ basis
-        if into is not None:
-            of_b[i, :size] = into[first : first + size]
-        first += size
+    for i, basis in enumerate(bases):
+        of_c[i, :, : sizes[i]] = c @ basis
+    if b is not None:
+        into = np.linalg.lstsq(np.hstack(bases), b, rcond=None)[0]
+        for i, part in enumerate(np.split(into, np.cumsum(sizes)[:-1])):
+            of_b[i, : sizes[i]] = part
     return Blocks(
-        np.array(rows).reshape(-1, 2),
-        of_b,
-        of_c,
-        np.zeros((ny, nu)) if d is None else d,
-        np.zeros(ny),
-        single,
-        np.array(fixed, bool),
-        np.array(direct, bool),
-    )
+        np.array(rows), of_b, of_c, np.zeros((ny, nu)) if d is None else d, np.zeros(ny),
+        np.array(sizes) == 1, np.array(fixed), np.array(direct, bool),
+    )  # fmt: skip
 
 
-def _companion(own: Array, row: tuple[float, float]) -> Array:
-    """Return the basis in which a block `(2, 2)` has the companion form."""
-    begin = np.ones(2)
-    return np.stack([begin, own @ begin - row[0] * begin], axis=1)
+def _second_order(poles: Array, vectors: Array) -> tuple[tuple[float, float], Array]:
+    """Return row and basis of the block of one complex pole, or of two real ones."""
+    if len(poles) == 1:
+        pole, v = poles[0], vectors[:, 0]
+        row, basis = (2 * pole.real, -(abs(pole) ** 2)), np.stack([v.real, v.imag], axis=1)
+        own = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+    else:
+        p, q = poles.real
+        if abs(p - q) < _SPLIT:
+            q -= _SPLIT
+        row, basis, own = (p + q, -p * q), vectors.real, np.diag([p, q])
+    begin = np.ones(2)  # from which the block has the companion form
+    return row, basis @ np.stack([begin, own @ begin - row[0] * begin], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,24 +322,20 @@ class Equations:
         """Return the equations of both parts; with the sign -1, without those of the other."""
         states = {**self.states}
         for record, parts in other.states.items():
-            mine = states.get(record, tuple(np.zeros_like(part) for part in parts))
-            states[record] = (
-                mine[0] + sign * parts[0],
-                mine[1] + sign * parts[1],
-                mine[2] + sign * parts[2],
-            )
+            mine: Sequence[Any] = states.get(record, (0.0, 0.0, 0.0))
+            cross, own, g = (a + sign * b for a, b in zip(mine, parts, strict=True))
+            states[record] = cross, own, g
         return Equations(self.n + sign * other.n, self.g + sign * other.g, states)
 
 
 def evaluated(blocks: Blocks, runs: Sequence[Run], first: Sequence[Array]) -> Solution:
     """Return the errors of a system."""
-    errors, total, count = [], np.zeros(len(blocks.offset)), np.zeros(len(blocks.offset))
-    for run, x in zip(runs, first, strict=True):
-        left = (run.y - blocks.simulate(run, x)) * run.measured
-        errors.append(left)
-        total += (left**2).sum(axis=1)
-        count += run.measured.sum(axis=1)
-    scale = np.sqrt(total / np.maximum(count, 1))
+    errors = [
+        (run.y - blocks.simulate(run, x)) * run.measured for run, x in zip(runs, first, strict=True)
+    ]
+    power: Any = sum((left**2).sum(axis=1) for left in errors)
+    count: Any = sum(run.measured.sum(axis=1) for run in runs)
+    scale = np.sqrt(power / np.maximum(count, 1))
     return Solution(blocks, tuple(first), tuple(errors), scale)
 
 
@@ -391,10 +347,7 @@ def equations(solution: Solution, runs: Sequence[Run], free: Flags) -> Equations
 
 def total(parts: Sequence[Equations]) -> Equations:
     """Return the sum of normal equations."""
-    first, *others = parts
-    for other in others:
-        first = first.plus(other)
-    return first
+    return reduce(Equations.plus, parts)
 
 
 def segments(runs: Sequence[Run], count: int) -> list[tuple[int, int, int]]:
@@ -499,24 +452,10 @@ def stepped(
         return evaluated(solution.blocks.moved(whole), runs, first)
 
 
-def refined(
-    blocks: Blocks,
-    runs: Sequence[Run],
-    iterations: int,
-    first: Sequence[Array] | None = None,
-    limit: float = 1.0,
-) -> Solution:
-    """Return the locally best system, with complex poles below `limit` in absolute value.
-
-    Without `first`, B, D, offset and initial states are solved for first.
-    """
-    zero = [np.zeros((len(blocks.a), 2)) for _ in runs]
-    if first is None:
-        at = linear_solution(blocks, runs)
-    else:
-        at = evaluated(blocks, runs, [*first] or zero)
+def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1.0) -> Solution:
+    """Return the locally best system, with complex poles below `limit` in absolute value."""
     samples = sum(float(run.measured.sum()) for run in runs) / len(at.scale)
-    damping, free = 1e-4, blocks.free
+    damping, free = 1e-4, at.blocks.free
     for _ in range(iterations):
         found = equations(at, runs, free)
         for _ in range(_STEPS):

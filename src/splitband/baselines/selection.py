@@ -10,7 +10,7 @@ Trees, 1984, Sec. 3.4).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -151,12 +151,16 @@ class Search:
         """Return the refined model of this order; it may begin as a `larger` one, reduced."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
-        begin = self._start(order, larger)
+        iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 2
+        return self._refined(self._start(order, larger), self.runs, iterations)
+
+    def _refined(
+        self, begin: Solution | None, runs: Sequence[Run], iterations: int, integrators: int = 0
+    ) -> Candidate | None:
         if begin is None:
             return None
-        iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 2
-        at = refined(begin.blocks, self.runs, iterations, begin.first, self.limit)
-        return Candidate(at, held_out(at, self.runs))
+        at = refined(begin, runs, iterations, self.limit)
+        return Candidate(at, held_out(at, runs), integrators)
 
     def best(self) -> Candidate:
         """Return the model of the chosen order.
@@ -169,20 +173,20 @@ class Search:
             return first or self._constant()
         found, order = {first.order: first}, min(grid, key=lambda n: grid[n])
 
-        def tried(n: int) -> Candidate | None:
+        def attempt(n: int) -> Candidate:
             if n not in found and not current().over:
                 larger = found.get(min((m for m in found if m > n), default=n))
                 if (new := self.of_order(n, larger)) is not None:
                     found[n] = new
-            return found.get(n)
+            # The smallest order that is as good as the best.
+            least = min(found.values(), key=lambda c: c.error)
+            return found[min(m for m, c in found.items() if c.as_good_as(least))]
 
         small = [n for n in grid if n <= min(order, _ALWAYS)]
         for n in (order, *[n for n in grid if n > order][:1], *small[::-1]):
-            tried(n)
-        best = self._smallest(found)
+            best = attempt(n)
         for n in reversed([n for n in grid if n < best.order]):
-            tried(n)
-            best = self._smallest(found)
+            best = attempt(n)
             if best.order != n:
                 break
         if self.integrators is None:
@@ -190,18 +194,14 @@ class Search:
         self.errors = {n: found[n].error for n in sorted(found)}
         return best
 
-    def _smallest(self, found: Mapping[int, Candidate]) -> Candidate:
-        """Return the model of the smallest order that is as good as the best."""
-        least = min(found.values(), key=lambda c: c.error)
-        return found[min(n for n, c in found.items() if c.as_good_as(least))]
-
     def integrating(self, free: Candidate, given: int | None = None) -> Candidate:
         """Return the model with integrators in place of its slowest poles if it holds out as well.
 
         It may then need fewer poles, but for a `given` order.
         """
         longest = max(run.u.shape[1] for run in self.runs)
-        slow = int((abs(1 - free.solution.blocks.poles()) < _SLOW / longest).sum())
+        poles = np.linalg.eigvals(free.solution.blocks.matrices()[0])
+        slow = int((abs(1 - poles) < _SLOW / longest).sum())
         found = [free]
         for count in range(1, min(slow, len(self.runs[0].y) + 1) + 1):
             orders = range(count, min(free.order, _MOST_AVERAGED) + 1)
@@ -272,10 +272,7 @@ class Search:
                     if blocks.fixed.any():
                         starts.append(linear_solution(blocks, runs))
         begin = min(starts, key=lambda at: at.cost, default=None)
-        if begin is None:
-            return None
-        at = refined(begin.blocks, runs, ITERATIONS, begin.first, self.limit)
-        return Candidate(at, held_out(at, runs), count)
+        return self._refined(begin, runs, ITERATIONS, count)
 
 
 def with_constant(runs: Sequence[Run]) -> list[Run]:

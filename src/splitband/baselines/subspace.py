@@ -65,11 +65,8 @@ def _root(a: Array, stride: int) -> Array:
 def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1) -> Subspace | None:
     """Return the subspace of records, weighted as in CVA; None where too few windows have no gap.
 
-    Parameters
-    ----------
-    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each, without an offset.
-    rows : Block rows of past and of future.
-    stride : Average so many samples each, for slow systems.
+    The records are `y`, NaN in gaps, and `u` without an offset, `rows` the block rows of past and
+    of future. For slow systems `stride` samples each are averaged.
     """
     ny, nu = records[0][0].shape[1], records[0][1].shape[1]
     width = 2 * rows * (ny + nu)

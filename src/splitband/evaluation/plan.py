@@ -31,7 +31,7 @@ from splitband.runtime.errors import InputError
 from splitband.simulators.identification import check_runs
 from splitband.simulators.parameters import Adjustable
 from splitband.training import Settings, default_warmup
-from splitband.training.recipes import Recipe, recipe_settings
+from splitband.training.settings import Recipe, recipe_settings
 
 TRAINING_SHARE = 0.75
 """Default share of a record to train on."""

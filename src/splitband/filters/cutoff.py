@@ -6,9 +6,8 @@ records on which the rules were tested.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
@@ -63,7 +62,6 @@ class Candidate:
     passed : Share of the power that passes the low-pass filter. It differs from the share below
         the cut-off, as the filter is not steep.
     loss : Criterion, as a share of the power, see `choose` and `choose_with_simulator`.
-    rejected : Reason why it is not used; empty for the chosen pair.
     """
 
     cutoff: float
@@ -71,7 +69,6 @@ class Candidate:
     downsampling: int
     passed: float
     loss: float
-    rejected: str = ""
 
 
 @saved
@@ -112,15 +109,9 @@ def choose(
     as it is) and to errors at the ends of filtered warm-ups. A lower cut-off allows more
     down-sampling, so that the low-band network predicts fewer samples.
 
-    Raises ValueError for constant samples if no cut-off is given, and for given values that
-    violate the Nyquist condition.
-
-    Parameters
-    ----------
-    y : The training samples, `(time, ny)`; constant channels do not count.
-    sampling_rate : In Hz.
-    warmup : R, in samples.
-    cutoff, order, downsampling : Fixed values; None to choose them.
+    `y` are the training samples, of which constant channels do not count; cut-off, order and
+    down-sampling may be given. Raises ValueError for constant samples if no cut-off is given, and
+    for given values that violate the Nyquist condition.
     """
     y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)
@@ -133,8 +124,7 @@ def choose(
         lost = both + _distortion(y, warmup, pair)
         candidates.append(Candidate(f, pair.order, k, float(np.sum(power * gain**2)), lost))
     able = [c for c in candidates if c.passed >= LEAST_PASSED]
-    good = [c for c in able if c.loss <= MOST_LOST]
-    if good:
+    if good := [c for c in able if c.loss <= MOST_LOST]:
         best = min(good, key=lambda c: (c.order, c.cutoff))
         rule = "lowest acceptable cut-off"
     elif able:
@@ -143,23 +133,13 @@ def choose(
     else:
         best = max(candidates, key=lambda c: c.passed)
         rule = "no cut-off leaves half of the power in the low band"
-
-    def why_not(candidate: Candidate) -> str:
-        if candidate.passed < LEAST_PASSED:
-            return f"just {candidate.passed:.0%} of the power passes the low-pass filter"
-        if candidate.loss > MOST_LOST:
-            return f"{candidate.loss:.0%} of the power lost"
-        return (
-            "a lower one will do" if candidate.cutoff > best.cutoff else "the other order is better"
-        )
-
     facts = (
         f"{spectrum.share_below(best.cutoff):.0%} of the power lies below it, {best.loss:.0%} is "
         "lost to band overlap and edge effects"
     )
     reason = f"{'as given' if cutoff is not None else rule}: {facts}"
     loss = "share of the power in both bands, or lost at ends"
-    return _chosen(best, candidates, reason, loss, why_not)
+    return Choice(best.cutoff, best.order, best.downsampling, reason, loss, tuple(candidates))
 
 
 def choose_with_simulator(  # noqa: PLR0913
@@ -213,24 +193,8 @@ def choose_with_simulator(  # noqa: PLR0913
         f"{share:.0%} of the power"
     )
 
-    def why_not(candidate: Candidate) -> str:
-        return f"expected error {candidate.loss:.2g}, against {best.loss:.2g}"
-
-    loss = "expected error, as a share of the power"
-    return _chosen(best, candidates, reason, loss, why_not, helps)
-
-
-def _chosen(
-    best: Candidate,
-    candidates: Iterable[Candidate],
-    reason: str,
-    loss: str,
-    why_not: Callable[[Candidate], str],
-    simulator_helps: bool | None = None,
-) -> Choice:
-    """Return the choice, with the reason why each other candidate was rejected."""
-    listed = tuple(c if c is best else replace(c, rejected=why_not(c)) for c in candidates)
-    return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, simulator_helps)
+    loss, listed = "expected error, as a share of the power", tuple(candidates)
+    return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, helps)
 
 
 def _varying(y: Array) -> Flags:

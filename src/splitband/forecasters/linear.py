@@ -34,9 +34,9 @@ class Linear(Forecaster):
     """Fit a linear state-space model with a Kalman filter (`baselines.identification`).
 
     x' = A x + B u + K e, y = C x + D u + offset + e. Poles and delays come from a subspace method,
-    refined to the least simulation error, or to the least prediction error where that simulates
-    better or a controller acts on the inputs. Several records are fitted together, each with its
-    own initial state. Forecasts begin with the state that the Kalman filter finds in the history.
+    refined to the least simulation error, or to the least prediction error where a controller acts
+    on the inputs. Several records are fitted together, each with its own initial state. Forecasts
+    begin with the state that the Kalman filter finds in the history.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Linear(Forecaster):
         return new
 
     def accuracy(self) -> Accuracy:
-        """Return poles, static gains, the frequency response and delays with standard errors.
+        """Return poles, static gains and the frequency response with standard errors.
 
         Raises ValueError for a fit that a deadline ended.
         """

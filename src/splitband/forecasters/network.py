@@ -36,8 +36,7 @@ from splitband.runtime.options import UNKNOWN
 from splitband.runtime.threads import seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
-from splitband.training.recipes import recipe_settings
-from splitband.training.window_starts import checked_starts
+from splitband.training.settings import checked_starts, recipe_settings
 
 if TYPE_CHECKING:
     import torch

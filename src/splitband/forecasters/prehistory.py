@@ -21,7 +21,7 @@ from splitband.data import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
-from splitband.training.window_starts import window_starts
+from splitband.training.settings import window_starts
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -10,7 +10,7 @@ and y is the first entries of h.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +83,8 @@ def euler_rollout(
         bias_3=(bias_3, (size,)),
     )
     weights = (weight_1, bias_1, weight_2, bias_2, weight_3, bias_3)
-    return run(_EulerMLP(batch, steps, ny, u.shape[-1], last, step_size), (h0, u), weights)
+    sizes = batch, steps, ny, u.shape[-1], last
+    return run(_EulerMLP(*sizes, _forward, _backward, step_size), (h0, u), weights)
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,6 @@ class _EulerMLP(Kernel):
     """Keep x and b of each step; the narrow first layer is cheap: a is computed again."""
 
     step_size: float
-
-    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
-        return _forward, _backward
 
     def pack(self, *weights: Array) -> Arrays:
         """Pack each layer's W' over its bias, to multiply from the right, and dt."""

@@ -10,7 +10,7 @@ The gates of a step are kept as planes r, z, m, n: U has the first three, W all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,15 +64,13 @@ def gru_rollout(
         bias_out=(bias_out, (ny,)),
     )
     weights = (weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out)
-    return run(_GRU(batch, steps, ny, u.shape[-1], last), (y_warmup, u), weights)
+    kernel = _GRU(batch, steps, ny, u.shape[-1], last, _forward, _backward)
+    return run(kernel, (y_warmup, u), weights)
 
 
 @dataclass(frozen=True)
 class _GRU(Kernel):
     """Keep x, h and the gates of each step."""
-
-    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
-        return _forward, _backward
 
     def pack(self, *weights: Array) -> Arrays:
         """Pack W' and U' by planes, and C' over c, all to multiply from the right."""

@@ -40,6 +40,10 @@ class Kernel(ABC):
     ----------
     batch, steps, ny, nu : Sizes of the samples and of the known inputs.
     last : Steps of the state, those of the warm-up included.
+    forward, backward : Compiled functions of a job, which has some rows of the batch.
+        `forward(inputs, weights, kept, y)` writes the samples, and what `backward` needs.
+        `backward(wanted, dy, weights, kept, sums, gradients)` adds gradients of weights to `sums`
+        and writes those of `inputs`; those of samples and known inputs only where `wanted`.
     """
 
     batch: int
@@ -47,15 +51,8 @@ class Kernel(ABC):
     ny: int
     nu: int
     last: int
-
-    @abstractmethod
-    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
-        """Return two functions of a job, which has some rows of the batch.
-
-        `forward(inputs, weights, kept, y)` writes the samples, and what `backward` needs.
-        `backward(wanted, dy, weights, kept, sums, gradients)` adds gradients of weights to `sums`
-        and writes those of `inputs`; those of samples and known inputs only where `wanted`.
-        """
+    forward: Callable[..., None]
+    backward: Callable[..., None]
 
     @abstractmethod
     def pack(self, *weights: Array) -> Arrays:
@@ -132,7 +129,7 @@ class _Run(torch.autograd.Function):
         for i, rows in enumerate(split):
             arrays = packed, kept[i] + working[i], sums[i], tuple(g[rows] for g in written)
             jobs.append((wanted, given[rows], *arrays))
-        run_jobs(kernel.compiled()[1], jobs)
+        run_jobs(kernel.backward, jobs)
         of_weights = kernel.unpack(*(sum(parts) for parts in zip(*sums, strict=True)))
         cut = (g[tuple(map(slice, w.shape))] for g, w in zip(of_weights, weights, strict=True))
         return None, None, *gradients, *(torch.from_numpy(np.ascontiguousarray(g)) for g in cut)
@@ -152,7 +149,7 @@ def _simulate(
         (tuple(x[rows] for x in given), packed, kept, samples[rows])
         for rows, kept in zip(split, _cut(whole, shapes), strict=True)
     ]
-    run_jobs(kernel.compiled()[0], jobs)
+    run_jobs(kernel.forward, jobs)
     return y, whole, shapes, split
 
 

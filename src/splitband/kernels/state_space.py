@@ -13,7 +13,7 @@ they are taken one after the other (`state_space_rows`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 import numpy as np
 from torch import Tensor
@@ -80,8 +80,9 @@ def state_space_rollout(
         gain=(gain, (size, ny)),
     )
     weights = (weight_f, bias_f, weight_g, bias_g, weight_x, bias_x, weight_y, bias_y, gain)
-    kind = _Rows if batch < _FEW else _Lanes
-    return run(kind(batch, steps, ny, u.shape[-1], last), (x0, y_warmup, u), weights)
+    kind, of = (_Rows, state_space_rows) if batch < _FEW else (_Lanes, state_space_lanes)
+    kernel = kind(batch, steps, ny, u.shape[-1], last, of.forward, of.backward)
+    return run(kernel, (x0, y_warmup, u), weights)
 
 
 class _StateSpace(Kernel):
@@ -119,9 +120,6 @@ class _StateSpace(Kernel):
 class _Lanes(_StateSpace):
     """Take the rows of a job side by side."""
 
-    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
-        return state_space_lanes.forward, state_space_lanes.backward
-
     def split(self, packed: Arrays) -> list[slice]:
         work = float(self.batch) * self.last * sum(w.size for w in packed)
         return split_rows(self.batch, work, least=-(-self.batch // _MOST_LANES))
@@ -136,9 +134,6 @@ class _Lanes(_StateSpace):
 
 class _Rows(_StateSpace):
     """Take the rows one after the other."""
-
-    def compiled(self) -> tuple[Callable[..., None], Callable[..., None]]:
-        return state_space_rows.forward, state_space_rows.backward
 
     def split(self, packed: Arrays) -> list[slice]:
         return [slice(row, row + 1) for row in range(self.batch)]

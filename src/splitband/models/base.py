@@ -116,10 +116,9 @@ class Model(nn.Module, ABC):
     def simulate_unfiltered(
         self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
     ) -> dict[str, Array]:
-        """Return the signals before a model's filters, by name; empty for a model without filters.
+        """Return the signals before a model's filters, by name, which do not add up.
 
-        Parameters as for `simulate_components`; but each part is a whole signal: they do not add
-        up.
+        There are none for a model without filters. Parameters as for `simulate_components`.
         """
         with torch.no_grad():
             parts = self.unfiltered(self._batch_of_one(y_warmup, u, y_sim), steps)
@@ -263,8 +262,7 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
             expected = build().state_dict()
     except RuntimeError:  # a user's own cell may compute with values
         expected = build().state_dict()
-    left_out = ("u_low", "u_high")  # in older files; the forecaster knows the inputs' range
-    found = {name: torch.as_tensor(x) for name, x in weights.items() if name not in left_out}
+    found = {name: torch.as_tensor(x) for name, x in weights.items()}
     shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))

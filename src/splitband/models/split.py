@@ -214,13 +214,7 @@ class Split(Model):
         return self.components_of(self._bands(known), steps)
 
     def components_of(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return both bands at the full rate, given those of the warm-up.
-
-        Parameters
-        ----------
-        known : Its `y` holds the low band of the warm-up beside the high one, `(batch, R, 2 ny)`.
-        steps : How many samples to simulate.
-        """
+        """Return both bands at the full rate; `known.y` has those of the warm-up, side by side."""
         # The slope at the last sample needs the one after it.
         low = self.low(known, steps + 1 if self.conditioned and not self.nu else steps)
         return {LOW: low[:, :steps], HIGH: self.high(known, steps, low)}
@@ -297,15 +291,10 @@ class Split(Model):
 
 
 def _mean_before(u: Tensor, k: int, offset: int) -> Tensor:
-    """Return the mean of the k inputs up to every k-th sample from `offset` on.
+    """Return the mean of the k inputs up to every k-th sample from `offset` < k on.
 
     The low band's sample n + k, and with it the interpolation from n on, must not depend on inputs
     after n. Before the first sample, the first input is assumed.
-
-    Parameters
-    ----------
-    u : `(batch, time, nu)`.
-    k, offset : The band's down-sampling and first sample, `offset < k`.
     """
     before = u[:, :1].expand(-1, k - 1 - offset, -1)
     blocks = torch.cat([before, u], dim=1).transpose(1, 2)

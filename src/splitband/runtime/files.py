@@ -25,32 +25,20 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
-    with _naming(path, temporary):
+    try:
         # The permissions are those of any new file, and an existing one, or a link, is refused.
         temporary.open("x").close()
-    try:
-        with _naming(path, temporary):
+        try:
             yield temporary
-            _finish(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _finish(temporary: Path, path: Path) -> None:
-    # Flush the content to the disk before renaming, so that a power cut leaves no empty file.
-    with temporary.open("rb") as written:
-        os.fsync(written.fileno())
-    temporary.replace(path)
-
-
-@contextmanager
-def _naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Put `path` into operating-system errors that name no file, or the temporary one."""
-    try:
-        yield
+            # On the disk before it is renamed, so that a power cut leaves no empty file.
+            with temporary.open("rb") as written:
+                os.fsync(written.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
     except OSError as error:
-        unnamed = error.filename is None or temporary is None
-        if error.errno is not None and (unnamed or str(error.filename) == str(temporary)):
+        unnamed = error.filename is None or str(error.filename) == str(temporary)
+        if error.errno is not None and unnamed:
             error.filename = str(path)
         raise
 

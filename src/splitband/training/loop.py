@@ -17,8 +17,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.memory import freed_memory_kept
 from splitband.training.checkpoints import Checkpoint, State, below
 from splitband.training.network import DIVERGED, MOST_RESTARTS, NetworkTraining
-from splitband.training.progress import History, Progress
-from splitband.training.settings import Settings
+from splitband.training.settings import History, Progress, Settings
 from splitband.training.windows import joined, windows_in
 
 

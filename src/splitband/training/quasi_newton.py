@@ -43,7 +43,8 @@ def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> T
     (see `MAX_WINDOWS_WITH_OVERLAP`) a further window lies halfway between two of them,
     so that most samples are predicted both early and late in a free run, where errors differ.
     """
-    hop = _hop(len(starts), window, warmup)
+    overlap = 2 if len(starts) <= MAX_WINDOWS_WITH_OVERLAP else 1
+    hop = max(1, (window - warmup) // overlap)
     chosen = [int(starts[0])]
     for start in starts.tolist():
         if start >= chosen[-1] + hop:
@@ -53,11 +54,6 @@ def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> T
     most = max(1, most_samples // window)
     kept = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
     return torch.tensor(chosen)[kept]
-
-
-def _hop(windows: int, window: int, warmup: int) -> int:
-    """Return the distance in samples between the starts of successive chosen windows."""
-    return max(1, (window - warmup) // (2 if windows <= MAX_WINDOWS_WITH_OVERLAP else 1))
 
 
 class _OverError(Exception):

@@ -1,14 +1,21 @@
-"""Define how a network is trained: windows, epochs, learning rate, and the default recipe."""
+"""Define how a network is trained, the recipes for a record, and what a training reports."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
+
+from splitband.data import Record
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, saved
 
+Recipe = Literal["default", "constant-rate"]
 ROUND = 20
 """Iterations of a round of L-BFGS. Checkpoints are written between rounds, not within them."""
 STEPS = 1000
@@ -20,6 +27,8 @@ SHORTEST_WINDOW = 150
 MOST_BATCHES = 100
 """Largest number of steps per epoch in the default recipe; an epoch leaves out further windows of a
 long record."""
+ENOUGH_WINDOWS = 0.25
+"""Share of all windows that must have a warm-up without gaps, or else warm-ups are shortened."""
 
 
 @saved
@@ -174,3 +183,93 @@ def longest_window(samples: int) -> int:
 def default_warmup(window: int, most: int = 50) -> int:
     """Return a third of the window in samples, at most `most`."""
     return min(most, max(1, window // 3))
+
+
+def recipe_settings(recipe: Recipe, training: Record, others: Sequence[Record] = ()) -> Settings:
+    """Return a recipe's settings for a record, with a shorter warm-up if gaps leave few windows.
+
+    Windows fit into the `others`, the further training records, too. "constant-rate" is like the
+    paper's: Adam at 1e-3 on windows of at most 250 samples (`reproduction.settings` has its own).
+    """
+    samples = len(training)
+    settings = Settings.of(samples)
+    if recipe == "constant-rate":
+        window = min(250, max(2, samples // 2))
+        settings = Settings(window, default_warmup(window))
+    longest = max(min(map(len, others), default=settings.window), 2)
+    if longest < settings.window:
+        warmup = min(settings.warmup, default_warmup(longest))
+        settings = replace(settings, window=longest, warmup=warmup)
+    if training.measured is None or samples < settings.window:
+        return settings
+    tried = []
+    for part in (1, 2, 4):
+        warmup = max(settings.warmup // part, 1)
+        starts = window_starts([training], settings.window, warmup)
+        tried.append((len(starts), warmup))
+        if len(starts) >= ENOUGH_WINDOWS * (samples - settings.window + 1):
+            break
+    windows, warmup = max(tried)
+    if recipe == "default" and windows:
+        settings = Settings.of(samples, windows)
+    return replace(settings, warmup=warmup)
+
+
+def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
+    """Return the first samples of all possible windows, counted over the records."""
+    lengths = [len(record) for record in records]
+    complete = np.concatenate([record.complete for record in records])
+    something = np.concatenate([(~np.isnan(record.y_with_gaps)).any(axis=1) for record in records])
+    inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
+    warm = _counts(complete, 0, warmup) == warmup
+    return np.flatnonzero(inside & warm & (_counts(something, warmup, window) > 0))
+
+
+def checked_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
+    """Return the `window_starts`; raises ValueError where there are none."""
+    shortest = min(records, key=len)
+    if len(shortest) < window:
+        named = f" {shortest.name}" if len(records) > 1 and shortest.name else ""
+        raise InputError(
+            f"window must fit into the training record{named} of {len(shortest)} samples, "
+            f"got {window}"
+        )
+    starts = window_starts(records, window, warmup)
+    if not len(starts):
+        raise InputError(
+            f"warmup must fit between the gaps of the training record, got {warmup} samples"
+        )
+    return starts
+
+
+def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:
+    """Count how many of the values from `begin` to `end` after each index are true."""
+    count = np.concatenate([[0], np.cumsum(true)])
+    index, last = np.arange(len(true)), len(true)
+    counted = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
+    return np.asarray(counted)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Report the progress of a training, after each epoch."""
+
+    task: str
+    epoch: int
+    epochs: int
+    loss: float
+    share: float
+    """Share of the whole training that is done, 0 to 1."""
+
+
+@dataclass
+class History:
+    """Hold the mean loss of each epoch by task, and the run time of a training."""
+
+    losses: dict[str, list[float]] = field(default_factory=dict)
+    """The losses of the epochs, followed by those of the rounds of L-BFGS in the same unit."""
+    seconds: float = 0.0
+    notes: list[str] = field(default_factory=list)
+    """What went wrong in training, in words."""
+    cut: bool = False
+    """Whether a deadline ended the training early."""

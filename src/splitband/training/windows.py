@@ -11,7 +11,7 @@ from torch import Tensor
 
 from splitband.data import Record
 from splitband.models import Signals, Task
-from splitband.training.window_starts import checked_starts
+from splitband.training.settings import checked_starts
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from splitband.cli.options.groups import panel
-from splitband.training.recipes import Recipe
+from splitband.training.settings import Recipe
 
 _filter, _training, _time = panel("Filter"), panel("Training"), panel("Time")
 
