@@ -19,17 +19,17 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 FREQUENCIES = 100
-"""Number of frequencies at which the response has a band. By eye."""
+"""Number of frequencies at which the response has a band. Layout."""
 _PARTS = 40
-"""Parts of the records, over which right-hand sides are summed. By eye."""
+"""Parts of the records, over which right-hand sides are summed. Bounds the time."""
 _FREE = 1e-9
 """Directions of the parameters below this share of the largest do not change the model."""
 _STEP = 1e-4
-"""Step of the numerical derivatives, in standard errors of a parameter. By eye."""
+"""Step of the numerical derivatives, in standard errors of a parameter. Rounding."""
 _MOST = 250
-"""Most parameters for which standard errors are computed: bounds the time. By eye."""
+"""Most parameters for which standard errors are computed: bounds the time."""
 _SILENT = 1e-5
-"""Share of an input's mean power density below which it does not excite a pole. By eye."""
+"""Share of an input's mean power density below which it does not excite a pole. Rounding."""
 
 Complex = npt.NDArray[np.complex128]
 Matrices = tuple[Array, Array, Array, Array]

@@ -36,7 +36,7 @@ for some samples are correlated by chance, the first significant one may be earl
 _ARX_PAST = 30
 """Past samples of each signal in the ARX model that tests earlier lags. By eye."""
 _ARX_ROWS = 8000
-"""Most samples of a record in it. By eye."""
+"""Most samples of a record in it. Bounds the time."""
 _CHANCE = 1e-6
 """Probability that regressors without effect are significant. By eye."""
 _EFFECT = 0.02
@@ -49,11 +49,11 @@ SHORTEST = 2
 late. By eye."""
 
 _SEARCHED = 20_000
-"""Most samples on which delays are compared. By eye."""
+"""Most samples on which delays are compared. Bounds the time."""
 _ROWS = 10
-"""Block rows of the subspace models that compare delays. By eye."""
+"""Block rows of the subspace models that compare delays. Bounds the time."""
 _DELAY_ORDERS = (1, 2, 4)
-"""Orders of the models that compare delays. By eye."""
+"""Orders of the models that compare delays. Bounds the time."""
 
 
 def check_delays(delays: Sequence[int], inputs: int) -> None:

@@ -49,13 +49,13 @@ _ALIKE = 2
 """Outputs whose estimated delays differ by at most so many samples are modelled together.
 By eye."""
 _EXACT = 1e-7
-"""RMS error, in standard deviations, of a simulation that leaves no noise to model. By eye."""
+"""RMS error, in standard deviations, of a simulation that leaves no noise to model. Rounding."""
 _MOST_CORRELATED = 0.999
-"""Upper limit of the correlation of successive errors. By eye."""
+"""Upper limit of the correlation of successive errors. Rounding."""
 _LAGS = 16
 """Past samples from which an input is predicted. By eye."""
 _ROWS = 20_000
-"""Most samples of a record for this. By eye."""
+"""Most samples of a record for this. Bounds the time."""
 
 
 def identified(

@@ -18,14 +18,14 @@ import scipy
 from splitband.runtime.arrays import Array
 
 _FACTORS = (0.0, *np.geomspace(1e-4, 1.0, 9))
-"""Process noise that is tried, as a share of the states' standard deviations in the record.
-By eye."""
+"""Process noise that is tried, as a share of the states' standard deviations in the record. Bounds
+the time."""
 _FREE = 24
-"""Most entries of the gain that are refined one by one. By eye."""
+"""Most entries of the gain that are refined one by one. Bounds the time."""
 MAX_OBSERVER_POLE = 1 - 1e-9
 """Largest absolute value of an observer's pole."""
 _PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
-"""Candidate factors of the prior covariance of an initial state. By eye."""
+"""Candidate factors of the prior covariance of an initial state. Bounds the time."""
 _SURPRISING = 8.0
 """Rise of twice the log-likelihood that a factor other than the usual one must bring. By eye."""
 EXACT = 1e-5

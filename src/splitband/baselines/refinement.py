@@ -34,14 +34,14 @@ _SPLIT = 1e-9
 poles has no companion form."""
 
 _STEPS = 8
-"""Most attempts to find a step that lowers the error. By eye."""
+"""Most attempts to find a step that lowers the error. Bounds the time."""
 _CONVERGED = 0.1
 """A fit ends when an iteration raises the log-likelihood by less. A parameter without effect raises
 it by 1/2 on average: smaller steps are within the noise."""
 _RIDGE = 1e-10
 """Share of their diagonal that the normal equations gain, as some directions change nothing."""
 _EXACT = 1e-10
-"""RMS of normalised errors below which they are rounding. By eye."""
+"""RMS of normalised errors below which they are rounding. Rounding."""
 
 
 class Run(NamedTuple):

@@ -27,11 +27,11 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
 MOST_HARMONICS = 30
-"""Largest number of harmonics of a period. By eye."""
+"""Largest number of harmonics of a period. Bounds the time."""
 VIBRATIONS = 4
-"""Largest number of decaying sinusoids beside a Fourier series. By eye."""
+"""Largest number of decaying sinusoids beside a Fourier series. Bounds the time."""
 LAGS = 4
-"""Number of lags at which a record resembles itself that are tried as periods. By eye."""
+"""Number of lags at which a record resembles itself that are tried as periods. Bounds the time."""
 FEWEST_PERIODS = 2.5
 """Fewest periods that the record of a Fourier series has: two may resemble each other by chance.
 By eye."""

@@ -23,13 +23,14 @@ from splitband.runtime.deadlines import check
 from splitband.runtime.options import saved
 
 MAX_FIT_SAMPLES = 4000
-"""Most measured samples of a channel in a least-squares fit, to limit its time. By eye."""
+"""Most measured samples of a channel in a least-squares fit, to limit its time. Bounds the time."""
 MAX_ROWS_BACK = 10 * MAX_FIT_SAMPLES
-"""Where there are gaps, only so many rows before a record's end are searched for them. By eye."""
+"""Where there are gaps, only so many rows before a record's end are searched for them. Bounds the
+time."""
 MOST_SINUSOIDS = 10
-"""Largest number of sinusoids of a channel. By eye."""
+"""Largest number of sinusoids of a channel. Bounds the time."""
 MOST_BESIDE_TREND = 6
-"""Largest number of sinusoids that are fitted along with a trend. By eye."""
+"""Largest number of sinusoids that are fitted along with a trend. Bounds the time."""
 DAMPING = 0.3
 """Decay within the record, in e-foldings, with which the fit of a decaying sinusoid begins.
 By eye."""
@@ -51,7 +52,7 @@ FEWEST_CYCLES = 0.5
 """Fewest cycles of a sinusoid within the record: a slower one resembles a constant. By eye."""
 MOST_BLOCKS, FEWEST_BLOCKS = 256, 15
 """Most block means by which a trend is found, to limit its time; with fewer than 15 there is none.
-By eye."""
+Bounds the time."""
 
 
 @saved

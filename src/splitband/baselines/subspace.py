@@ -18,7 +18,7 @@ _WORK = 3e9
 """Most operations of the triangular factor of the data: of more windows, some are left out at even
 distances. Bounds the time to about a second."""
 _RANK = 1e-9
-"""Directions of the data below this share of the largest one are rounding. By eye."""
+"""Directions of the data below this share of the largest one are rounding. Rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,9 +26,9 @@ METHODS = [*ALONE, "filtered-gru-conditioned", BOTH, "persistence"]
 RECIPE: dict[str, Any] = {"window": 150, "warmup": 30, "epochs": 5, "quasi_newton": 400}
 """Chosen on the cranes of seeds 1 to 3, so that the demo needs no search."""
 SIZES = Sizes(hidden_high=20, hidden_low=12)
-"""Hidden units of the networks: small, so that the demo ends within a minute. By eye."""
+"""Hidden units of the networks: small, so that the demo ends within a minute. Layout."""
 STRETCH = 30.0
-"""Seconds at the beginning and at the end of the forecast whose errors are compared. By eye."""
+"""Seconds at the beginning and at the end of the forecast whose errors are compared. Layout."""
 
 
 def demo(

@@ -14,7 +14,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 NEAR = 0.01
-"""Share of a step within which times count as equal, as stamps may be rounded. By eye."""
+"""Share of a step within which times count as equal, as stamps may be rounded. Rounding."""
 
 
 @dataclass(frozen=True, eq=False)

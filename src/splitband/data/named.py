@@ -17,11 +17,11 @@ STEP = 0.1
 GRAVITY = 9.81
 """Acceleration of gravity, m/s^2."""
 DRIVE_LAG = 0.4
-"""Time constant of the trolley's drive, s. By eye."""
+"""Time constant of the trolley's drive, s. Fictitious."""
 DAMPING, DRAG = 0.2, 0.05
-"""Damping of the swing: linear in 1/s, and quadratic per radian. By eye."""
+"""Damping of the swing: linear in 1/s, and quadratic per radian. Fictitious."""
 FASTEST_TROLLEY, FASTEST_HOIST = 2.0, 0.5
-"""Highest speeds of the trolley and of the hoist, m/s. By eye."""
+"""Highest speeds of the trolley and of the hoist, m/s. Fictitious."""
 
 
 def double_mass_spring(samples: int = 1000, noise_variance: float = 0.1, seed: int = 0) -> Record:

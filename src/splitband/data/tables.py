@@ -20,7 +20,7 @@ from splitband.data.text import Layout, check_different, read_table
 from splitband.runtime.errors import InputError, one_line
 
 MOST_BYTES = 2**31
-"""Limit of the size of a file's numbers in memory, in bytes. By eye."""
+"""Limit of the size of a file's numbers in memory, in bytes. Bounds the memory."""
 _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip

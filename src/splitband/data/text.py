@@ -26,7 +26,7 @@ from splitband.runtime.errors import InputError, one_line
 
 _SEPARATORS = (";", "\t", ",", "|", " ")
 _SAMPLE = 400
-"""Rows at the beginning of a file that decide its layout. By eye."""
+"""Rows at the beginning of a file that decide its layout. Bounds the time."""
 _STAMP = re.compile(
     r"(?:(?:[a-z]{2,3}\.?|\w+day),?\s+)?"
     r"(?:\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{1,2}[-. /][a-z]{3,9}[-. /]\d{2,4}|\d+:\d\d|\d+ days? \d)"

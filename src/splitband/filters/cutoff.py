@@ -42,9 +42,9 @@ WORTH_USING = 0.5
 """The error of a simulator's low band must have less than this share of the power in that band.
 By eye."""
 _CUTOFFS = 24
-"""Number of cut-offs that are tried, evenly spaced on a logarithmic scale. By eye."""
+"""Number of cut-offs that are tried, evenly spaced on a logarithmic scale. Bounds the time."""
 _WARMUPS = 40
-"""Number of warm-ups over which the error at their ends is averaged. By eye."""
+"""Number of warm-ups over which the error at their ends is averaged. Bounds the time."""
 _NYQUIST_MARGIN = 0.8
 """Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. By eye."""
 

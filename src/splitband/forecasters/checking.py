@@ -22,13 +22,13 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 
 AHEAD = (1, 10)
-"""Horizons in samples of the predictions from within the record. By eye."""
+"""Horizons in samples of the predictions from within the record. Layout."""
 ORIGINS = 100
-"""Largest number of origins of these predictions, evenly spaced. By eye."""
+"""Largest number of origins of these predictions, evenly spaced. Bounds the time."""
 LONGER = 10
 """Length of the free run that must stay in range, in multiples of the record. By eye."""
 WARMUP = 50
-"""Most samples before the simulation, for a forecaster without a warm-up. By eye."""
+"""Most samples before the simulation, for a forecaster without a warm-up. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)

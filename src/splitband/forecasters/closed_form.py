@@ -23,7 +23,7 @@ DISAGREEMENT_RATIO = 3.0
 """A function of time disagrees with a history if its error exceeds this multiple of the training
 error. By eye."""
 _EXACT = 1e-6
-"""Share of a channel's range: a smaller training error is due to rounding. By eye."""
+"""Share of a channel's range: a smaller training error is due to rounding. Rounding."""
 
 
 class ByTime(Protocol):

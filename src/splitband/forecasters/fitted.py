@@ -17,7 +17,7 @@ from splitband.runtime.options import saved
 
 NEAR_ROW = 1e-3
 """Tolerance in samples: a history that begins this close to a training sample begins at it.
-By eye."""
+Rounding."""
 
 
 @saved

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _RIDGE = 1e-6
-"""Ridge penalty of the state estimator, as a share of the regressors' mean square. By eye."""
+"""Ridge penalty of the state estimator, as a share of the regressors' mean square. Rounding."""
 
 
 @runtime_checkable

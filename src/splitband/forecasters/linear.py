@@ -26,7 +26,7 @@ from splitband.runtime.deadlines import current
 from splitband.runtime.errors import InputError
 
 MOST_POLES = 200
-"""Largest order that may be asked for: bounds the time. By eye."""
+"""Largest order that may be asked for: bounds the time."""
 
 
 @final

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from splitband.models import Model
 
 COMPONENTS = 16
-"""Largest number of principal components of a warm-up. By eye."""
+"""Largest number of principal components of a warm-up. Bounds the time."""
 MOST_WINDOWS = 2000
-"""Largest number of training warm-ups that are used: bounds the time. By eye."""
+"""Largest number of training warm-ups that are used: bounds the time."""
 SMALLEST_ERROR = 1e-3
 """Lower limit of the error of a simulation, as a share of the standard deviation: a smaller
 training error is too optimistic. By eye."""

@@ -32,7 +32,7 @@ SIGNIFICANT = 0.005
 LAGS = 25
 """Largest lag of the correlations, in samples, as in MATLAB's `resid`."""
 MAX_ORDER = 20
-"""Largest order of the autoregressive model of the residuals. By eye."""
+"""Largest order of the autoregressive model of the residuals. Bounds the time."""
 MAX_LAG, LAG_MEANS = 100, 12
 """Past inputs in the regression: up to this lag in samples, or a tenth of the record if that is
 less, as means over so many intervals whose lengths grow with the lag. By eye."""
@@ -40,13 +40,13 @@ POWERS, POWER_LAG, POWER_MEANS = (2, 3), 30, 4
 """The same for the powers of the simulated output. By eye."""
 SMALL_COMPONENT = 1e-3
 """Regressors have to differ: principal components whose singular value is below this share of the
-largest one are left out. By eye."""
+largest one are left out. Rounding."""
 COLLINEAR = 1e-8
-"""The same for several inputs together. By eye."""
+"""The same for several inputs together. Rounding."""
 EXPLAINED = 1e-12
-"""Share of the residuals' energy below which nothing is left of them. By eye."""
+"""Share of the residuals' energy below which nothing is left of them. Rounding."""
 EXACT = 1e-6
-"""Residuals below this share of the signal's deviation are rounding errors. By eye."""
+"""Residuals below this share of the signal's deviation are rounding errors. Rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,10 +47,9 @@ FORMAT = 6
 """Version of the description, which changes with the attributes of what is saved."""
 FILE, WEIGHTS = outputs.DESCRIPTION, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
-"""Largest size of a description in bytes: bounds the memory. By eye."""
+"""Largest size of a description in bytes: bounds the memory."""
 LARGEST_NUMBER = 1_000_000
-"""Largest whole number that a cell's constructor gets: a larger one in a file is a forgery.
-By eye."""
+"""Largest whole number that a cell's constructor gets: a larger one in a file is a forgery."""
 _DIGITS = 16
 """Digits of the weights' SHA-256 in the name of their file: enough to be unique."""
 _UNFIT = (

@@ -29,11 +29,10 @@ if TYPE_CHECKING:
 calibrated = cached(calibrate)
 """Calibrates once: forecasters, seeds and trials need the same calibration, which takes seconds."""
 MAX_SIMULATED_SAMPLES = 10**8
-"""Most samples of a simulator's run, counted from the first training sample: bounds the memory.
-By eye."""
+"""Most samples of a simulator's run, counted from the first training sample: bounds the memory."""
 ON_A_SAMPLE = 1e-6
 """Tolerance in samples: the simulator's output this close to a sample is taken at the sample.
-By eye."""
+Rounding."""
 MARGIN = 30
 """Unused samples at the end of a run, where splines and solvers depend on its length. By eye."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")

@@ -20,11 +20,11 @@ from splitband.runtime.arrays import Array
 Rhs = Callable[..., Any]
 
 MOST_STEPS = 10_000
-"""Most steps between two samples, rejected ones included. By eye."""
+"""Most steps between two samples, rejected ones included. Bounds the time."""
 SHORTEST = 1e-12
-"""Shortest step, as a share of the interval between two samples. By eye."""
+"""Shortest step, as a share of the interval between two samples. Rounding."""
 WORTH_COMPILING = 30_000
-"""Steps after which an equation is compiled: they take about as long as compiling. By eye."""
+"""Steps after which an equation is compiled: they take about as long as compiling."""
 _OPTIONS: Any = {"error_model": "numpy"}
 _NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
 _WEIGHTS = np.zeros((7, 7))

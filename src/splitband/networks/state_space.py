@@ -27,9 +27,9 @@ _OBSERVED = 0.5
 """Share of a prediction error by which its observer moves the predicted output. By eye."""
 MOST_LAYERS = 100
 """Largest number of layers of f and of g: a saved cell that asks for more is forged, and would take
-long to build. By eye."""
+long to build."""
 MOST_ENCODED = 10
-"""Largest number of warm-up samples from which the first state is estimated. By eye."""
+"""Largest number of warm-up samples from which the first state is estimated. Bounds the time."""
 _NONLINEAR = 0.1
 """Factor on torch's initial output weights of f and g, applied once more where the cell begins as a
 linear model. With weights of zero, all units would begin alike. By eye."""

@@ -24,7 +24,7 @@ from splitband.runtime.files import replacing
 
 MEASURED = "black"
 SMALL_ACROSS = 4
-"""Small panels in a row. By eye."""
+"""Small panels in a row. Layout."""
 
 
 def save(figure: Figure, path: str | Path) -> None:

@@ -15,7 +15,7 @@ from splitband.runtime.arrays import Array
 Protocol = Literal["test", "forecast", "start"]
 """Simulations of a test record, forecasts after the training part, simulations from the start."""
 BEFORE = 8
-"""Plots begin earlier than the prediction, by its length divided by this number. By eye."""
+"""Plots begin earlier than the prediction, by its length divided by this number. Layout."""
 
 
 @dataclass(frozen=True, eq=False)

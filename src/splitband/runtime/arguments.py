@@ -10,7 +10,8 @@ from typing import Any
 from splitband.runtime.errors import InputError
 
 LARGEST_SIZE = 10_000
-"""Largest order, down-sampling or size of a network; larger values are mistakes. By eye."""
+"""Largest order, down-sampling or size of a network; larger values are mistakes. Bounds the
+memory."""
 
 
 def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:

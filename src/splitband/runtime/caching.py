@@ -27,7 +27,7 @@ class Kept(NamedTuple):
 KEPT: dict[str, Kept] = {}
 """Results by the hash of function and arguments; the latest come last."""
 MOST = 100
-"""Largest number of results that are kept. By eye."""
+"""Largest number of results that are kept. Bounds the memory."""
 
 
 def cached(function: Callable[P, R]) -> Callable[P, R]:

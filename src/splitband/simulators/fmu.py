@@ -34,7 +34,7 @@ AT_ONCE = 0.01
 """An output that changes in a step without length by this share of what it changes in a whole one
 depends on the input at once. By eye."""
 SAME = 1e-6
-"""Relative difference within which changes count as the same. By eye."""
+"""Relative difference within which changes count as the same. Rounding."""
 PROBED = 0.45, 0.55
 """Places in the ranges of parameters at which it is also found out how outputs are read: near the
 middle, as elsewhere an FMU may end its process. By eye."""

@@ -16,11 +16,11 @@ from splitband.simulators.fmu_unit import EXCHANGE, REAL, WHOLE, Unit
 RELATIVE_TOLERANCE = 1e-8
 """Of the solver for model exchange, relative to the nominal values of the states. By eye."""
 MOST_STEPS = 100_000
-"""Most steps of that solver between two samples. By eye."""
+"""Most steps of that solver between two samples. Bounds the time."""
 MOST_EVENTS = 10_000
-"""Most events between two samples, and most updates at one event. By eye."""
+"""Most events between two samples, and most updates at one event. Bounds the time."""
 NEAR = 1e-9
-"""Times this close, as a share of the sampling time, count as the same. By eye."""
+"""Times this close, as a share of the sampling time, count as the same. Rounding."""
 
 
 @dataclass(frozen=True, eq=False)

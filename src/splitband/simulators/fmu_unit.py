@@ -26,7 +26,7 @@ NUMERIC = *REAL, "Boolean", *WHOLE
 OPTIONAL = "OptionalInputs"
 """Name of the element that lists inputs of our own exported FMUs that need not be driven."""
 _MOST = 12
-"""Most names in a message. By eye."""
+"""Most names in a message. Layout."""
 
 
 class Variables:

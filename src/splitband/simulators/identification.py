@@ -32,7 +32,7 @@ from splitband.simulators.parameters import Adjustable, Estimate, labelled, unce
 from splitband.simulators.shooting import BAD, Experiment, Shooting, fit_key, projected
 
 STARTS = 32
-"""Default limit of starting points. By eye."""
+"""Default limit of starting points. Bounds the time."""
 ENOUGH = 4
 """The search stops after so many starts with the same error. So many are tried in parallel, on any
 number of processes, so that the result does not depend on it. By eye."""
@@ -40,15 +40,15 @@ PATIENCE, _HARDLY_BETTER = 8, 0.02
 """The search stops if the last `PATIENCE` starts lowered the error by less than this share.
 By eye."""
 SAME_ERROR = 1e-3
-"""Relative difference within which errors count as the same. By eye."""
+"""Relative difference within which errors count as the same. Rounding."""
 SHORTEST, _GROWTH, _WINDOWS = 16, 4, 32
 """Samples of the shortest windows, the factor by which they grow from stage to stage, and how many
 the longest record has at most in the first one. By eye."""
 _PULL = 1e-6
 """Residual of an unknown that moves from its start by its unit: those that the records do not tell
-stay where they are. By eye."""
+stay where they are. Rounding."""
 _ROUNDS, LAST_ROUNDS = 30, 100
-"""Most evaluations in a search, and in the last one from the best fractions. By eye."""
+"""Most evaluations in a search, and in the last one from the best fractions. Bounds the time."""
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
 WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3

@@ -35,11 +35,11 @@ Name = tuple[str, int]
 """Name of a parameter, and number of its record; -1 for all records."""
 
 AT_BOUND = 2e-3
-"""Distance from a bound, as a share of the range, within which a parameter is at it. By eye."""
+"""Distance from a bound, as a share of the range, within which a parameter is at it. Rounding."""
 MAX_RELATIVE_ERROR = 0.25
 """Standard error, as a share of the range, above which a direction is not identifiable. By eye."""
 MIN_NOISE = 1e-3
-"""Smallest assumed error of a model, in deviations of the record. By eye."""
+"""Smallest assumed error of a model, in deviations of the record. Rounding."""
 MIN_COMPONENT = 0.2
 """Smallest component of a direction for which its parameter is named in a remark. By eye."""
 _MOST_LAGS = 0.1

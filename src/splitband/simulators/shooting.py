@@ -30,15 +30,16 @@ from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Poi
 BAD = 1e3
 """Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""
 STATE_STEP = 1e-6
-"""Relative step of finite differences with respect to a state. By eye."""
+"""Relative step of finite differences with respect to a state. Rounding."""
 _STATE_RUNS = 8
 """Most evaluations in the search for the initial state of a window, from which all unknowns are
-then searched for together. By eye."""
+then searched for together. Bounds the time."""
 MOST_STATES = 500
-"""Most training states that are kept, as prior and as starting points of searches. By eye."""
+"""Most training states that are kept, as prior and as starting points of searches. Bounds the
+time."""
 _TRIED, _MOST_RUNS = 3, 50
 """Kept states, those with the closest outputs, from which searches for an initial state start, and
-most evaluations in each. By eye."""
+most evaluations in each. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)

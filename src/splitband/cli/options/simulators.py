@@ -16,7 +16,7 @@ _SIMULATOR = (
     f"or one of {', '.join(SIMULATORS)}. It is driven by the record's inputs."
 )
 PATIENCE = 600.0
-"""Default time limit of a simulator, in s. By eye."""
+"""Default time limit of a simulator, in s. Bounds the time."""
 Calibrate = Annotated[
     bool, _simulator("Fit its gain, offset, delay and clock first.", None, True, "--calibrate")
 ]

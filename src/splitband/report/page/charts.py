@@ -41,12 +41,12 @@ MOST = 4_000
 """Points of one curve, at most: more than a screen has columns."""
 MAX_AXIS_RANGE = 1e3
 """How far beyond a plot a curve is drawn, in heights of the plot: a canvas takes no larger numbers.
-By eye."""
+Layout."""
 MAX_ROUNDING = 1e-4
 """Largest change of a curve by single precision, as a share of its range: less than a pixel of a
 plot. Otherwise the curve stays double."""
 TOLD = 8
-"""Curves of a chart, and points of a short curve, that are told in words, at most. By eye."""
+"""Curves of a chart, and points of a short curve, that are told in words, at most. Layout."""
 DATES: dict[str, Any] = {
     "milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S",
     "minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b",

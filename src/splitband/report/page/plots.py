@@ -34,9 +34,9 @@ from splitband.report.predicted import Predicted
 from splitband.runtime.arrays import Array
 
 MAX_TALL_CHANNELS = 2
-"""Largest number of outputs or inputs that have plots of full size. By eye."""
+"""Largest number of outputs or inputs that have plots of full size. Layout."""
 TRANSIENT = 10
-"""First samples of a prediction, whose errors vary too much to set the scale. By eye."""
+"""First samples of a prediction, whose errors vary too much to set the scale. Layout."""
 NORMAL = 1.96
 """Half width of a 95 % interval in standard errors, of a normal distribution."""
 
