@@ -37,6 +37,7 @@ class UserCode(Adjustable):
     the parameters, which `opened_by` sets.
     """
 
+    survives = True
     _opened_by: Callable[[Given], Any] | None = None
 
     @property

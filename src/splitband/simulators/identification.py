@@ -8,6 +8,7 @@ simulation determines parameters even where a long one loses its phase.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
@@ -22,7 +23,7 @@ import scipy
 from splitband.data import Record, require_records
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, within
+from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
@@ -47,6 +48,10 @@ the longest record has at most in the first one. By eye."""
 _PULL = 1e-6
 """Residual of an unknown that moves from its start by its unit: those that the records do not tell
 stay where they are. Rounding."""
+QUICK = 2.0
+"""Starts that take less, in s, are all tried in one process: others would have to be started and to
+compile the equation (4 s here).
+"""
 _ROUNDS, LAST_ROUNDS = 30, 100
 """Most evaluations in a search, and in the last one from the best fractions. Bounds the time."""
 _SAME_PLACE = 0.02
@@ -262,23 +267,40 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
         return effort.folder / f"start-{key[:16]}-{number}.json"
 
     done: dict[int, StartOutcome] = {}
-    work = partial(_try, problem, points, deadline)
+    work, workers = partial(_try, problem, points, deadline), effort.workers
     for first in range(0, len(points), ENOUGH):
         batch = [*range(first, min(first + ENOUGH, len(points)))]
         done |= {i: kept for i in batch if (kept := _kept(file(i))) is not None}
         if done and deadline.over:
             break
-        for outcome in _side_by_side(work, [i for i in batch if i not in done], effort.workers):
-            done[outcome.number] = outcome
-            if not outcome.cut and (path := file(outcome.number)) is not None:
-                with suppress(OSError):  # a full disk only loses the file
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    write_json(path, asdict(outcome))
-            if effort.progress is not None:
-                effort.progress(len(done), len(points))
+        left = [i for i in batch if i not in done]
+        # The first start, in this process, shows whether others are worth starting.
+        alone = left[: problem.simulator.survives and first == 0]
+        for part in (alone, left[len(alone) :]):
+            for outcome in _side_by_side(work, part, 1 if part is alone else workers):
+                done[outcome.number] = outcome
+                if not outcome.cut and (path := file(outcome.number)) is not None:
+                    with suppress(OSError):  # a full disk only loses the file
+                        path.parent.mkdir(parents=True, exist_ok=True)
+                        write_json(path, asdict(outcome))
+                if effort.progress is not None:
+                    effort.progress(len(done), len(points))
+            if part is alone and alone and _seconds(problem, points[0], deadline) < QUICK:
+                workers = 1
         if _settled([done[i] for i in sorted(done)], problem.longest):
             break
     return [done[i] for i in sorted(done)]
+
+
+def _seconds(problem: Shooting, fractions: Array, deadline: Deadline) -> float:
+    """Return about how long a start takes, of whose runs the first ones are done."""
+    shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
+    with suppress(DeadlineError), within(min(current(), deadline)):
+        unknowns = shooting.divide(shooting.longest, fractions)
+        began = now()
+        shooting.jacobian(unknowns)
+        return (now() - began) * _ROUNDS
+    return math.inf
 
 
 def _kept(path: Path | None) -> StartOutcome | None:

@@ -186,6 +186,7 @@ class Adjustable(WithRepr, ABC):
     states : Number of states that a run can start from; 0 for a black box.
     difference : Finite-difference step, as a share of a parameter's range.
     advances : Whether `advance`, see `Ode`, goes on from a state as one long run does.
+    survives : Whether no run can end the process that it runs in.
     """
 
     parameters: Given | None
@@ -193,6 +194,7 @@ class Adjustable(WithRepr, ABC):
     states = 0
     difference = 1e-6
     advances = False
+    survives = False
 
     @cached_property
     def known(self) -> Parameters:
