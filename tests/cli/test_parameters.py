@@ -11,8 +11,7 @@ import pandas as pd
 import pytest
 
 from splitband.cli.comparing import Request, planned
-from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOrBaseOptions
+from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
 from tests.cli.support import assert_fails, call, process, results
 
 PLANT = """
