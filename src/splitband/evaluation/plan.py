@@ -137,7 +137,7 @@ class Plan:
         )
 
 
-def plan(  # noqa: PLR0912, PLR0913, PLR0915  every default is decided here, in order
+def plan(  # noqa: PLR0913
     record: Record,
     train: int | None = None,
     methods: Sequence[Forecaster | str] | str | None = None,
@@ -221,11 +221,8 @@ def plan(  # noqa: PLR0912, PLR0913, PLR0915  every default is decided here, in 
         simulator = open_simulator(simulator, record)
     names = _asked(record, methods, simulator, calibrate, conditioned)
     fitted = simulator if isinstance(simulator, Adjustable) else None
-    if not (simulator is None or isinstance(simulator, str | Adjustable)):
-        ahead = (horizon or 0) if train == len(record) else 0
-        expected = default_names(True, record.nu > 0) if names is None else names
-        longer = any(_known(each)._calibrates for each in expected)
-        record = simulated(record, simulator, ahead, longer)
+    ahead = (horizon or 0) if train == len(record) else 0
+    record = _with_output(record, simulator, names, ahead)
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, Settings) else None
@@ -244,23 +241,19 @@ def plan(  # noqa: PLR0912, PLR0913, PLR0915  every default is decided here, in 
         asked = _usual(record, chosen, fitted)
     if fitted is not None:
         check_runs(fitted, record)
-    made, searched = list[Forecaster](), dict[str, bool]()
-    for each in asked:
-        method = _known(each, of_names)
-        complete = method._with_defaults(decided, chosen)
-        if isinstance(each, str) and fitted is not None:
-            complete = complete._given(fitted)
-        if usual and complete._network is not None and method.settings is None:
-            searched[complete.name] = isinstance(each, str) and sizes is None
-        made.append(complete if device == "cpu" else complete.to(device))
-    check_limits(budget, rounds, seed, seeds, bool(searched))
-    limit = BUDGET if budget is None and rounds is None and searched else budget
     found = Plan(
-        record, train, horizon, tuple(made), decided, chosen, of_names, searched,
-        bool(names is None and fitted is None and searched),
-        tuple(others), tuple(tests), initial, fitted,
-        None if limit in (None, math.inf) else float(limit or 0), rounds, seed, seeds, refit,
+        record, train, horizon, (), decided, chosen, of_names, others=tuple(others),
+        tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
+        seeds=seeds, refit=refit,
     )  # fmt: skip
+    found = _completed(found, asked, usual, sizes is None, device)
+    check_limits(budget, rounds, seed, seeds, bool(found.searched))
+    limit = BUDGET if budget is None and rounds is None and found.searched else budget
+    found = replace(
+        found,
+        budget=None if limit is None or limit == math.inf else float(limit),
+        extended=bool(names is None and fitted is None and found.searched),
+    )
     check(found)
     if horizon or tests:
         check_trial(found)
@@ -293,6 +286,36 @@ def _asked(
         return asked
     on_base = {m: with_base([m], base)[0] if isinstance(m, str) else m for m in asked}
     return [*dict.fromkeys(on_base.values())]
+
+
+def _with_output(
+    record: Record,
+    simulator: Simulator | Adjustable | str | None,
+    names: Sequence[Forecaster | str] | None,
+    ahead: int,
+) -> Record:
+    """Return the record with the output of a simulator, unless its parameters are fitted."""
+    if simulator is None or isinstance(simulator, str | Adjustable):
+        return record
+    expected = default_names(True, record.nu > 0) if names is None else names
+    longer = any(_known(each)._calibrates for each in expected)
+    return simulated(record, simulator, ahead, longer)
+
+
+def _completed(
+    plan: Plan, asked: Sequence[Forecaster | str], searched: bool, sized: bool, device: str
+) -> Plan:
+    """Return the plan with these methods, complete but for what is searched."""
+    made, names = list[Forecaster](), dict[str, bool]()
+    for each in asked:
+        method = _known(each, plan.sizes)
+        complete = method._with_defaults(plan.settings, plan.bands)
+        if isinstance(each, str) and plan.simulator is not None:
+            complete = complete._given(plan.simulator)
+        if searched and complete._network is not None and method.settings is None:
+            names[complete.name] = isinstance(each, str) and sized
+        made.append(complete if device == "cpu" else complete.to(device))
+    return replace(plan, methods=tuple(made), searched=names)
 
 
 def _settings(usual: Settings, changes: Mapping[str, Any]) -> Settings:
