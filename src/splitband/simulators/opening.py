@@ -81,18 +81,20 @@ def open_simulator(  # noqa: PLR0913
     file += ".py" if function else ""
     fmu, exists = file.lower().endswith(".fmu"), Path(file).is_file()
     for what, given, taken in (
-        ("inputs", inputs, fmu),
-        ("start", start, fmu or function),
+        ("inputs (--simulator-inputs)", inputs, fmu),
+        ("start (--simulator-start)", start, fmu or function),
         ("parameters", parameters, fmu or function),
     ):
         if given is not None and not taken:
-            option = what if what == "parameters" else f"simulator-{what}"
-            kinds = "an .fmu" if what == "inputs" else "an .fmu or FILE.py:FUNCTION"
+            others = "" if what.startswith("inputs") else " or FILE.py:FUNCTION"
             raise InputError(
-                f"--{option} is for a --simulator that is {kinds}, got {name or 'none'}"
+                f"{what} must be left out but for a simulator that is an .fmu{others}, got "
+                f"{name or 'none'}"
             )
     if timeout is not None and not math.isfinite(timeout):
-        raise InputError(f"--simulator-timeout must be a number of seconds, got {timeout:g}")
+        raise InputError(
+            f"timeout (--simulator-timeout) must be a number of seconds, got {timeout:g}"
+        )
     try:
         begin: Start | None = check_start(start)
     except InputError as error:
@@ -103,10 +105,10 @@ def open_simulator(  # noqa: PLR0913
     if parameters is None and name in SIMULATORS:
         return SIMULATORS[name]()
     if name.endswith(".py"):
-        raise InputError(f"--simulator needs a function of the file: {name}:FUNCTION, got {name}")
+        raise InputError(f"simulator needs a function of the file: {name}:FUNCTION, got {name}")
     if not exists:
         raise FileNotFoundError(
-            f"--simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
+            f"simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
             f"got {name}"
         )
     if parameters is not None:
@@ -114,7 +116,7 @@ def open_simulator(  # noqa: PLR0913
         return opened(file, function, given, columns, inputs, begin)
     for each in reads:
         if not Path(each).is_file():
-            raise FileNotFoundError(f"--simulator-reads must be a file, got {each}")
+            raise FileNotFoundError(f"reads (--simulator-reads) must be a file, got {each}")
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
