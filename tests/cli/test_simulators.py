@@ -79,6 +79,12 @@ def test_python_takes_what_the_command_line_names(simulator: str) -> None:
     np.testing.assert_equal(found.record.y_sim, expected.record.y_sim)
 
 
+def test_a_named_record_runs_its_own_simulator_for_a_calibration() -> None:
+    plan = planned(Request("van-der-pol", methods="filtered-gru,simulator-calibrated"))
+    assert plan.names == ["filtered-gru", "simulator-calibrated"]
+    assert plan.record.beyond is not None
+
+
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(tmp_path: Path) -> None:
     call(f"compare record.csv --columns a --simulator simulated.csv --calibrate {QUICK} --seeds 1 "
          "--methods residual-gru,simulator,simulator-affine --jobs 1", tmp_path)  # fmt: skip

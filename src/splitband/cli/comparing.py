@@ -13,7 +13,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import TRAINED, Sizes, known, with_variants
 from splitband.runtime.errors import InputError
-from splitband.simulators.parameters import Adjustable
+from splitband.simulators.opening import is_fitted
 from splitband.training import Settings
 
 
@@ -81,7 +81,7 @@ def planned(
         fitted = [known(each) if isinstance(each, str) else each for each in chosen or ()]
         longer = steps or chosen is None or calibrate or any(f._calibrates for f in fitted)
         simulator = asked.record if longer else None
-    own = None if isinstance(simulator, Adjustable) else simulated
+    own = None if is_fitted(simulator) else simulated
     more, test = asked.further, asked.testing
     others = records.load_further("--more", more.more, more.more_simulator, record, reading, own)
     tests = records.load_further("--test", test.test, test.test_simulator, record, reading, own)

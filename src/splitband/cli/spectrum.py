@@ -23,8 +23,7 @@ from splitband.report import results
 from splitband.report.table import Column, Table
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators.opening import open_simulator, simulated
-from splitband.simulators.parameters import Adjustable
+from splitband.simulators.opening import is_fitted, open_simulator, simulated
 
 
 @options.with_groups
@@ -58,7 +57,7 @@ def spectrum(
     """
     whole = records.load_record(record, reading)
     opened = records.opened(simulator, whole, reading.time_column)
-    if isinstance(opened, str | Adjustable):
+    if isinstance(opened, str) or is_fitted(opened):
         raise InputError(
             f"--simulator must be a simulator for spectrum; got {simulator.simulator}, which is "
             "fitted to the record: for compare, fit and forecast"

@@ -29,7 +29,7 @@ from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
 from splitband.simulators.identification import check_runs
-from splitband.simulators.opening import open_simulator, simulated
+from splitband.simulators.opening import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
 from splitband.training import Settings, default_warmup
 from splitband.training.recipes import Recipe, recipe_settings
@@ -220,7 +220,7 @@ def plan(  # noqa: PLR0913
     if isinstance(simulator, str) and simulator not in BASES:
         simulator = open_simulator(simulator, record)
     names = _asked(record, methods, simulator, calibrate, conditioned)
-    fitted = simulator if isinstance(simulator, Adjustable) else None
+    fitted: Any = simulator if is_fitted(simulator) else None
     ahead = (horizon or 0) if train == len(record) else 0
     record = _with_output(record, simulator, names, ahead)
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
@@ -272,7 +272,7 @@ def _asked(
     conditioned: bool,
 ) -> list[Forecaster | str] | None:
     """Return the methods that the options select; None if they select none."""
-    base = GREY_BOX if isinstance(simulator, Adjustable) else simulator
+    base = GREY_BOX if is_fitted(simulator) else simulator
     if methods is None:
         if not (calibrate or conditioned or isinstance(simulator, str)):
             return None
@@ -295,11 +295,12 @@ def _with_output(
     ahead: int,
 ) -> Record:
     """Return the record with the output of a simulator, unless its parameters are fitted."""
-    if simulator is None or isinstance(simulator, str | Adjustable):
+    if simulator is None or isinstance(simulator, str) or is_fitted(simulator):
         return record
     expected = default_names(True, record.nu > 0) if names is None else names
     longer = any(_known(each)._calibrates for each in expected)
-    return simulated(record, simulator, ahead, longer)
+    running: Any = simulator
+    return simulated(record, running, ahead, longer)
 
 
 def _completed(

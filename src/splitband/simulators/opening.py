@@ -29,7 +29,7 @@ from splitband.simulators.calibration import samples_needed
 from splitband.simulators.code import check_open, count_arguments, outline
 from splitband.simulators.isolation import Isolated, named_in, opened
 from splitband.simulators.named import SIMULATORS
-from splitband.simulators.parameters import Parameters
+from splitband.simulators.parameters import Adjustable, Parameters
 from splitband.simulators.recorded import Recorded
 
 log = logging.getLogger("splitband")
@@ -125,6 +125,11 @@ def open_simulator(  # noqa: PLR0913
         None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
         begin if function else begin or 0.0,
     )  # fmt: skip
+
+
+def is_fitted(simulator: Any) -> bool:
+    """Return whether a simulator has parameters to fit or, as an `Ode`, needs inputs."""
+    return isinstance(simulator, Adjustable) and simulator.adjustable
 
 
 def _takes_inputs(file: str, name: str, record: Record) -> bool:
