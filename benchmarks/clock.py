@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.commands import RECORDS
-from splitband.cli.options.values import seconds
+from splitband.cli.options import seconds
 
 Row = dict[str, Any]
 FILE = "clock.jsonl"

@@ -22,7 +22,7 @@ from reproduction.jobs import SYSTEMS
 from reproduction.runs import complete, missing
 from reproduction.specs import SPECS, Line, lines
 from reproduction.tables import Table, table
-from splitband.cli.comparing import workers
+from splitband.cli.live import workers
 from splitband.forecasters.names import TRAINED
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, write_json, write_json_lines

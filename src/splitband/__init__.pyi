@@ -83,6 +83,7 @@ from .simulators import (
     Simulator as Simulator,
     identify as identify,
 )
+from .simulators.opening import open_simulator as open_simulator
 from .training import (
     Progress as Progress,
     Settings as Settings,

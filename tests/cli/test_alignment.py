@@ -12,10 +12,11 @@ import pytest
 import scipy.signal
 
 from splitband import Record, read
-from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import load_further, with_simulator
+from splitband.cli.options import RecordOptions, SimulatorOptions
+from splitband.cli.records import load_further, opened
+from splitband.cli.showing import saying
 from splitband.metrics import rmse
+from splitband.simulators.opening import simulated
 from tests.cli.support import QUICK, assert_fails, call, results
 from tests.data.support import SAMPLES, signal, times, write
 from tests.support import load_model as load
@@ -50,8 +51,9 @@ def simulator_error(
 ) -> float:
     """RMSE of what --simulator comes to beside record.csv."""
     record = read("record.csv", time_column=time_column)
-    reading = RecordOptions(time_column=time_column)
-    found = with_simulator(record, SimulatorOptions(simulator, simulator_start=start), reading)
+    options = SimulatorOptions(simulator, simulator_start=start)
+    with saying(quiet=False, json=False):
+        found = simulated(record, opened(options, record, time_column))
     assert found.y_sim is not None
     return rmse(found.y, found.y_sim)
 

@@ -102,6 +102,6 @@ def test_a_function_of_time_and_inputs_is_driven(
     assert "runs from 0 s on, at the record's first sample, 1700000000 s" in capsys.readouterr().out
     for wrong, says in (
         ("equation", "--parameters must say where the states"),
-        ("plant --simulator-start noon", "--simulator-start must be a number of seconds or record"),
+        ("plant --simulator-start noon", "start must be a number of seconds"),
     ):
         assert_fails(f"{rig}{wrong} --out out", (says,), capsys)

@@ -145,7 +145,10 @@ HYBRID = f"--columns a --simulator whole.csv --method residual-gru {QUICK} --out
         (f"fit whole.csv --more renamed.csv {ALL}", ("renamed.csv", "'a'")),
         (f"fit whole.csv --more short.csv {FIT_ON}", ("window", "25 samples", "30")),
         (f"fit whole.csv --more nothing.csv {FIT_ON}", ("--more", "nothing.csv")),
-        (f"fit whole.csv --more gappy.csv --gaps mask {HYBRID}", ("--more-simulator", "0 for 1")),
+        (
+            f"fit whole.csv --more gappy.csv --gaps mask {HYBRID}",
+            ("--more-simulator", "gappy.csv has none"),
+        ),
         (f"fit whole.csv --more-simulator whole.csv {HYBRID}", ("--more-simulator", "1 for 0")),
     ],
 )

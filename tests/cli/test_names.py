@@ -8,8 +8,7 @@ import pytest
 
 import splitband as sb
 from splitband.cli.comparing import Request, planned
-from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.values import names
+from splitband.cli.options import RecordOptions, names
 from tests.cli.support import DT, FORCE, SAMPLES, A, B, assert_fails, call, results
 
 pytestmark = pytest.mark.usefixtures("inside")

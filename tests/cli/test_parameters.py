@@ -11,8 +11,7 @@ import pandas as pd
 import pytest
 
 from splitband.cli.comparing import Request, planned
-from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOrBaseOptions
+from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
 from tests.cli.support import assert_fails, call, process, results
 
 PLANT = """
@@ -109,7 +108,10 @@ def test_a_saved_grey_box_simulates_with_its_values(
         ("--simulator plant.py:lag --parameters rate=1:x", "parameters must be given as NAME="),
         ("--simulator plant.py:lag --parameters rate=0.1:1", "how many states"),
         ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),
-        ("--simulator record.csv --parameters rate=0.1:1", "--parameters is for a --simulator"),
+        (
+            "--simulator record.csv --parameters rate=0.1:1",
+            "--parameters must be left out but for a simulator that is an .fmu or FILE.py",
+        ),
         ("--methods grey-box", "needs a simulator with parameters"),
     ],
 )

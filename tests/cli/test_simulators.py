@@ -8,9 +8,9 @@ import pytest
 import scipy.integrate
 import scipy.signal
 
+import splitband as sb
 from splitband.cli.comparing import Request, planned
-from splitband.cli.options.records import RecordOptions
-from splitband.cli.options.simulators import SimulatorOrBaseOptions
+from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
 from tests.cli.support import QUICK, SIMULATED, TIME, TRAIN, WARMUP, A, call, results
 from tests.records import rms
 
@@ -62,6 +62,27 @@ def test_calibrated_and_conditioned_variants_follow_the_method() -> None:
         "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
         "filtered-gru-calibrated-conditioned",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("simulator", ["simulated.csv", "periodic"])
+def test_python_takes_what_the_command_line_names(simulator: str) -> None:
+    reading, methods = RecordOptions(columns="a"), ["filtered-gru", "mean"]
+    asked = Request(
+        "record.csv", reading, SimulatorOrBaseOptions(simulator), methods=",".join(methods),
+        calibrate=simulator != "periodic",
+    )  # fmt: skip
+    record = sb.read("record.csv", columns="a")
+    found = sb.plan(record, None, methods, simulator=simulator, calibrate=asked.calibrate)
+    expected = planned(asked)
+    assert found.names == expected.names
+    assert found.bands.cutoff == expected.bands.cutoff
+    np.testing.assert_equal(found.record.y_sim, expected.record.y_sim)
+
+
+def test_a_named_record_runs_its_own_simulator_for_a_calibration() -> None:
+    plan = planned(Request("van-der-pol", methods="filtered-gru,simulator-calibrated"))
+    assert plan.names == ["filtered-gru", "simulator-calibrated"]
+    assert plan.record.beyond is not None
 
 
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(tmp_path: Path) -> None:

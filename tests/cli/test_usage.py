@@ -57,10 +57,13 @@ def test_a_network_is_trained_again_as_it_was_found() -> None:
 
 
 def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
-    given = {"record": "rig.csv", "simulator": "sim.csv", "simulator_columns": "y"}
+    given = {"record": "rig.csv", "simulator": "rig.fmu", "simulator_columns": "y",
+             "simulator_start": "record", "simulator_timeout": 600.0}  # fmt: skip
     for method, asked in (("filtered-gru", True), ("gru", False), ("linear", False)):
         (_, simulate), *_ = usage("compare", given, OUT, planned(), sb.named(method)).commands
-        assert ("--simulator sim.csv --simulator-columns y" in simulate) == asked
+        said = " ".join(simulate.replace("\\\n", "").split())
+        opened = "--simulator rig.fmu --simulator-columns y --simulator-start record --steps"
+        assert (opened in said) == asked
 
 
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Annotated, Any
 
@@ -39,9 +38,13 @@ class LockedCommand(typer.core.TyperCommand):
     """Run a command only if its --out replaces no input and is not in use."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
-        with import_module("splitband.cli.output").claimed(ctx):
-            return super().invoke(ctx)
+        """Run the command; bad input is told with its options in place of arguments' names."""
+        try:
+            with import_module("splitband.cli.output").claimed(ctx):
+                return super().invoke(ctx)
+        except EXPECTED as error:
+            options = {p.name: p.opts[0] for p in self.params if p.param_type_name == "option"}
+            raise TyperException(in_words(error, options)) from error
 
 
 class Commands(TyperGroup):
@@ -101,10 +104,7 @@ app = typer.Typer(
 )
 def splitband(
     context: typer.Context,
-    quiet: Annotated[
-        bool,
-        typer.Option(QUIET, help="Print only warnings and errors."),
-    ] = False,
+    quiet: Annotated[bool, typer.Option(QUIET, help="Print only warnings and errors.")] = False,
     json: Annotated[bool, typer.Option(JSON, help="Print results as JSON only.")] = False,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version)
@@ -177,24 +177,20 @@ def _complain(message: str) -> int:
     return 2
 
 
-OPTIONS = (
-    "calibrate", "columns", "conditioned", "cutoff", "downsampling", "epochs", "history",
-    "horizon", "inputs", "level", "methods", "order", "precision", "rounds", "seed", "seeds",
-    "simulator", "steps", "train", "warmup", "window",
-)  # fmt: skip
-"""Arguments of the library that are options of the same name here."""
-
-
 EXPECTED = (InputError, OSError, FloatingPointError, MemoryError, OverflowError)
 """Exceptions that bad input raises; any other is a defect of the package, with a traceback."""
 
 
-def in_words(error: Exception) -> str:
-    """Return an error's message in one line, with --options in place of argument names."""
+def in_words(error: Exception, options: Mapping[str, str] | None = None) -> str:
+    """Return an error's message in one line, with `options` in place of names of arguments."""
     said = " ".join(str(error).split())
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         said = f"{error.strerror}: {error.filename}"
-    said = re.sub(rf"^({'|'.join(OPTIONS)}) (?=must|needs)", r"--\1 ", said)
+    name, rule, rest = said.partition(" ")
+    if rest.startswith(("must ", "needs ")):
+        names = options or {}
+        name = names.get(name) or names.get(name.removesuffix("s"), name)
+    said = f"{name}{rule}{rest}"
     if isinstance(error, MemoryError | OverflowError):
         return f"a number is too large for this machine: {said}"
     return said

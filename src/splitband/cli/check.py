@@ -6,36 +6,28 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from splitband.cli import records, showing
-from splitband.cli.comparing import check_device
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Device
-from splitband.cli.options.records import FileOptions, ModelArgument
-from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import opened_with_simulator
+from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
 from splitband.report import results
 from splitband.report.page.parts import Usage
 from splitband.runtime.errors import InputError
 
 
-@with_groups
+@options.with_groups
 def check(
-    model_dir: ModelArgument,
+    model_dir: options.ModelArgument,
     record: Annotated[
         Path,
-        typer.Option(
-            metavar="FILE",
-            help="Measured samples with the columns of the training record, best of another run.",
-            show_default=False,
+        options.plain(
+            "Measured samples with the columns of the training record, best of another run.",
+            "FILE",
+            False,
         ),
     ],
-    simulator: SimulatorOptions,
-    files: FileOptions,
-    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("check"),
-    device: Device = "cpu",
+    simulator: options.SimulatorOptions,
+    files: options.FileOptions,
+    out: options.Out = Path("check"),
+    device: options.Device = "cpu",
 ) -> None:
     """Check a saved model on a record: residual tests, stability, responses.
 
@@ -47,8 +39,7 @@ def check(
     """
     model = forecasters.load(model_dir)
     past = records.history_of(record, "--record", model.require_fitted().record, files)
-    model = opened_with_simulator(model, model_dir, simulator, past, 0, files.time_column)
-    check_device(device)
+    model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)
     responses = None
     with showing.warnings_as_lines():

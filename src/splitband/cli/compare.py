@@ -2,34 +2,35 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from splitband.cli import INTERRUPTED, showing
-from splitband.cli.comparing import Request, command_of, planned, workers
-from splitband.cli.live import compared, save
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Cluster, Jobs
+from splitband.cli import INTERRUPTED, options, showing
+from splitband.cli.comparing import Request, planned
+from splitband.cli.live import running, workers
+from splitband.cli.usage import command_of, usage
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.plan import Plan
+from splitband.evaluation.run import run
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.network import Network
-from splitband.report import words
+from splitband.report import results, words
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
 from splitband.report.table import in_words, of_comparison
+from splitband.runtime.files import CHECKPOINTS
 
 
-@with_groups
+@options.with_groups
 def compare(
     context: typer.Context,
     asked: Request,
-    jobs: Jobs = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for results and page.")] = Path(
-        "out"
-    ),
-    cluster: Cluster = None,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("out"),
+    cluster: options.Cluster = None,
 ) -> None:
     """Compare models of a record, and recommend one.
 
@@ -49,15 +50,28 @@ def compare(
     limits the work in place of the time; --window, --epochs, --learning-rate, --lr-milestones,
     --recipe constant-rate and --like replace the search. --calibrate and --conditioned add rows.
     """
-    plan, facts = planned(asked), command_of(context)
-    with workers(jobs, cluster) as where:
-        result = compared(plan, where, out, facts)
-    show(result, out, save(result, out, facts))
+    result = compared(context, planned(asked), out, jobs, cluster)
     if result.interrupted:
         raise typer.Exit(INTERRUPTED)
 
 
-def show(result: Comparison, out: Path, used: Usage) -> None:
+def compared(
+    context: typer.Context, plan: Plan, out: Path, jobs: int | None, cluster: str | None = None
+) -> Comparison:
+    """Run a planned comparison, show it while it runs, write its results and print them."""
+    facts = command_of(context)
+    with workers(jobs, cluster) as where, running(plan, out, facts) as how:
+        result = run(plan, **where, **how)
+    plan = replace(result.plan, refit=result.refit is not None)
+    used = usage(facts["command"], facts["arguments"], out, plan, result.model)
+    results.save(result, out, facts, used)
+    if not result.interrupted:
+        shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
+    _show(result, out, used)
+    return result
+
+
+def _show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the table, the recommendation with its reason, warnings, and how to use the model."""
     plan, trial, best = result.plan, result.require_trial(), result.recommended
     showing.table(of_comparison(result))

@@ -31,8 +31,7 @@ def list_records() -> None:
 @data.command("fetch")
 def fetch_records(
     names: Annotated[
-        list[str] | None,
-        typer.Argument(help="Files to fetch.", show_default="all"),
+        list[str] | None, typer.Argument(help="Files to fetch.", show_default="all")
     ] = None,
 ) -> None:
     """Download public files, or find them in SPLITBAND_DATA_DIR, and check them."""

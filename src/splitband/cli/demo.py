@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import typer
 
-from splitband.cli import showing
-from splitband.cli.compare import show
-from splitband.cli.comparing import command_of, workers
-from splitband.cli.live import compared, save
-from splitband.cli.options.models import Jobs
+from splitband.cli import options, showing
+from splitband.cli.compare import compared
 from splitband.data.named import overhead_crane
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import plan
@@ -33,8 +30,8 @@ STRETCH = 30.0
 
 def demo(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("demo"),
-    jobs: Jobs = None,
+    out: options.Out = Path("demo"),
+    jobs: options.Jobs = None,
 ) -> None:
     """Show what the package does, in about a minute: a crane whose load swings.
 
@@ -51,11 +48,7 @@ def demo(
         f"{TRAIN} of them to learn from"
     )
     found = plan(record, TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES)
-    facts = command_of(context)
-    with workers(jobs) as where:
-        result = compared(found, where, out, facts)
-    show(result, out, save(result, out, facts))
-    _tell(result)
+    _tell(compared(context, found, out, jobs))
 
 
 def _tell(result: Comparison) -> None:

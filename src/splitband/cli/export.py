@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from splitband.cli import showing
-from splitband.cli.options.records import ModelArgument
+from splitband.cli.options import ModelArgument
 from splitband.forecasters import saving as forecasters
 from splitband.runtime.files import output_folder
 

@@ -11,18 +11,13 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
 from rich.progress import Progress as BarOfEpochs
 
-from splitband.cli import showing
-from splitband.cli.comparing import Request, planned, workers
-from splitband.cli.live import running
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Conditioned, Jobs, Like, ModelOptions
-from splitband.cli.options.records import FurtherRecords, RecordArgument, RecordOptions
-from splitband.cli.options.simulators import Calibrate, SimulatorOrBaseOptions
+from splitband.cli import options, showing
+from splitband.cli.comparing import Request, planned
+from splitband.cli.live import running, workers
 from splitband.data.timing import as_json
 from splitband.evaluation.run import fit as fit_planned
 from splitband.forecasters import saving
@@ -36,39 +31,38 @@ from splitband.runtime.outputs import staged, write_facts
 from splitband.training import Progress
 
 
-@with_groups
+@options.with_groups
 def fit(
-    record: RecordArgument,
-    reading: RecordOptions,
-    simulator: SimulatorOrBaseOptions,
-    further: FurtherRecords,
-    model: ModelOptions,
-    out: Annotated[
-        Path, typer.Option(metavar="MODEL_DIR", help="Folder for the model.", show_default=False)
-    ],
+    record: options.RecordArgument,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOrBaseOptions,
+    further: options.FurtherRecords,
+    model: options.ModelOptions,
+    out: Annotated[Path, options.plain("Folder for the model.", "MODEL_DIR", False)],
     method: Annotated[
         str | None,
-        typer.Option(
-            help="What to fit, out of what `splitband methods` lists.",
-            show_default="that of --like, or split-gru",
+        options.plain(
+            "What to fit, out of what `splitband methods` lists.",
+            None,
+            "that of --like, or split-gru",
         ),
     ] = None,
     train: Annotated[
-        int | None,
-        typer.Option(help="Samples at the beginning to train on.", show_default="all"),
+        int | None, options.plain("Samples at the beginning to train on.", None, "all")
     ] = None,
-    calibrate: Calibrate = False,
-    conditioned: Conditioned = False,
+    calibrate: options.Calibrate = False,
+    conditioned: options.Conditioned = False,
     intervals: Annotated[
         bool,
-        typer.Option(
+        options.plain(
+            "Also train on three quarters of the record, for the intervals of `simulate --level`.",
+            None,
+            True,
             "--intervals",
-            help="Also train on three quarters of the record, for the intervals of "
-            "`simulate --level`.",
         ),
     ] = False,
-    jobs: Jobs = None,
-    like: Like = None,
+    jobs: options.Jobs = None,
+    like: options.Like = None,
 ) -> None:
     """Fit one method to a record and save it.
 
@@ -82,7 +76,7 @@ def fit(
         calibrate=calibrate, conditioned=conditioned, like=like,
     )  # fmt: skip
     plan = planned(asked, fitting=True)
-    with workers(jobs) as where, running(plan, out, {}, partly=False) as how, _bar() as progress:
+    with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)
     if intervals:
         _try_out(forecaster)
@@ -107,32 +101,27 @@ def fit(
         "calibration": None if calibration is None else asdict(calibration),
         "parameters": forecaster.parameters,
     }
-    error = _training_error(forecaster)
+    error, report = _training_error(forecaster), fitted.report
     outcome = {
-        "final_loss": {name: losses[-1] for name, losses in fitted.report.losses.items()},
-        "seconds": fitted.report.seconds,
-        "notes": [*fitted.report.notes],
+        "final_loss": {name: losses[-1] for name, losses in report.losses.items()},
+        "seconds": report.seconds,
+        "notes": [*report.notes],
         "training_rmse": error,
     }
     with staged(out) as new:
         saving.save(forecaster, new, facts)
         write_facts(new, facts | outcome | {"environment": environment()})
     shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
-    for note in fitted.report.notes:
+    for note in report.notes:
         showing.warn(note)
-    said = training_in_words or forecaster.describe()
-    begin = max(forecaster.warmup, 2)
-    showing.console.print(
-        f"{forecaster.name} ({said}) fitted to {len(fitted.record)} samples in "
-        f"{fitted.report.seconds:.1f} s"
-        + (
-            ""
-            if error is None
-            else f"; free run over them from the first {begin}: RMSE {error:.4g}"
-        )
-        + ("" if calibration is None else f"\nsimulator calibrated: {calibration}")
-        + f"\nmodel: {out}/"
-    )
+    said = f"{forecaster.name} ({training_in_words or forecaster.describe()}) fitted to "
+    said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
+    if error is not None:
+        begin = max(forecaster.warmup, 2)
+        said += f"; free run over them from the first {begin}: RMSE {error:.4g}"
+    if calibration is not None:
+        said += f"\nsimulator calibrated: {calibration}"
+    showing.console.print(f"{said}\nmodel: {out}/")
     showing.results_of(out)
 
 

@@ -8,30 +8,10 @@ from typing import Annotated
 
 import typer
 
-from splitband.cli import INTERRUPTED, showing
-from splitband.cli.comparing import Request, arguments, command_of, planned, workers
-from splitband.cli.live import running
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import (
-    Budget,
-    Cluster,
-    Device,
-    Epochs,
-    Jobs,
-    Like,
-    ModelOptions,
-    Rounds,
-    Seed,
-    Seeds,
-)
-from splitband.cli.options.records import (
-    FurtherRecords,
-    FutureInputs,
-    RecordArgument,
-    RecordOptions,
-)
-from splitband.cli.options.simulators import SimulatorOrBaseOptions
-from splitband.cli.usage import usage
+from splitband.cli import INTERRUPTED, options, showing
+from splitband.cli.comparing import Request, planned
+from splitband.cli.live import running, workers
+from splitband.cli.usage import arguments, usage
 from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.report import results
 from splitband.report.page.parts import Usage
@@ -40,32 +20,33 @@ from splitband.report.words import of_forecast
 from splitband.runtime.files import CHECKPOINTS
 
 
-@with_groups
+@options.with_groups
 def forecast(
     context: typer.Context,
-    record: RecordArgument,
-    reading: RecordOptions,
-    simulator: SimulatorOrBaseOptions,
-    further: FurtherRecords,
-    steps: Annotated[int, typer.Option(min=1, help="Samples to forecast.", show_default=False)],
+    record: options.RecordArgument,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOrBaseOptions,
+    further: options.FurtherRecords,
+    steps: Annotated[int, options.plain("Samples to forecast.", None, False, min=1)],
     method: Annotated[
         str | None,
-        typer.Option(
-            help="One of those that `splitband methods` lists.",
-            show_default="the one that forecasts the record's own last quarter best",
+        options.plain(
+            "One of those that `splitband methods` lists.",
+            None,
+            "the one that forecasts the record's own last quarter best",
         ),
     ] = None,
-    seeds: Seeds = None,
-    jobs: Jobs = None,
-    out: Annotated[Path, typer.Option(help="Folder for the forecast.")] = Path("forecast"),
-    future_inputs: FutureInputs = None,
-    epochs: Epochs = None,
-    budget: Budget = None,
-    rounds: Rounds = None,
-    seed: Seed = 0,
-    device: Device = "cpu",
-    like: Like = None,
-    cluster: Cluster = None,
+    seeds: options.Seeds = None,
+    jobs: options.Jobs = None,
+    out: Annotated[Path, options.plain("Folder for the forecast.")] = Path("forecast"),
+    future_inputs: options.FutureInputs = None,
+    epochs: options.Epochs = None,
+    budget: options.Budget = None,
+    rounds: options.Rounds = None,
+    seed: options.Seed = 0,
+    device: options.Device = "cpu",
+    like: options.Like = None,
+    cluster: options.Cluster = None,
 ) -> None:
     """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
 
@@ -77,13 +58,12 @@ def forecast(
     """
     asked = Request(
         record, reading, simulator, further, methods=method, seeds=seeds, like=like,
-        model=ModelOptions(
+        model=options.ModelOptions(
             epochs=epochs, budget=budget, rounds=rounds, seed=seed, device=device
         ),
     )  # fmt: skip
     plan = planned(asked, steps, future_inputs)
-    facts = command_of(context)
-    with workers(jobs, cluster) as where, running(plan, out, facts, partly=False) as how:
+    with workers(jobs, cluster) as where, running(plan, out) as how:
         result = run_forecast(plan, **where, **how)
     used = usage("forecast", arguments(context.params), out, plan, result.model)
     results.save_forecast(result, out, used)

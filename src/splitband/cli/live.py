@@ -1,12 +1,11 @@
-"""Show a comparison while it runs: a table after every round, and where it stands."""
+"""Run a plan: where its trainings run, and what is shown of it meanwhile."""
 
 from __future__ import annotations
 
-import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,31 +15,25 @@ from rich.table import Table
 from rich.text import Text
 
 from splitband.cli import clock, showing
-from splitband.cli.usage import usage
 from splitband.evaluation.clock import Clock
-from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
-from splitband.evaluation.run import Run, run
+from splitband.evaluation.run import Run
 from splitband.report import results
-from splitband.report.page.parts import Usage
 from splitband.report.table import of_trial
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.threads import available_cores
 
 
 class Display:
-    """Show where a comparison stands, and keep its best model so far in OUT.
+    """Show where a comparison stands, and keep its best model so far in OUT, if there are `facts`.
 
     In a terminal the table and a line below it change in place; elsewhere there is a line for each
-    round.
-
-    Parameters
-    ----------
-    out : Folder of the results; None to write nothing before the end.
-    facts : Command and options, for results.json.
+    round. `facts` are the command and its options, for results.json.
     """
 
-    def __init__(self, out: Path | None, facts: Mapping[str, Any]) -> None:
-        self._out, self._facts, self._table = out, {**facts}, Table()
+    def __init__(self, out: Path, facts: dict[str, Any] | None) -> None:
+        self._out, self._facts, self._table = out, facts, Table()
         self._written = False
         self._in_place = sys.stdout.isatty() and not showing.console.quiet
         console = Console() if self._in_place else showing.console
@@ -70,7 +63,7 @@ class Display:
 
     def _write(self, state: Run) -> None:
         """Write the whole result of the baselines, or the best model so far."""
-        if self._out is None:
+        if self._facts is None:
             return
         began = state.clock.used
         try:
@@ -98,35 +91,54 @@ def in_words(state: Run) -> str:
 
 
 @contextmanager
-def running(plan: Plan, out: Path, facts: Mapping[str, Any], partly: bool) -> Iterator[Any]:
+def running(plan: Plan, out: Path, facts: dict[str, Any] | None = None) -> Iterator[Any]:
     """Yield the arguments of `run` that show a comparison and keep its finished trainings."""
     kept = out / CHECKPOINTS
     found = len([path for path in kept.glob("*.safetensors") if path.name[0] != "."])
     if found:
         showing.console.print(f"going on: {found} finished training{'s' if found > 1 else ''} kept")
-    display = Display(out if partly else None, facts)
+    display = Display(out, facts)
     time = Clock(plan.budget, clock.began())
     time.writing = time.used  # loading the libraries of pages takes about as long as these
     with display.shown():
         yield {"folder": kept, "watch": display, "clock": time}
 
 
-def compared(
-    plan: Plan, where: Mapping[str, Any], out: Path, facts: Mapping[str, Any]
-) -> Comparison:
-    """Run a planned comparison, and show it while it runs."""
-    with running(plan, out, facts, partly=True) as how:
-        return run(plan, **where, **how)
-
-
-def save(comparison: Comparison, out: Path, facts: Mapping[str, Any]) -> Usage:
-    """Write the results, `facts` first, and remove the finished trainings; return the usage.
-
-    The usage is the commands that use the recommended method, built from the options in `facts`.
-    """
-    plan = replace(comparison.plan, refit=comparison.refit is not None)
-    used = usage(facts["command"], facts["arguments"], out, plan, comparison.model)
-    results.save(comparison, out, dict(facts), used)
-    if not comparison.interrupted:
-        shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
-    return used
+@contextmanager
+def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the arguments of `run` that say where trainings run, as --jobs and --cluster ask."""
+    if cluster is None:
+        yield {"cores": jobs or available_cores()}
+        return
+    if jobs is not None:
+        raise InputError(
+            f"--jobs must be left out with --cluster, where each thread has one, got {jobs}"
+        )
+    try:
+        from distributed import Client, KilledWorker  # noqa: PLC0415  an extra
+        from distributed.client import ClosedClientError  # noqa: PLC0415
+    except ImportError:
+        raise InputError("--cluster needs Dask: pip install 'splitband[cluster]'") from None
+    try:
+        client = Client(cluster, timeout=5, set_as_default=False)
+    except (OSError, TimeoutError, ValueError):
+        raise InputError(
+            "--cluster must be the address of a Dask scheduler that answers, such as "
+            f"tcp://10.0.0.5:8786, got {cluster}"
+        ) from None
+    with client:
+        if not client.nthreads():
+            showing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
+        client.wait_for_workers(1)
+        try:
+            client.get_versions(check=True)
+        except ValueError as error:
+            raise InputError(f"--cluster must run the versions that are here: {error}") from None
+        cores = sum(client.nthreads().values())
+        try:
+            yield {"cores": max(cores, 1), "executor": client.get_executor(pure=False)}
+        except (KilledWorker, ClosedClientError, CancelledError):
+            raise InputError(
+                "--cluster must be there until the end (the same command goes on from what is "
+                f"finished), the scheduler or the workers are gone, got {cluster}"
+            ) from None

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from splitband.cli.options.simulators import parts_of
 from splitband.forecasters import saving
 from splitband.report.results import MODEL_FOLDER
 from splitband.runtime.errors import InputError
@@ -23,14 +22,7 @@ TO_A_FILE = ("simulate", "export", "summary")
 def claimed(context: Any) -> Iterator[None]:
     """Check --out against the inputs of a command, and keep other commands out of its folder.
 
-    Parameters
-    ----------
-    context : Typer's context, with the command and its parameters.
-
-    Raises
-    ------
-    ValueError
-        If --out would replace an input, or is in use.
+    Raises ValueError if --out would replace an input, or is in use.
     """
     out = context.params.get("out")
     if out is None:
@@ -81,7 +73,8 @@ def _inputs(context: Any) -> dict[Path, str]:
 
 def _files(named: str) -> list[Path]:
     """Return the files that a value names: a file, or those of a model, also that of a result."""
-    path = Path(parts_of(named)[0])
+    file, _, function = named.partition(".py:")
+    path = Path(f"{file}.py" if function else file)
     if os.path.isfile(path):  # also False for text that cannot be a path
         return [path]
     folders = [each for each in (path, path / MODEL_FOLDER) if os.path.isdir(each)]

@@ -1,9 +1,9 @@
-"""Read the records and known inputs that options name, and align them in time."""
+"""Read the records, inputs and simulators that options name, and align them in time."""
 
 from __future__ import annotations
 
 import os
-import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,18 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.options.records import FileOptions, RecordOptions
-from splitband.cli.options.values import names
+from splitband.cli.options import FileOptions, RecordOptions, SimulatorOptions, names
 from splitband.data import Record, aligned, read, resampled
 from splitband.data.named import RECORDS
 from splitband.data.reading import ColumnError
-from splitband.data.signals import ReadingWarning, described, row_ranges, same_names
+from splitband.data.signals import described, row_ranges, same_names
 from splitband.data.timing import near_sampling, same_sampling
+from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.names import BASES
 from splitband.runtime.errors import InputError
-
-_OF_TEXT = ("missing", "skip_rows", "header_row")
-"""Options for the layout of a file."""
+from splitband.simulators.base import Recorded, matched
+from splitband.simulators.opening import open_simulator, read_beside, simulated
 
 
 def load_record(name: str, reading: RecordOptions, like: Forecaster | None = None) -> Record:
@@ -32,19 +32,35 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
     Columns and inputs default to those of the model of --like. Raises ValueError if the record's
     differ from these.
     """
+    trained = None if like is None else like.require_fitted().record
     if name in RECORDS:
-        for option in ("columns", "inputs", "sampling_time", "time_column", *_OF_TEXT):
-            if (value := getattr(reading, option)) not in (None, 0):
+        for option, usual in vars(RecordOptions()).items():
+            if option != "gaps" and (value := getattr(reading, option)) != usual:
                 raise InputError(
                     f"--{option.replace('_', '-')} is for files; {name} is a named record, got "
                     f"{value}"
                 )
         record = RECORDS[name].make()
-        announce(record, name)
     else:
-        record = _of_file(name, reading, like)
-    if like is not None:
-        trained = like.require_fitted().record
+        columns, inputs = (
+            None if given is None else names(given) for given in (reading.columns, reading.inputs)
+        )
+        if trained is not None and inputs is None:
+            inputs = [each for each in trained.inputs if each not in (columns or ())]
+        if trained is not None and columns is None:
+            columns = [each for each in trained.columns if each not in (inputs or ())]
+        record = _read(
+            name, f"RECORD must be a file or one of {', '.join(RECORDS)}", reading, trained,
+            columns=columns or None, inputs=inputs or (), sampling_time=reading.sampling_time,
+        )  # fmt: skip
+        if record.measured is not None:
+            missing = ~record.complete
+            showing.console.print(
+                f"{name}: {missing.sum()} of {len(missing)} samples have missing values "
+                f"and are masked: {row_ranges(missing)}"
+            )
+    announce(record, name)
+    if trained is not None:
         pairs = ((record.columns, trained.columns), (record.inputs, trained.inputs))
         if not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
             raise InputError(
@@ -55,48 +71,6 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
     return record
 
 
-def _of_file(path: str, reading: RecordOptions, like: Forecaster | None) -> Record:
-    check_file(path, "RECORD", f" or one of {', '.join(RECORDS)}")
-    columns = None if reading.columns is None else names(reading.columns)
-    inputs = None if reading.inputs is None else names(reading.inputs)
-    needed = ""
-    if like is not None:
-        trained = like.require_fitted().record
-        needed = f"the model of --like is for {described(trained.columns, trained.inputs)}"
-        if inputs is None:
-            inputs = [name for name in trained.inputs if name not in (columns or ())]
-        if columns is None:
-            columns = [name for name in trained.columns if name not in inputs]
-    record = read_file(
-        path,
-        "RECORD",
-        needed,
-        columns=columns or None,
-        inputs=inputs or (),
-        time_column=reading.time_column,
-        sampling_time=reading.sampling_time,
-        gaps=reading.gaps,
-        **_layout(reading),
-    )
-    if record.measured is not None:
-        missing = ~record.complete
-        showing.console.print(
-            f"{path}: {missing.sum()} of {len(missing)} samples have missing values "
-            f"and are masked: {row_ranges(missing)}"
-        )
-    announce(record, path)
-    return record
-
-
-def _layout(files: FileOptions) -> dict[str, Any]:
-    """Return the arguments of `read` that say how a file is laid out."""
-    return {
-        "missing": names(files.missing or ""),
-        "skip_rows": files.skip_rows,
-        "header_row": files.header_row,
-    }
-
-
 def announce(record: Record, name: str) -> None:
     """Print what a record holds, on one line."""
     showing.console.print(
@@ -105,49 +79,43 @@ def announce(record: Record, name: str) -> None:
     )
 
 
-def check_file(path: str | Path, argument: str, other: str = "") -> None:
-    """Raise OSError if an argument is not a file; `other` extends the rule in the message."""
-    rule = f"{argument} must be a file{other}"
+def _check_file(path: str | Path, rule: str) -> None:
     if not os.path.exists(path):
         raise FileNotFoundError(f"{rule}, got {path}")
     if os.path.isdir(path):
         raise IsADirectoryError(f"{rule}, got the folder {path}")
 
 
-def read_file(path: str | Path, argument: str, needed: str = "", **options: Any) -> Record:
-    """Read the file that an argument names, and print the warnings of its reader.
-
-    `needed` is appended to the error for a missing column.
-    """
-    check_file(path, argument)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ReadingWarning)
-        try:
-            record = read(path, **options)
-        except ColumnError as error:
-            raise ColumnError(f"{error}{'; ' if needed else ''}{needed}") from None
-    for each in caught:
-        showing.warn(str(each.message))
-    return record
+def _layout(files: FileOptions) -> dict[str, Any]:
+    """Return the arguments of `read` that say how a file is laid out."""
+    own = FileOptions.__annotations__.keys() - {"time_column", "gaps"}
+    return {name: getattr(files, name) for name in own} | {"missing": names(files.missing or "")}
 
 
-def read_companion(
-    path: str | Path, argument: str, sampling_time: float, files: FileOptions, **others: Any
+def _read(
+    path: str | Path, rule: str, files: FileOptions, model: Record | None, **options: Any
 ) -> Record:
-    """Read a file that accompanies a record, whose sampling time is the default.
-
-    The time column is the record's, or one with a usual name if the file has no such column.
-    """
-    others = {"fallback_sampling_time": sampling_time, **_layout(files), **others}
+    """Read a file as these options say; the error for a missing column names those of a model."""
+    _check_file(path, rule)
+    options |= {"time_column": files.time_column, "gaps": files.gaps, **_layout(files)}
     try:
-        return read_file(path, argument, time_column=files.time_column, **others)
-    except ColumnError:
-        if not files.time_column:
+        return read(path, **options)
+    except ColumnError as error:
+        if model is None:
             raise
-        return read_file(path, argument, **others)
+        needed = described(model.columns, model.inputs)
+        raise ColumnError(f"{error}; the model is for {needed}") from None
 
 
-def sampled_like(record: Record, sampling_time: float, what: str) -> Record:
+def _beside(
+    path: str | Path, option: str, sampling_time: float, files: FileOptions, **options: Any
+) -> Record:
+    """Read a file that accompanies a record; see `read_beside`."""
+    _check_file(path, f"{option} must be a file")
+    return read_beside(path, sampling_time, files.time_column, **_layout(files), **options)
+
+
+def _sampled_like(record: Record, sampling_time: float, what: str) -> Record:
     """Resample a record to a sampling time that differs from its own by 1 % at most.
 
     Return it unchanged if they differ by more, or if both grids end within half a sample.
@@ -163,32 +131,57 @@ def sampled_like(record: Record, sampling_time: float, what: str) -> Record:
     return resampled(record, sampling_time)
 
 
+def load_further(
+    option: str,
+    files: Sequence[str] | None,
+    simulators: Sequence[str] | None,
+    record: Record,
+    reading: RecordOptions,
+    options: SimulatorOptions | None,
+) -> list[Record]:
+    """Return the records of --more or --test (`option`), with the columns of `record`.
+
+    If there are `simulators`, each record has its own, which is run as the `options` say.
+    """
+    files, simulators = files or [], simulators or []
+    if simulators and len(simulators) != len(files):
+        raise InputError(
+            f"{option}-simulator must be given once for each {option}, got {len(simulators)} for "
+            f"{len(files)}"
+        )
+    found = []
+    how = {"columns": record.columns, "inputs": record.inputs, "gaps": reading.gaps}
+    for i, file in enumerate(files):
+        more = _beside(file, option, record.sampling_time, reading, **how)
+        announce(more, file)
+        more = _sampled_like(more, record.sampling_time, file)
+        more = replace(more, name=file if option == "--more" else Path(file).stem)
+        if simulators and options is not None:
+            own = replace(options, simulator=simulators[i])
+            more = simulated(more, opened(own, more, reading.time_column), longer=True)
+        found.append(more)
+    return found
+
+
 def history_of(file: Path, option: str, record: Record, files: FileOptions) -> Record:
     """Read the measured history that an option names, at the training record's sampling time."""
-    past = read_file(
-        file,
-        option,
-        f"the model is for {described(record.columns, record.inputs)}",
-        columns=record.columns,
-        inputs=record.inputs,
-        time_column=files.time_column,
-        fallback_sampling_time=record.sampling_time,
-        gaps=files.gaps,
-        **_layout(files),
-    )
+    step = record.sampling_time
+    past = _read(
+        file, f"{option} must be a file", files, record, columns=record.columns,
+        inputs=record.inputs, fallback_sampling_time=step,
+    )  # fmt: skip
     announce(past, str(file))
-    if not near_sampling(past.sampling_time, record.sampling_time):
+    if not near_sampling(past.sampling_time, step):
         raise InputError(
-            f"{option} must be sampled like the training record, every "
-            f"{record.sampling_time:g} s, got every {past.sampling_time:g} s in {file}"
+            f"{option} must be sampled like the training record, every {step:g} s, got every "
+            f"{past.sampling_time:g} s in {file}"
         )
     if past.start is None and record.start is not None:
         showing.console.print(
             f"{file}: no time stamps, the training record has some: taken to begin together; "
             "--time-column names the column"
         )
-    past = sampled_like(past, record.sampling_time, str(file))
-    return replace(past, columns=record.columns)
+    return replace(_sampled_like(past, step, str(file)), columns=record.columns)
 
 
 def inputs_ahead(
@@ -215,9 +208,45 @@ def inputs_ahead(
         coming = replace(named, y=named.u, y_sim=None, y_true=None, columns=named.inputs)
         coming = coming if named.start is not None else coming[since:]
     else:
-        coming = read_companion(file, "--future-inputs", ahead.step, files, columns=inputs)
+        coming = _beside(file, "--future-inputs", ahead.step, files, columns=inputs)
     # Linear interpolation, as inputs may jump.
     u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
     if u.note:
         showing.console.print(f"{file}: {u.note}")
     return u.values
+
+
+def opened(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
+    """Return the simulator that the options name, or the name of a baseline; None without any."""
+    name, inputs = options.simulator, options.simulator_inputs
+    if options.parameters is None and (name is None or name in BASES):
+        return name
+    how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
+    how |= {"columns": names(options.simulator_columns or ""), "reads": how["reads"] or ()}
+    if inputs is not None:
+        how["inputs"] = names(inputs, blank=True) if inputs.strip() else []
+    return open_simulator(how.pop("simulator") or "", record, time_column=time_column, **how)
+
+
+def with_simulator(
+    model: Forecaster, folder: Path, options: SimulatorOptions, past: Record, steps: int,
+    time_column: str | None,
+) -> Forecaster:  # fmt: skip
+    """Return the saved model with the simulator that the options name."""
+    if options.simulator is None:
+        if "simulator" in model.needs or model.parameters:
+            raise InputError(f"--simulator must be given for {model.name}, which runs one")
+        return model
+    if used := model.parameters.get("used"):
+        own = ",".join(f"{name}={value!r}" for name, value in used.items())
+        options = replace(options, parameters=options.parameters or own)
+    found = opened(options, past, time_column)
+    if not used:
+        found = matched(found, past.columns, past.inputs)
+    if isinstance(found, Recorded):
+        if found.start is None:  # it is taken to begin with the history
+            found = replace(found, start=past.start)
+        if note := found.note(past.grid.after(steps)):
+            showing.console.print(f"{options.simulator}: {note}")
+    with showing.warnings_as_lines():
+        return saving.load(folder, found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import warnings
@@ -9,16 +10,18 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from rich.console import Console
 
+from splitband.data.signals import ReadingWarning
 from splitband.metrics import ExtrapolationWarning
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.table import Table
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
+from splitband.simulators.opening import log
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),
@@ -53,7 +56,30 @@ def saying(quiet: bool, json: bool) -> Iterator[None]:
             _mode.results = _kept_stdout(stack)
             stack.callback(setattr, _mode, "results", None)
             stack.enter_context(redirect_stdout(sys.stderr))
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("always", ReadingWarning)
+        others, notes = warnings.showwarning, _Notes(logging.INFO)
+
+        def show(message: Any, category: Any, *where: Any) -> None:
+            if issubclass(category, ReadingWarning):
+                warn(str(message))
+            else:
+                others(message, category, *where)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        log.addHandler(notes)
+        stack.callback(log.removeHandler, notes)
+        stack.callback(log.setLevel, log.level)
+        log.setLevel(logging.INFO)
         yield
+
+
+class _Notes(logging.Handler):
+    """Print what the library says about files that it puts together."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a note."""
+        console.print(record.getMessage())
 
 
 def _kept_stdout(stack: ExitStack) -> TextIO:

@@ -5,60 +5,50 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from splitband.cli import records, showing
-from splitband.cli.comparing import check_device
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import Device
-from splitband.cli.options.records import FileOptions, FutureInputs, ModelArgument
-from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import opened_with_simulator
+from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
 from splitband.metrics import leaves_range
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import output_folder, replacing
 
 
-@with_groups
+@options.with_groups
 def simulate(
-    model_dir: ModelArgument,
-    steps: Annotated[
-        int, typer.Option(min=1, help="Samples to simulate after them.", show_default=False)
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(metavar="FILE.csv", help="Where to write the samples.", show_default=False),
-    ],
-    simulator: SimulatorOptions,
-    files: FileOptions,
+    model_dir: options.ModelArgument,
+    steps: Annotated[int, options.plain("Samples to simulate after them.", None, False, min=1)],
+    out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv", False)],
+    simulator: options.SimulatorOptions,
+    files: options.FileOptions,
     history: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Measured samples up to now, with the columns of the training record; the last "
-            "ones warm the model up.",
-            show_default="the training record",
+        options.plain(
+            "Measured samples up to now, with the columns of the training record; the last ones "
+            "warm the model up.",
+            "FILE",
+            "the training record",
         ),
     ] = None,
-    future_inputs: FutureInputs = None,
+    future_inputs: options.FutureInputs = None,
     other_run: Annotated[
         bool,
-        typer.Option(
+        options.plain(
+            "The history is of another run: its time stamps are not compared with those of the "
+            "training record. Refused where a forecast depends on them.",
+            None,
+            True,
             "--other-run",
-            help="The history is of another run: its time stamps are not compared with those of "
-            "the training record. Refused where a forecast depends on them.",
         ),
     ] = False,
     level: Annotated[
         float | None,
-        typer.Option(
-            help="Also write the interval that should hold this share of the samples, 0 to 1, if "
-            "it has been asked for before the model was saved.",
-            show_default=False,
+        options.plain(
+            "Also write the interval that should hold this share of the samples, 0 to 1, if it has "
+            "been asked for before the model was saved.",
+            None,
+            False,
         ),
     ] = None,
-    device: Device = "cpu",
+    device: options.Device = "cpu",
 ) -> None:
     """Simulate a saved model beyond a measured history, or beyond its training record.
 
@@ -80,14 +70,13 @@ def simulate(
         past = records.history_of(history, "--history", record, files)
     since = 0 if history else forecaster.require_fitted().begin + len(record)
     u = records.inputs_ahead(future_inputs, past, steps, files, since)
-    forecaster = opened_with_simulator(
+    forecaster = records.with_simulator(
         forecaster, model_dir, simulator, past, steps, files.time_column
     )
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
         showing.console.print(begins)
-    check_device(device)
     forecaster.to(device)
     with showing.without_warnings():
         found = forecaster.predict(

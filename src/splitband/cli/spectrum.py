@@ -9,44 +9,40 @@ from typing import Annotated, Any
 
 import typer
 
-from splitband.cli import records, showing
-from splitband.cli.comparing import arguments
-from splitband.cli.options.groups import with_groups
-from splitband.cli.options.models import AUTO, Cutoff, Order
-from splitband.cli.options.records import RecordArgument, RecordOptions
-from splitband.cli.options.simulators import SimulatorOptions
-from splitband.cli.simulators import with_simulator
-from splitband.cli.usage import usage
+from splitband.cli import options, records, showing
+from splitband.cli.usage import arguments, usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
-from splitband.evaluation.plan import TRAINING_SHARE, check_train, chosen_bands
+from splitband.evaluation.checks import check_train
+from splitband.evaluation.plan import TRAINING_SHARE, chosen_bands
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import BASES
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import results
 from splitband.report.table import Column, Table
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.simulators.opening import is_fitted, open_simulator, simulated
 
 
-@with_groups
+@options.with_groups
 def spectrum(
     context: typer.Context,
-    record: RecordArgument,
-    reading: RecordOptions,
-    simulator: SimulatorOptions,
+    record: options.RecordArgument,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOptions,
     train: Annotated[
         int | None,
-        typer.Option(
-            help="Samples at the beginning to look at.",
-            show_default="all; the cut-off is chosen by three quarters of a file, as by `compare`",
+        options.plain(
+            "Samples at the beginning to look at.",
+            None,
+            "all; the cut-off is chosen by three quarters of a file, as by `compare`",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for results and page.")] = Path("out"),
-    cutoff: Cutoff = None,
-    order: Order = None,
+    out: options.Out = Path("out"),
+    cutoff: options.Cutoff = None,
+    order: options.Order = None,
 ) -> None:
     """Show the power spectrum of a record, and how a cut-off would split it.
 
@@ -59,16 +55,21 @@ def spectrum(
     that of its tables where --cutoff does not say auto. `compare --test` trains on the whole
     record: for its cut-off give --train the number of all samples.
     """
-    if simulator.simulator in BASES:
+    whole = records.load_record(record, reading)
+    opened = records.opened(simulator, whole, reading.time_column)
+    if isinstance(opened, str) or is_fitted(opened):
         raise InputError(
             f"--simulator must be a simulator for spectrum; got {simulator.simulator}, which is "
             "fitted to the record: for compare, fit and forecast"
         )
-    whole = with_simulator(records.load_record(record, reading), simulator, reading, beyond=True)
+    if opened is None and whole.y_sim is not None:  # a named record's own can run for longer
+        opened = open_simulator(record, whole)
+    if opened is not None:
+        whole = simulated(whole, opened, longer=True)
     trained = train or (RECORDS[record].train if record in RECORDS else None)
     trained = trained or int(TRAINING_SHARE * len(whole))
     check_train(whole, trained, 0)
-    given = Bands(None if cutoff == AUTO else cutoff, order)
+    given = Bands(cutoff, order)
     bands = chosen_bands(given, whole[:trained])
     shown = whole[:train]
     rate = shown.sampling_rate

@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splitband.cli.options.simulators import PATIENCE
+import typer
+
+from splitband.cli.options import (
+    FileOptions,
+    FurtherRecords,
+    ModelOptions,
+    RecordOptions,
+    SimulatorOptions,
+)
 from splitband.data.named import RECORDS
 from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
@@ -15,25 +23,29 @@ from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
 
-_SIMULATOR = (
-    "simulator", "simulator_columns", "simulator_timeout", "simulator_cache", "simulator_reads",
-)  # fmt: skip
-_FOUND = (
-    "cutoff", "order", "downsampling", "warmup", "window", "epochs", "recipe", "learning_rate",
-    "lr_milestones", "hidden", "budget", "rounds",
-)  # fmt: skip
+_SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]
+_FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
+_FOUND = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
 """Options that --like replaces."""
-_FILES = ("time_column", "missing", "skip_rows", "header_row")
-_FIT = (
-    "columns", "inputs", "sampling_time", "gaps", *_FILES, *_SIMULATOR, "parameters", "more",
-    "more_simulator", *_FOUND, "like", "seed", "device",
-)  # fmt: skip
-_USUAL = {"gaps": "refuse", "skip_rows": 0, "recipe": "default", "device": "cpu", "seed": 0,
-          "simulator_timeout": PATIENCE}  # fmt: skip
+_FIT = [
+    *RecordOptions.__annotations__, "gaps", *_FILES, *_SIMULATOR, "parameters",
+    *FurtherRecords.__annotations__, *_FOUND, "like", "seed", "device",
+]  # fmt: skip
+_USUAL = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
 WIDTH = 80
 """Characters in a line of a command."""
 STEPS = 100
 """Samples ahead in the examples."""
+
+
+def command_of(context: typer.Context) -> dict[str, Any]:
+    """Return the name of the command and its options, as results.json stores them."""
+    return {"command": context.info_name, "arguments": arguments(context.params)}
+
+
+def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of options as JSON can hold them."""
+    return {name: str(v) if isinstance(v, Path) else v for name, v in values.items()}
 
 
 def usage(
@@ -43,14 +55,10 @@ def usage(
     plan: Plan | None = None,
     model: Forecaster | None = None,
 ) -> Usage:
-    """Return how to use a model, as the page shows it, and the command that made it.
+    """Return how to use the `model` of a run, as the page shows it, and the command that made it.
 
-    Parameters
-    ----------
-    command, given : The command that made it, and its options as in results.json.
-    out : The folder of its results, with the model.
-    plan : The plan of the run; None if there was none.
-    model : The recommended method as it was trained; None if there is none.
+    `given` holds the options of the command, as in results.json; `out` is the folder of its
+    results.
     """
     record = str(given.get("record", ""))
     asked = _line(f"splitband {command}", given, [*given])
@@ -114,11 +122,11 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
 def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] = ()) -> str:
     """Return a command with the options that were given, in lines that end with a backslash."""
     words = [begin]
-    for name in sorted(names, key=lambda name: name not in ("record", "listed")):
+    for name in sorted(names, key=lambda name: name != "record"):
         value = given.get(name)
         if value is False or value in (None, "", [], ()) or _USUAL.get(name) == value:
             continue
-        if name in ("record", "listed"):
+        if name == "record":
             words.append(shlex.quote(str(value)))
             continue
         option = f"--{name.replace('_', '-')}"

@@ -43,20 +43,12 @@ SETTLING = 0.25
 
 @dataclass(eq=False)
 class Candidate:
-    """Hold a method with one choice of sizes, training settings and seed, and how far it is.
+    """Hold a method with one choice of sizes, training settings and seed, and how far it is."""
 
-    Attributes
-    ----------
-    network : Untrained, with the settings of the first round, for the whole training part.
-    seed : Of its initial weights.
-    fits : One for each round that it was trained in.
-    errors : Held-out error after each of them; infinite where the training failed.
-    """
-
-    network: Network
-    seed: int = 0
-    fits: list[Fit] = field(default_factory=list)
-    errors: list[float] = field(default_factory=list)
+    network: Network  # untrained, with the settings of the first round, for the whole training part
+    seed: int = 0  # of its initial weights
+    fits: list[Fit] = field(default_factory=list)  # one for each round that it was trained in
+    errors: list[float] = field(default_factory=list)  # held-out, after each; inf for a failure
 
     @property
     def method(self) -> str:
@@ -160,16 +152,9 @@ def candidates(
 ) -> list[Candidate]:
     """Return the candidates for training a network on a record, the most promising one first.
 
-    A network that begins as a linear model needs no steps of Adam. Its candidates differ from the
-    first one in size, window, penalty or start, one at a time. Other networks begin with steps of
-    Adam; their candidates differ in window and size.
-
-    Parameters
-    ----------
-    forecaster : With the usual settings.
-    sized : Whether its sizes may be changed, too.
-    record, others : The training records.
-    seed : Of the candidates.
+    A network that begins as a linear model needs no steps of Adam. Its candidates differ from
+    the first one in size (if `sized`), window, penalty or start, one at a time. Other networks
+    begin with steps of Adam; their candidates differ in window and size.
     """
     usual, samples = forecaster.settings, len(record)
     assert usual is not None

@@ -32,18 +32,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Errors:
-    """Hold the RMSE of predictions, in the record's unit.
+    """Hold the RMSE of predictions, in the record's unit."""
 
-    Attributes
-    ----------
-    total : From the start.
-    forecast : Of the forecast; NaN where the training part is the whole record.
-    tests : Of each test record; empty for methods that cannot simulate other records.
-    """
-
-    total: float
-    forecast: float
-    tests: tuple[float, ...] = ()
+    total: float  # from the start
+    forecast: float  # of the forecast; NaN where the training part is the whole record
+    tests: tuple[float, ...] = ()  # empty for methods that cannot simulate other records
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,15 +11,13 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.evaluation.clock import Clock
-from splitband.evaluation.comparison import median_fit
 from splitband.evaluation.jobs import Runner
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.recommendation import Trial, judged
+from splitband.evaluation.recommendation import Trial
 from splitband.evaluation.run import Watch, finished
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import Extrapolation, leaves_range
+from splitband.metrics import Extrapolation
 from splitband.runtime.arguments import whole
 
 
@@ -133,22 +131,15 @@ def run_forecast(
 ) -> Forecast:
     """Forecast beyond the record of a plan that trains on all of it; see `run`."""
     with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
-        done = finished(plan, runner, watch, clock)
-    plan, fits = done.plan, done.fits()  # with a network on the best baseline
-    trial = judged(plan.training, done.trials, fits, done.failed)
-    best = trial.recommended
-    ranges = [(fit.fitted.require_fitted().y_range, fit.ahead) for fit in fits[best]]
-    left = [leaves_range(y_range, y) for y_range, y in ranges]
-    model = fitted_ensemble([fit.fitted for fit in fits[best]], trial.held_out.get(best))
-    predicted, u = median_fit(fits[best]).forecast, plan.record.u_beyond
-    assert predicted is not None
+        found = finished(plan, runner, watch, clock).comparison()
+    best, u = found.recommended, found.record.u_beyond
     return Forecast(
-        plan,
-        model,
-        trial.intervals[best].around(predicted),
-        trial,
-        fits[best][0].description,
-        min((samples for samples in left if samples is not None), default=None),
-        model.require_fitted().inputs_beyond(None if u is None else u[: plan.horizon]),
-        done.clock,
+        found.plan,  # with a network on the best baseline
+        found.model,
+        found.predictions[best],
+        found.require_trial(),
+        found.fits[best][0].description,
+        found.leaves(best),
+        found.model.require_fitted().inputs_beyond(None if u is None else u[: plan.horizon]),
+        found.clock,
     )

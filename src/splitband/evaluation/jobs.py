@@ -40,24 +40,14 @@ forecasts of a job have taken, if that is more."""
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Hold what a fit is asked for.
+    """Hold what a fit is asked for."""
 
-    Attributes
-    ----------
-    forecaster : With its settings; not fitted.
-    spec : What to fit it to and to forecast.
-    seed : Of the fit.
-    start : The trained forecaster from which its training goes on; None for a new one.
-    trains : False to forecast with `start` as it is.
-    needed : Whether it starts even after the deadline, so that there is a result.
-    """
-
-    forecaster: Forecaster
-    spec: BacktestSpec
-    seed: int = 0
-    start: Forecaster | None = None
-    trains: bool = True
-    needed: bool = False
+    forecaster: Forecaster  # with its settings; not fitted
+    spec: BacktestSpec  # what to fit it to and to forecast
+    seed: int = 0  # of the fit
+    start: Forecaster | None = None  # trained, to go on from; None for a new training
+    trains: bool = True  # False to forecast with `start` as it is
+    needed: bool = False  # whether it starts even after the deadline, so that there is a result
 
     @property
     def method(self) -> str:
@@ -127,14 +117,10 @@ def _compile(rows: int, cell: Any) -> None:
 
 
 class Runner:
-    """Run jobs on the cores of this machine, or on an executor; keep what is finished.
+    """Run jobs on the cores of this machine, or on an executor; keep what is finished in a folder.
 
-    Parameters
-    ----------
-    cores : Worker processes; with 1, jobs run in this process.
-    executor : Any executor of `concurrent.futures`, such as Dask's `Client.get_executor()`; it
-        stays open. `cores` then says how many jobs it runs side by side.
-    folder : For the files of finished jobs; None keeps none.
+    With one core, jobs run in this process. An executor of `concurrent.futures`, such as
+    Dask's, stays open; `cores` then says how many jobs it runs side by side.
     """
 
     def __init__(
@@ -143,8 +129,7 @@ class Runner:
         self.cores, self.folder = cores, folder
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
-        self.found = 0
-        """Finished jobs of an earlier command that were found."""
+        self.found = 0  # finished jobs of an earlier command that were found
 
     def __enter__(self) -> Self:
         return self
@@ -162,11 +147,9 @@ class Runner:
             return
         cells = [cell for each in forecasters for cell in cells_of(each).values()]
         for cell in {label_of(cell): cell for cell in cells}.values():
-            for rows in (
-                BATCH,
-                1,
-            ):  # trainings, and forecasts, some of which have kernels of their own
-                # A user's cell may fail here; its training says why.
+            # Trainings, and forecasts, some of which have kernels of their own. A user's cell may
+            # fail here; its training says why.
+            for rows in (BATCH, 1):
                 self.executor.submit(_compile, rows, cell)
 
     def run(
@@ -258,10 +241,7 @@ class Runner:
 
 
 def prepare(
-    forecasters: Sequence[Forecaster],
-    records: Sequence[Record],
-    runner: Runner,
-    deadline: Deadline,
+    forecasters: Sequence[Forecaster], records: Sequence[Record], runner: Runner, deadline: Deadline
 ) -> None:
     """Fit, once, the simulators that several methods share, side by side on all cores.
 

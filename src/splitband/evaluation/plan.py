@@ -9,26 +9,29 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from splitband.data import Record, check_alike, require_records
-from splitband.data.signals import first_after
-from splitband.forecasters.backtest import (
-    BacktestSpec,
-    Origin,
-    first_held_out,
-    first_origin,
-    for_trial,
-    held_out_origins,
-)
+from splitband.data import Record, require_records
+from splitband.evaluation.checks import check, check_limits, check_needs, check_train, check_trial
+from splitband.forecasters.backtest import BacktestSpec, Origin, first_origin, held_out_origins
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.names import GREY_BOX, NAMES, QUICK, Sizes, known, named, with_base
+from splitband.forecasters.names import (
+    BASES,
+    GREY_BOX,
+    NAMES,
+    QUICK,
+    Sizes,
+    known,
+    named,
+    with_base,
+    with_variants,
+)
 from splitband.forecasters.network import Network, with_defaults
-from splitband.runtime.arguments import whole
+from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
+from splitband.simulators import Simulator
 from splitband.simulators.identification import check_runs
+from splitband.simulators.opening import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
 from splitband.training import Settings, default_warmup
 from splitband.training.settings import Recipe, recipe_settings
@@ -37,8 +40,6 @@ TRAINING_SHARE = 0.75
 """Default share of a record to train on."""
 BUDGET = 120.0
 """Default wall time of a comparison that searches how to train its networks, in s."""
-LARGEST_SEED = 2**32 - 1
-"""Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
 UNFITTED_SIMULATOR = "simulator-as-given"
 """Name of a simulator whose parameters are not fitted, but the middles of their ranges."""
 
@@ -50,22 +51,13 @@ class Plan:
     Attributes
     ----------
     record : The measured record, up to its last sample to predict.
-    train : Length of the training part, in samples.
-    horizon : Samples to forecast beyond the training part.
     methods : Forecasters, complete but for what is searched.
     settings, bands, sizes : Training settings, bands and sizes of those that had none of their own.
     searched : Names of the networks whose settings are searched; True: their sizes, too.
     extended : Whether a network on the best baseline is a method, too, if it is the best one.
-    others : Further records to train on.
     tests : Records that nothing is fitted to, with distinct names.
-    initial : ForecastContext samples at the beginning of a test record; None: the warm-up.
     simulator : Simulator whose parameters are fitted, for methods without one.
-    budget : Wall time of the whole comparison in s; None: no limit.
-    rounds : Rounds of the search, in place of a time limit; None: as many as the time allows.
-    seed : Of all random numbers.
-    seeds : Trainings of each network that is not searched; of the others the median of as many,
-        or, with None, of those that did best together.
-    refit : Whether the recommended method is refitted to the whole record.
+    train, horizon, others, initial, budget, rounds, seed, seeds, refit : See `plan`; decided.
     """
 
     record: Record
@@ -160,12 +152,15 @@ def plan(  # noqa: PLR0913
     recipe: Recipe = "default",
     bands: Bands | None = None,
     sizes: Sizes | None = None,
-    simulator: Adjustable | None = None,
+    simulator: Simulator | Adjustable | str | None = None,
+    calibrate: bool = False,
+    conditioned: bool = False,
     budget: float | None = None,
     rounds: int | None = None,
     seed: int = 0,
     seeds: int | None = None,
     refit: bool = False,
+    device: str = "cpu",
 ) -> Plan:
     """Plan a comparison, and check records, methods and settings.
 
@@ -181,14 +176,18 @@ def plan(  # noqa: PLR0913
     others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to; each is simulated to its end after
         a warm-up on its first samples.
-    initial : ForecastContext samples at the beginning of a test record, by default the warm-up.
+    initial : Measured samples at the beginning of a test record, by default the warm-up.
     settings : Training settings of the networks, or some of them, such as `{"epochs": 5}`. All but
         `warmup` fix how networks are trained. By default that is searched on the last quarter of
         the training part.
     recipe : Settings where none are given: "default", or "constant-rate", which is not searched.
     bands : Cut-off, order and down-sampling; what is not given is chosen from the training samples.
     sizes : Of the networks given by name; by default they are searched.
-    simulator : Simulator whose parameters are fitted, for methods without one.
+    simulator : For methods without one: it is run beside the record, or, with parameters (`Ode`,
+        `Fmu`, `Function`), fitted to it. A text is what `--simulator` takes: a file, FILE.py:NAME,
+        or the name of a baseline that is fitted in place of a simulator, such as "linear".
+    calibrate, conditioned : Whether methods given by name are also compared with their simulator
+        calibrated first, and with the slow band as an input of their networks.
     budget : Wall time of the whole comparison in s, by default two minutes if there is something
         to search, and no limit otherwise. `math.inf` is no limit.
     rounds : Rounds of the search in place of a time limit: the same work, and the same result, on
@@ -197,6 +196,7 @@ def plan(  # noqa: PLR0913
     seeds : Trainings of each network, whose median is handed out; by default three where settings
         are given, and as many as do best where they are searched.
     refit : Whether the recommended method is refitted to the whole record at the end.
+    device : That networks are trained on: cpu, cuda, cuda:1.
 
     Returns
     -------
@@ -213,9 +213,18 @@ def plan(  # noqa: PLR0913
         if isinstance(several, Record):
             raise TypeError(f"{name} must be a list of records, got a single one: write [record]")
         require_records(name, *several)
-    _check_limits(budget, rounds, seed, seeds)
+    check_limits(budget, rounds, seed, seeds)
+    check_device(device)
+    if initial is not None and not tests:
+        raise InputError(f"initial must be used with test records, got {initial}")
     if train is None:
         train = len(record) if tests else int(TRAINING_SHARE * len(record))
+    if isinstance(simulator, str) and simulator not in BASES:
+        simulator = open_simulator(simulator, record)
+    names = _asked(record, methods, simulator, calibrate, conditioned)
+    fitted: Any = simulator if is_fitted(simulator) else None
+    ahead = (horizon or 0) if train == len(record) else 0
+    record = _with_output(record, simulator, names, ahead)
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, Settings) else None
@@ -224,37 +233,32 @@ def plan(  # noqa: PLR0913
         shortest = default_warmup(min(map(len, tests)))
         decided = replace(decided, warmup=min(decided.warmup, shortest))
     usual = recipe == "default" and given is None and not {*changes} - {"warmup"}
-    names = [methods] if isinstance(methods, str) else methods
-    asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else [*names]
-    with_bands = [known(each) if isinstance(each, str) else each for each in asked]
+    asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else names
+    with_bands = [_known(each) for each in asked]
+    check_needs(with_bands, record, others)
     chosen = chosen_bands(bands or Bands(), training, decided, with_bands)
     small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     of_names = sizes or small
     if names is None:
-        asked = _usual(record, chosen, simulator)
-    if simulator is not None:
-        check_runs(simulator, record)
-    made, searched = list[Forecaster](), dict[str, bool]()
-    for each in asked:
-        method = known(each, of_names) if isinstance(each, str) else each
-        complete = with_defaults(method, decided, chosen)
-        if isinstance(each, str) and simulator is not None:
-            complete = with_parts_changed(complete, partial(_given, simulator))
-        if usual and isinstance(complete, Network) and method.settings is None:
-            searched[complete.name] = isinstance(each, str) and sizes is None
-        made.append(complete)
-    if rounds is not None and not searched:
-        raise InputError(f"rounds must be left out where no training is searched, got {rounds}")
-    limit = BUDGET if budget is None and rounds is None and searched else budget
+        asked = _usual(record, chosen, fitted)
+    if fitted is not None:
+        check_runs(fitted, record)
     found = Plan(
-        record, train, horizon, tuple(made), decided, chosen, of_names, searched,
-        bool(names is None and simulator is None and searched),
-        tuple(others), tuple(tests), initial, simulator,
-        None if limit in (None, math.inf) else float(limit or 0), rounds, seed, seeds, refit,
+        record, train, horizon, (), decided, chosen, of_names, others=tuple(others),
+        tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
+        seeds=seeds, refit=refit,
     )  # fmt: skip
+    found = _completed(found, asked, usual, sizes is None, device)
+    check_limits(budget, rounds, seed, seeds, bool(found.searched))
+    limit = BUDGET if budget is None and rounds is None and found.searched else budget
+    found = replace(
+        found,
+        budget=None if limit is None or limit == math.inf else float(limit),
+        extended=bool(names is None and fitted is None and found.searched),
+    )
     check(found)
     if horizon or tests:
-        _check_trial(found)
+        check_trial(found)
     return replace(found, tests=_with_distinct_names(tests))
 
 
@@ -264,19 +268,63 @@ def _given(simulator: Any, part: Forecaster) -> Forecaster:
     return part.clone().set_params(simulator=simulator) if open_ else part
 
 
-def _check_limits(budget: float | None, rounds: int | None, seed: int, seeds: int | None) -> None:
-    if budget is not None and not budget > 0:
-        raise InputError(f"budget must be a positive number of seconds, got {budget}")
-    if budget is not None and rounds is not None:
-        raise InputError(
-            f"budget and rounds exclude each other (the one limits the time, the other the work), "
-            f"got {budget} and {rounds}"
-        )
-    if rounds is not None:
-        whole("rounds", rounds)
-    whole("seed", seed, 0, LARGEST_SEED)
-    if seeds is not None:
-        whole("seeds", seeds)
+def _known(method: Forecaster | str, sizes: Sizes | None = None) -> Forecaster:
+    return known(method, sizes) if isinstance(method, str) else method
+
+
+def _asked(
+    record: Record,
+    methods: Sequence[Forecaster | str] | str | None,
+    simulator: Simulator | Adjustable | str | None,
+    calibrate: bool,
+    conditioned: bool,
+) -> list[Forecaster | str] | None:
+    """Return the methods that the options select; None if they select none."""
+    base = GREY_BOX if is_fitted(simulator) else simulator
+    if methods is None:
+        if not (calibrate or conditioned or isinstance(simulator, str)):
+            return None
+        methods = default_names(simulator is not None or record.y_sim is not None, record.nu > 0)
+    asked: list[Forecaster | str] = [methods] if isinstance(methods, str) else [*methods]
+    if calibrate or conditioned:
+        names = [each for each in asked if isinstance(each, str)]
+        others = [each for each in asked if not isinstance(each, str)]
+        asked = [*others, *with_variants(names, calibrate, conditioned)]
+    if not isinstance(base, str):
+        return asked
+    on_base = {m: with_base([m], base)[0] if isinstance(m, str) else m for m in asked}
+    return [*dict.fromkeys(on_base.values())]
+
+
+def _with_output(
+    record: Record,
+    simulator: Simulator | Adjustable | str | None,
+    names: Sequence[Forecaster | str] | None,
+    ahead: int,
+) -> Record:
+    """Return the record with the output of a simulator, unless its parameters are fitted."""
+    if simulator is None or isinstance(simulator, str) or is_fitted(simulator):
+        return record
+    expected = default_names(True, record.nu > 0) if names is None else names
+    longer = any(_known(each)._calibrates for each in expected)
+    running: Any = simulator
+    return simulated(record, running, ahead, longer)
+
+
+def _completed(
+    plan: Plan, asked: Sequence[Forecaster | str], searched: bool, sized: bool, device: str
+) -> Plan:
+    """Return the plan with these methods, complete but for what is searched."""
+    made, names = list[Forecaster](), dict[str, bool]()
+    for each in asked:
+        method = _known(each, plan.sizes)
+        complete = with_defaults(method, plan.settings, plan.bands)
+        if isinstance(each, str) and plan.simulator is not None:
+            complete = with_parts_changed(complete, partial(_given, plan.simulator))
+        if searched and isinstance(complete, Network) and method.settings is None:
+            names[complete.name] = isinstance(each, str) and sized
+        made.append(complete if device == "cpu" else complete.to(device))
+    return replace(plan, methods=tuple(made), searched=names)
 
 
 def _settings(usual: Settings, changes: Mapping[str, Any]) -> Settings:
@@ -299,13 +347,9 @@ def chosen_bands(
     settings: Settings | None = None,
     methods: Sequence[Forecaster] | None = None,
 ) -> Bands:
-    """Return the bands: for hybrids where the simulator helps, else for networks alone.
+    """Return the bands, for hybrids where the simulator helps, else for networks alone.
 
-    Parameters
-    ----------
-    given : What is not None stays.
-    training : The training part of the record.
-    settings, methods : By default the usual ones for such a record.
+    What is given stays. Settings and methods are by default the usual ones for such a record.
     """
     settings = settings or recipe_settings("default", training)
     if methods is None:
@@ -364,40 +408,6 @@ def _usual(record: Record, bands: Bands, simulator: Adjustable | None) -> list[F
     return [*names[:at], GreyBox(middle, name=UNFITTED_SIMULATOR), *names[at:]]
 
 
-def check_train(record: Record, train: int, horizon: int = 1) -> None:
-    """Check that there is something to train on and `horizon` samples to predict."""
-    if not 2 <= whole("train", train, None) <= len(record) - horizon:
-        raise InputError(
-            f"train must be between 2 and {len(record) - horizon} for a record of {len(record)} "
-            f"samples, got {train}"
-        )
-
-
-def check(plan: Plan) -> None:
-    """Check a plan, except for the trial on held-out samples.
-
-    A method that cannot be fitted does not stop the others: its row gives the reason, which is
-    raised only if no method can be fitted.
-    """
-    if not plan.methods:
-        raise InputError("methods must be one or several, got none")
-    twice = next((name for name in plan.names if plan.names.count(name) > 1), None)
-    if twice:
-        raise InputError(
-            f"methods must have names that differ, two are {twice}; a forecaster takes another "
-            "one as `name`"
-        )
-    _check_records(plan)
-    wrong: list[ValueError] = []
-    for forecaster in plan.methods:
-        try:
-            forecaster.check(plan.training, *plan.others)
-        except ValueError as error:
-            wrong.append(error)
-    if len(wrong) == len(plan.methods):
-        raise wrong[0]
-
-
 def _cut_to_horizon(
     record: Record, train: int, horizon: int | None, tested: bool
 ) -> tuple[Record, int]:
@@ -424,57 +434,6 @@ def _cut_to_horizon(
             f"{train} of train, got {horizon}"
         )
     return record[: train + horizon], horizon
-
-
-def _check_records(plan: Plan) -> None:
-    record, train, warmup = plan.record, plan.train, plan.settings.warmup
-    for other in plan.others:
-        check_alike(other, record, other.name or "another record")
-    for test in plan.tests:
-        _check_test(test, plan)
-    if warmup >= train:
-        raise InputError(f"warmup must be shorter than the {train} training samples, got {warmup}")
-    for name, part in (("training", slice(train)), ("predicted", slice(train, None))):
-        predicted = record.truth[part]
-        if len(predicted) and np.isnan(predicted).all(axis=0).any():
-            raise InputError(f"the {name} part must have a measured sample in every channel")
-
-
-def _check_test(test: Record, plan: Plan) -> None:
-    check_alike(test, plan.record, test.name or "a test record")
-    name, samples = "initial", plan.initial
-    if samples is None:
-        name = "warmup"
-        samples = max(plan.settings.warmup, *(f.warmup for f in plan.methods))
-    begin = first_after(test.complete, max(whole(name, samples), 2))
-    if begin in (None, len(test)):
-        raise InputError(
-            f"{name} must fit into the test record {test.name} of {len(test)} samples, with "
-            f"samples to predict after it, got {samples}"
-        )
-    if np.isnan(test.truth[begin:]).all(axis=0).any():
-        raise InputError(
-            f"every channel of the test record {test.name} must be measured somewhere after "
-            f"its first {begin} samples, on which methods warm up"
-        )
-
-
-def _check_trial(plan: Plan) -> None:
-    """Check the trial on the last quarter of the training part."""
-    part = replace(plan.training, y_true=None)
-    train = first_held_out(plan.train)
-    shorter = tuple(for_trial(f, plan.train) for f in plan.methods)
-    try:
-        check(
-            replace(
-                plan, record=part, train=train, horizon=len(part) - train, methods=shorter, tests=()
-            )
-        )
-    except ValueError as error:
-        raise InputError(
-            f"{error} (a method is chosen on the last quarter of the {plan.train} training "
-            "samples, trained on the rest)"
-        ) from None
 
 
 def _with_distinct_names(tests: Sequence[Record]) -> tuple[Record, ...]:

@@ -39,29 +39,18 @@ class Trial:
 
     Networks with several trainings are scored by the median of their forecasts.
 
-    Attributes
-    ----------
-    errors : RMSE of each channel, by method: of all forecasts to the end of the training part, by
-        a fit to the samples before. See `backtest.held_out_origins`.
-    scores : RMSE of all channels together, each scaled to a standard deviation of 1.
-    trained : Methods that are trained: networks.
-    final : Median forecast by each method after its final fit; only these methods are recommended.
-    failed : Why methods could not be fitted.
-    left_out : Methods that cannot simulate the test records; they are recommended only if there is
-        no other.
-    held_out : Errors of the held-out forecasts by method, for baselines also of earlier, longer
-        ones: intervals of any level are computed from them. Their `doubt` is, for a method that is
-        fitted once for them, the root mean square of the change of its forecast by the final fit,
-        combined with the standard deviation over seeds.
+    The `doubt` of `held_out` is, for a method that is fitted once for its held-out forecasts, the
+    root mean square of the change of its forecast by the final fit, combined with the standard
+    deviation over seeds.
     """
 
-    errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    scores: Mapping[str, float] = field(default_factory=dict)
-    trained: frozenset[str] = frozenset()
-    final: Mapping[str, Array] = field(default_factory=dict)
-    failed: Mapping[str, str] = field(default_factory=dict)
-    left_out: frozenset[str] = frozenset()
-    held_out: Mapping[str, HeldOut] = field(default_factory=dict)
+    errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE of each channel
+    scores: Mapping[str, float] = field(default_factory=dict)  # of all channels, each scaled
+    trained: frozenset[str] = frozenset()  # methods that are trained: networks
+    final: Mapping[str, Array] = field(default_factory=dict)  # forecasts; only these recommended
+    failed: Mapping[str, str] = field(default_factory=dict)  # why methods could not be fitted
+    left_out: frozenset[str] = frozenset()  # unable to simulate test records: a last resort
+    held_out: Mapping[str, HeldOut] = field(default_factory=dict)  # errors, for intervals
 
     @property
     def intervals(self) -> dict[str, Interval]:
@@ -85,12 +74,6 @@ class Trial:
         """Return why methods have no result, in words, by name."""
         return {name: f"no result: {reason}" for name, reason in self.failed.items()}
 
-    @property
-    def best_network(self) -> str | None:
-        """Return the network with the lowest score."""
-        networks = [method for method in self.scores if method in self.trained]
-        return min(networks, key=lambda method: self.scores[method], default=None)
-
     def penalized_score(self, method: str) -> float:
         """Return the score by which methods are ranked in `recommended`; lower is better."""
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
@@ -105,16 +88,10 @@ def judged(
 ) -> Trial:
     """Return what held-out forecasts and final fits say of each method.
 
-    A method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
+    `held` and `final` are fits to three quarters of the training part, and to all of it. A
+    method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
     Its interval is therefore at least as wide as the change of its forecast by the final fit
     requires.
-
-    Parameters
-    ----------
-    training : The training part.
-    held, final : Fits to three quarters of it, and to all of it, by method.
-    failed : Why methods have no fit.
-    left_out : See `Trial`.
     """
     record = replace(training, y_true=None)
     held = {name: fits for name, fits in held.items() if fits}

@@ -14,12 +14,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import LATE, Job, Runner, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged, without_failed
-from splitband.forecasters.backtest import (
-    BacktestSpec,
-    Fit,
-    Origin,
-    for_trial,
-)
+from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, for_trial
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.names import BASES, built

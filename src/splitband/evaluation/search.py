@@ -19,12 +19,7 @@ from splitband.evaluation.candidates import SETTLING, SHORT_RECORD, Candidate, c
 from splitband.evaluation.clock import HALF
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import Plan
-from splitband.forecasters.backtest import (
-    HELD_OUT_SHARE,
-    Fit,
-    for_trial,
-    held_out_score,
-)
+from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial, held_out_score
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
@@ -41,21 +36,13 @@ GIVEN_SEEDS = 3
 
 @dataclass(frozen=True)
 class Attempt:
-    """Hold the held-out error of a candidate after a round.
+    """Hold the held-out error of a candidate after a round."""
 
-    Attributes
-    ----------
-    round : Number of the round.
-    method, training : Name of the method, and its training in words.
-    seed : Of the training.
-    score : RMSE, of channels scaled to a standard deviation of 1; None if it failed.
-    """
-
-    round: int
-    method: str
-    training: str
-    seed: int
-    score: float | None
+    round: int  # number of the round
+    method: str  # its name
+    training: str  # in words
+    seed: int  # of the training
+    score: float | None  # RMSE, of channels scaled to a standard deviation of 1; None if it failed
 
 
 class Search:
@@ -272,12 +259,9 @@ class Search:
             choices.setdefault(id(candidate.network), candidate)
         latest = [c for c in choices.values() if math.isfinite(c.error)]
         if len(seeds) > 1:
-            latest = [c for c in latest if any(c.network is t.network for t in self._newest(seeds))]
+            newest = [c.network for c in self.tried if c.seed == max(seeds)]
+            latest = [c for c in latest if any(c.network is network for network in newest)]
         return [c.again(max(seeds) + 1) for c in self._better(latest)]
-
-    def _newest(self, seeds: set[int]) -> list[Candidate]:
-        """Return the candidates with the last seed, from which the next ones are chosen."""
-        return [c for c in self.tried if c.seed == max(seeds)]
 
     def _job(self, candidate: Candidate) -> Job:
         network = for_trial(candidate.next(), len(self._record))

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -20,7 +21,7 @@ import numpy as np
 
 from splitband import __version__
 from splitband.data.signals import unit_of
-from splitband.export.c import render
+from splitband.export import c
 from splitband.export.program import Program
 from splitband.runtime.errors import InputError
 from splitband.simulators.fmu_unit import OPTIONAL
@@ -31,20 +32,13 @@ COMPILERS = "cc", "gcc", "clang"
 
 @dataclass(frozen=True)
 class Variable:
-    """Hold a variable of an FMU; its value reference is its position among those of its type.
+    """Hold a variable of an FMU; its value reference is its position among those of its type."""
 
-    Attributes
-    ----------
-    name, causality, description : As FMI defines them.
-    start : Value before it is set; None for a computed variable.
-    unit : Unit of a number; empty if unknown.
-    """
-
-    name: str
+    name: str  # as FMI defines them
     causality: str
     description: str
-    start: float | bool | None = None
-    unit: str = ""
+    start: float | bool | None = None  # value before it is set; None for a computed variable
+    unit: str = ""  # unit of a number; empty if unknown
 
 
 FLAGS = (
@@ -54,8 +48,8 @@ FLAGS = (
 )  # fmt: skip
 
 
-def write(program: Program, path: Path) -> None:
-    """Write the FMU: a binary for this platform, and the sources for others."""
+def render(program: Program) -> bytes:
+    """Return the FMU: a binary for this platform, and the sources for others."""
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
@@ -64,7 +58,7 @@ def write(program: Program, path: Path) -> None:
     numbers = _numbers(program)
     # Its own names, which no file of the FMU and no header of FMI can have.
     model = f"{program.name}_model"
-    header, source = render(replace(program, name=model), "double")
+    header, source = c.render(replace(program, name=model), "double")
     guid = hashlib.sha256((header + source).encode()).hexdigest()[:32]
     wrapper = resources.files("splitband.export").joinpath("fmu2.c.in").read_text(encoding="ascii")
     for word, value in {
@@ -91,9 +85,11 @@ def write(program: Program, path: Path) -> None:
         binary = folder / "binaries" / fmpy.platform
         binary.mkdir(parents=True)
         _compile(sources, model, binary / f"{program.name}{fmpy.sharedLibraryExtension}")
-        with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        packed = BytesIO()
+        with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
             for file in sorted(p for p in folder.rglob("*") if p.is_file()):
                 archive.write(file, file.relative_to(folder))
+        return packed.getvalue()
 
 
 def _compile(sources: Path, model: str, library: Path) -> None:

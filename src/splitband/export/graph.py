@@ -32,23 +32,13 @@ FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
 
 @dataclass(eq=False)
 class Node:
-    """Hold an operation of a graph.
+    """Hold an operation of a graph."""
 
-    Attributes
-    ----------
-    op : A name of `ELEMENTWISE`, or "where", "matmul", "sum", "largest", "smallest", "concat",
-        "view", "reshape", "scan", "cond".
-    inputs : Its operands.
-    options : Its settings.
-    blocks : The body of a loop, or both branches of a condition.
-    outputs : Its results.
-    """
-
-    op: str
-    inputs: tuple[Symbol, ...]
-    options: dict[str, Any] = field(default_factory=dict)
-    blocks: tuple[Block, ...] = ()
-    outputs: tuple[Symbol, ...] = ()
+    op: str  # of `ELEMENTWISE`, `_FUNCTIONS`, "matmul", "view", "reshape", "scan", "cond"
+    inputs: tuple[Symbol, ...]  # its operands
+    options: dict[str, Any] = field(default_factory=dict)  # its settings
+    blocks: tuple[Block, ...] = ()  # the body of a loop, or both branches of a condition
+    outputs: tuple[Symbol, ...] = ()  # its results
 
 
 @dataclass(eq=False)

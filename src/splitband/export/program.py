@@ -21,18 +21,11 @@ from splitband.runtime.tracing import named_leaves
 
 @dataclass(frozen=True, eq=False)
 class Leaf:
-    """Hold an array of the state.
+    """Hold an array of the state."""
 
-    Attributes
-    ----------
-    name : Name of the field of the state.
-    begun : Its value when the program begins.
-    cleared : Its value before anything has been measured.
-    """
-
-    name: str
-    begun: Array
-    cleared: Array
+    name: str  # name of the field of the state
+    begun: Array  # its value when the program begins
+    cleared: Array  # its value before anything has been measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,23 +34,19 @@ class Program:
 
     Attributes
     ----------
-    name : An identifier.
-    forecaster : The forecaster.
     block : Inputs are the state's leaves, y, u and y_sim; outputs are the state's leaves, the
         predicted sample and whether it could be predicted.
-    leaves : The state.
     given : Names and shapes of the signals of a sample: y, and u and y_sim if the model has them.
-    raw : Whether signals are given as measured, before the record was prepared.
     empty : Whether it begins with nothing measured, because the simulator's output for the history
         was not available.
     """
 
-    name: str
+    name: str  # an identifier
     forecaster: Forecaster
     block: Block
-    leaves: tuple[Leaf, ...]
+    leaves: tuple[Leaf, ...]  # the state
     given: dict[str, tuple[int, ...]]
-    raw: bool
+    raw: bool  # whether signals are given as measured, before the record was prepared
     empty: bool
 
     @property

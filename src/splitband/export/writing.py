@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from splitband.data import Record
@@ -14,7 +14,8 @@ from splitband.forecasters.base import Forecaster
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
 
-Writer = Callable[[Program, Path, Precision], list[Path]]
+Renderer = Callable[[Program, Path, Precision], Mapping[Path, bytes]]
+"""Returns the content of each file, the one that was asked for first."""
 
 
 def export(
@@ -25,45 +26,39 @@ def export(
 ) -> list[Path]:
     """Export a forecaster; return the files. See `Forecaster.export`."""
     path = Path(path)
-    writer = WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise InputError(f"path must end with one of {', '.join(WRITERS)}, got {path}")
+    rendered = FORMATS.get(path.suffix.lower())
+    if rendered is None:
+        raise InputError(f"path must end with one of {', '.join(FORMATS)}, got {path}")
     if precision not in ("double", "float"):
         raise InputError(f"precision must be double or float, got {precision!r}")
-    return writer(program(forecaster, path.stem, history), path, precision)
+    files = rendered(program(forecaster, path.stem, history), path, precision)
+    for file, content in files.items():
+        with replacing(file) as temporary:
+            temporary.write_bytes(content)
+    return [*files]
 
 
-def _c(made: Program, path: Path, precision: Precision) -> list[Path]:
-    header, source = render(made, precision)
+def _c(made: Program, path: Path, precision: Precision) -> dict[Path, bytes]:
     if path.stem != made.name:
         raise InputError(
             f"path must be named as functions of C are, such as {made.name}.c, got {path.name}"
         )
-    beside = path.with_suffix(".h")
-    for file, text in ((beside, header), (path, source)):
-        with replacing(file) as temporary:
-            temporary.write_text(text, encoding="ascii")
-    return [path, beside]
+    header, source = render(made, precision)
+    return {path: source.encode("ascii"), path.with_suffix(".h"): header.encode("ascii")}
 
 
-def _onnx(made: Program, path: Path, precision: Precision) -> list[Path]:
+def _onnx(made: Program, path: Path, precision: Precision) -> dict[Path, bytes]:
     from splitband.export import onnx_graph  # noqa: PLC0415  needs the extra `onnx`
 
-    beside = path.with_name(f"{path.stem}-rollout{path.suffix}")
-    contents = onnx_graph.render(made, precision)
-    for file, content in zip((path, beside), contents, strict=True):
-        with replacing(file) as temporary:
-            temporary.write_bytes(content)
-    return [path, beside]
+    step, rollout = onnx_graph.render(made, precision)
+    return {path: step, path.with_name(f"{path.stem}-rollout{path.suffix}"): rollout}
 
 
-def _fmu(made: Program, path: Path, precision: Precision) -> list[Path]:
+def _fmu(made: Program, path: Path, precision: Precision) -> dict[Path, bytes]:
     if precision != "double":
         raise InputError(f"precision must be double for an FMU, got {precision}")
-    with replacing(path) as temporary:
-        fmu.write(made, temporary)
-    return [path]
+    return {path: fmu.render(made)}
 
 
-WRITERS: dict[str, Writer] = {".c": _c, ".fmu": _fmu, ".onnx": _onnx}
-"""Writers by file extension."""
+FORMATS: dict[str, Renderer] = {".c": _c, ".fmu": _fmu, ".onnx": _onnx}
+"""What writes a format, by file extension."""

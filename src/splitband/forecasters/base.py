@@ -38,7 +38,7 @@ from splitband.forecasters.stepping import (
 )
 from splitband.metrics import ExtrapolationWarning
 from splitband.networks.cell import Template
-from splitband.runtime.arguments import whole
+from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, options
@@ -439,6 +439,7 @@ class Forecaster(WithRepr, ABC):
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run networks on this device from now on, and return the forecaster itself."""
+        check_device(device)
         for part in parts_of(self):
             part.to(device)
         return self

@@ -29,6 +29,7 @@ from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import NotSteppedError, Recursion, warmed
 from splitband.models.labels import FAST, SLOW
 from splitband.networks.cell import Cell, Template
+from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
 from splitband.runtime.errors import InputError
@@ -140,6 +141,7 @@ class Network(Forecaster):
         """Train and run on this device from now on."""
         import torch  # noqa: PLC0415  whoever names a device needs it
 
+        check_device(device)
         self._device = torch.device(device)
         if self.model is not None:
             self.model.to(self._device)

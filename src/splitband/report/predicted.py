@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 from splitband.data import Record
@@ -20,24 +21,14 @@ BEFORE = 8
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Hold a record, and predictions of its last samples or of those after it.
+    """Hold a record, and predictions of its last samples or of those after it."""
 
-    Attributes
-    ----------
-    protocol : How they were made.
-    says : The same in words, for captions.
-    record : The measured record.
-    predictions : Predictions by method, the median over its trainings; all end at the same sample.
-    trainings : Those of the single trainings, by method.
-    ahead : Number of the predicted samples that come after the record.
-    """
-
-    protocol: Protocol
-    says: str
-    record: Record
-    predictions: Mapping[str, Prediction]
+    protocol: Protocol  # how they were made
+    says: str  # the same in words, for captions
+    record: Record  # the measured record
+    predictions: Mapping[str, Prediction]  # medians over trainings; all end at the same sample
     trainings: Mapping[str, Sequence[Prediction]] = field(default_factory=dict)
-    ahead: int = 0
+    ahead: int = 0  # number of the predicted samples that come after the record
 
     @property
     def steps(self) -> int:
@@ -77,7 +68,7 @@ def predicted(comparison: Comparison) -> list[Predicted]:
         return Predicted(protocol, says, record, medians, trainings)
 
     found = [
-        of("test", f"simulation of the test record {test.name or i + 1}", test, _of_test(i))
+        of("test", f"simulation of the test record {test.name or i + 1}", test, partial(_tested, i))
         for i, test in enumerate(comparison.tests)
     ]
     if comparison.predictions:
@@ -87,5 +78,5 @@ def predicted(comparison: Comparison) -> list[Predicted]:
     return [*found, of("start", says, record, lambda fit: fit.from_start)]
 
 
-def _of_test(i: int) -> Callable[[Fit], Prediction | None]:
-    return lambda fit: fit.tests[i] if fit.tests else None
+def _tested(i: int, fit: Fit) -> Prediction | None:
+    return fit.tests[i] if fit.tests else None

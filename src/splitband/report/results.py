@@ -241,10 +241,7 @@ def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     if not ahead:
         return asdict(interval)
     mean = interval.half_widths(ahead).mean(axis=0)
-    return asdict(interval) | {
-        "covers": comparison.covers(name),
-        "mean_half_width": mean.tolist(),
-    }
+    return asdict(interval) | {"covers": comparison.covers(name), "mean_half_width": mean.tolist()}
 
 
 def _errors(comparison: Comparison, fit: Fit) -> dict[str, Any]:

@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 import statistics
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from html import escape
 from io import StringIO
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
 import pandas as pd
 import rich.table
@@ -30,67 +32,27 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.report.numbers import aligned, decimals, number, percent, tenths
-from splitband.report.predicted import Predicted, predicted
+from splitband.report.predicted import Protocol, predicted
 from splitband.runtime.arrays import Array
 
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 """Units of numbers that are over all outputs of a comparison."""
-NOTES = {
-    "test fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the simulation of this test "
-    "record: 100 is perfect, 0 is as good as the mean of the record",
-    "forecast fit %": "100 (1 - |y - prediction| / |y - mean(y)|) of the forecast: 100 is perfect, "
-    "0 is as good as the mean of the samples after the training part",
-    "test RMSE": "root mean squared error of the simulation of this test record",
-    "forecast RMSE": "root mean squared error of the forecast after the training part",
-    "score": "the lowest is recommended: the held-out RMSE in standard deviations, of several "
-    f"outputs the root of the sum of squares; networks carry a penalty of {WORTH_TRAINING:.0%}",
-    "in interval": f"share of the measured samples in the forecast's interval; {LEVEL:.0%} is "
-    "ideal",
-    "held-out RMSE": "error on the last quarter of the training samples, by models trained on "
-    "the rest",
-    "RMSE from the start": "of the simulation from the first samples to the end of the record",
-    "fit % from the start": "of the same simulation",
-    "fit (s)": "seconds of one training, on average",
-    "trainings": "how many the median is of; after ±: the standard deviation of their errors",
-}
-"""What each column means; each heading needs an entry. The order is that of the columns: a narrow
-terminal leaves out the last ones."""
-
-
-_HEADINGS = {
-    "test": ("test fit %", "test RMSE"),
-    "forecast": ("forecast fit %", "forecast RMSE"),
-    "start": ("fit % from the start", "RMSE from the start"),
-}
-"""Headings of fit and RMSE, by protocol."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """Hold a column: a number for each row, of one channel or of all.
-
-    Attributes
-    ----------
-    heading : What it is called.
-    unit : Unit of its numbers.
-    values : Numbers by row, such as methods; a row that has none is missing.
-    channel : The channel; empty if the number is over all channels, or the record has only one.
-    record : Name of the test record; empty for the record of the comparison.
-    spreads : Standard deviation over the seeds, by row, if there are several.
-    ranked : Whether the lowest number (of percents, the highest) is the best one.
-    measure : The unit of the output, as given in its name, such as "m".
-    """
+    """Hold a column: a number for each row, of one channel or of all."""
 
     heading: str
     unit: Unit
-    values: Mapping[str, float]
-    channel: str = ""
-    record: str = ""
-    spreads: Mapping[str, float] = field(default_factory=dict)
-    ranked: bool = True
-    measure: str = ""
+    values: Mapping[str, float]  # by row, such as methods; a row that has none is missing
+    channel: str = ""  # empty if the number is over all channels, or the record has only one
+    record: str = ""  # name of the test record; empty for the record of the comparison
+    spreads: Mapping[str, float] = field(default_factory=dict)  # over the seeds, if several
+    ranked: bool = True  # whether the lowest number (of percents, the highest) is the best one
+    measure: str = ""  # the unit of the output, as given in its name, such as "m"
 
     @property
     def title(self) -> str:
@@ -101,7 +63,7 @@ class Column:
     @property
     def note(self) -> str:
         """Return the explanation of the heading; empty if it needs none."""
-        return NOTES.get(self.heading, "")
+        return KINDS[self.heading].note if self.heading in KINDS else ""
 
     @property
     def label(self) -> str:
@@ -150,24 +112,14 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Hold a table: columns, and the rows in order.
-
-    Attributes
-    ----------
-    title : What it shows.
-    columns : The most important first; a narrow terminal leaves out the last ones.
-    rows : Remarks on each row, by its name; they may be empty.
-    head : What the rows are.
-    recommended : The row that stands out.
-    minor : Rows that a page folds away at first.
-    """
+    """Hold a table: columns, and the rows in order."""
 
     title: str
-    columns: Sequence[Column]
-    rows: Mapping[str, str]
-    head: str = "method"
-    recommended: str = ""
-    minor: frozenset[str] = frozenset()
+    columns: Sequence[Column]  # a narrow terminal leaves out the last ones
+    rows: Mapping[str, str]  # remarks on each row, by its name; they may be empty
+    head: str = "method"  # what the rows are
+    recommended: str = ""  # the row that stands out
+    minor: frozenset[str] = frozenset()  # rows that a page folds away at first
 
     @property
     def notes(self) -> dict[str, str]:
@@ -303,29 +255,18 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
     return Table(title, listed, said, "training", listed[1].best)
 
 
-def columns(comparison: Comparison) -> list[Column]:
-    """Return the columns of a comparison: fit and error first, then supporting numbers.
+def columns(comparison: Comparison, *headings: str) -> list[Column]:
+    """Return the columns of a comparison, by default all: fit and error first.
 
     Errors are of the median of the seeds' predictions, which is the method's prediction, for each
     output separately. Their spread is the standard deviation of the single seeds' errors.
     """
-    runs, record, trial = comparison.fits, comparison.record, comparison.trial
-    found: list[Column] = []
-    for i, shown in enumerate(predicted(comparison)):
-        tested = (shown.record.name or str(i + 1)) if shown.protocol == "test" else ""
-        found += [replace(column, record=tested) for column in _errors(shown)]
-    if trial is not None:
-        found += tried(trial, record, [*runs])
-        if comparison.predictions:
-            held = {name: comparison.coverages(name) for name in runs}
-            found += _by_channel("in interval", held, record, "share")
-    if any(len(of_method) > 1 for of_method in runs.values()):
-        counts = {name: float(len(of_method)) for name, of_method in runs.items()}
-        found.append(Column("trainings", "count", counts, ranked=False))
-    seconds = {name: statistics.mean(r.report.seconds for r in rs) for name, rs in runs.items()}
-    found.append(Column("fit (s)", "seconds", seconds, ranked=False))
-    importance = [*NOTES]
-    return sorted(found, key=lambda column: importance.index(column.heading))
+    return [
+        column
+        for heading in headings or KINDS
+        for numbers in KINDS[heading].of(comparison)
+        for column in _columns(heading, numbers)
+    ]
 
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
@@ -335,15 +276,10 @@ def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
     return sorted(methods, key=lambda name: (name in trial.left_out, trial.penalized_score(name)))
 
 
-def tried(trial: Trial, record: Record, methods: Sequence[str]) -> list[Column]:
+def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
     """Return the columns of a trial: score and held-out error."""
-    scores = {
-        name: trial.penalized_score(name)
-        for name in methods
-        if name in (trial.final or trial.scores)
-    }
-    held_out = {name: trial.errors[name] for name in methods}
-    return [Column("score", "deviation", scores), *_by_channel("held-out RMSE", held_out, record)]
+    of = {"score": _scores(trial, methods), "held-out RMSE": _held_out(trial, record, methods)}
+    return [column for heading, numbers in of.items() for column in _columns(heading, numbers)]
 
 
 def remarks(comparison: Comparison) -> dict[str, str]:
@@ -395,44 +331,136 @@ def as_text(comparison: Comparison) -> str:
 
 def as_html(comparison: Comparison) -> str:
     """Return the table as HTML without style, the recommended method first, for notebooks."""
-    from splitband.report.page.rendering import macros  # noqa: PLC0415  Jinja, where it is shown
+    from splitband.report.page.parts import template  # noqa: PLC0415  it imports this module
 
     said = f"<p>{escape(repr(comparison))}</p>"
-    return said + str(macros().table(replace(of_comparison(comparison), title=""), "comparison"))
-
-
-def _errors(shown: Predicted) -> list[Column]:
-    """Return the columns of fit and RMSE, of each method's median over seeds."""
-    fits, errors, spreads = {}, {}, {}
-    for name, median in shown.predictions.items():
-        truth = shown.truth(median)
-        fits[name], errors[name] = fit_percent(truth, median.y), channel_rmse(truth, median.y)
-        each = [channel_rmse(truth, one.y) for one in shown.trainings[name]]
-        if len(each) > 1:
-            spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]
-    fit, error = _HEADINGS[shown.protocol]
-    return [
-        *_by_channel(fit, fits, shown.record, "percent"),
-        *_by_channel(error, errors, shown.record, "record", spreads),
-    ]
-
-
-def _by_channel(
-    heading: str,
-    values: Mapping[str, Sequence[float] | Array],
-    record: Record,
-    unit: Unit = "record",
-    spreads: Mapping[str, Sequence[float]] | None = None,
-) -> list[Column]:
-    return [
-        Column(
-            heading,
-            unit,
-            {name: float(of_method[i]) for name, of_method in values.items()},
-            channel if record.ny > 1 else "",
-            spreads={name: float(of_method[i]) for name, of_method in (spreads or {}).items()},
-            ranked=unit != "share",
-            measure=measure,
+    return said + str(
+        template("macros.html").module.table(
+            replace(of_comparison(comparison), title=""), "comparison"
         )
-        for i, (channel, measure) in enumerate(zip(record.columns, record.units, strict=True))
-    ]
+    )
+
+
+class Numbers(NamedTuple):
+    """Hold numbers by method: one over all outputs or, of a record, one for each channel."""
+
+    values: Mapping[str, Any]
+    record: Record | None = None
+    test: str = ""  # name of the test record
+    spreads: Mapping[str, Any] = MappingProxyType({})
+
+
+def _columns(heading: str, numbers: Numbers) -> list[Column]:
+    """Return the columns of these numbers, which have a unit each."""
+    values, record, test, spreads = numbers
+    unit = KINDS[heading].unit
+    if record is None:
+        return [Column(heading, unit, values, ranked=unit == "deviation")] if values else []
+
+    def of(i: int, numbers: Mapping[str, Any]) -> dict[str, float]:
+        return {name: float(of_method[i]) for name, of_method in numbers.items()}
+
+    channels = enumerate(zip(record.columns, record.units, strict=True))
+    return [
+        Column(heading, unit, of(i, values), name if record.ny > 1 else "", test, of(i, spreads),
+               unit != "share", measure)
+        for i, (name, measure) in channels
+    ]  # fmt: skip
+
+
+def _errors(
+    protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
+) -> Iterator[Numbers]:
+    """Yield the fits or errors of predictions, of errors also their spread over the seeds."""
+    every = [each for each in predicted(comparison) if each.protocol == protocol]
+    for i, shown in enumerate(every, 1):
+        values, spreads = {}, {}
+        for name, median in shown.predictions.items():
+            truth = shown.truth(median)
+            values[name] = measure(truth, median.y)
+            each = [measure(truth, one.y) for one in shown.trainings[name]]
+            if measure is channel_rmse and len(each) > 1:
+                spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]
+        test = (shown.record.name or str(i)) if protocol == "test" else ""
+        yield Numbers(values, shown.record, test, spreads)
+
+
+def _scores(trial: Trial, methods: Iterable[str]) -> Numbers:
+    scored = trial.final or trial.scores
+    return Numbers({name: trial.penalized_score(name) for name in methods if name in scored})
+
+
+def _held_out(trial: Trial, record: Record, methods: Iterable[str]) -> Numbers:
+    return Numbers({name: trial.errors[name] for name in methods}, record)
+
+
+def _intervals(comparison: Comparison) -> list[Numbers]:
+    if comparison.trial is None or not comparison.predictions:
+        return []
+    held = {name: comparison.coverages(name) for name in comparison.fits}
+    return [Numbers(held, comparison.record)]
+
+
+def _trainings(comparison: Comparison) -> list[Numbers]:
+    counts = {name: float(len(fits)) for name, fits in comparison.fits.items()}
+    return [Numbers(counts)] if max(counts.values(), default=0) > 1 else []
+
+
+def _seconds(comparison: Comparison) -> list[Numbers]:
+    runs = comparison.fits.items()
+    return [Numbers({name: statistics.mean(r.report.seconds for r in rs) for name, rs in runs})]
+
+
+class Kind(NamedTuple):
+    """Describe a column of comparisons: its unit, what it means, and where its numbers are from."""
+
+    unit: Unit
+    note: str
+    of: Callable[[Comparison], Iterable[Numbers]]
+
+
+_FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
+KINDS = {
+    "test fit %": Kind(
+        "percent", f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as the "
+        "mean of the record", partial(_errors, "test", fit_percent),
+    ),
+    "forecast fit %": Kind(
+        "percent", f"{_FIT} forecast: 100 is perfect, 0 is as good as the mean of the samples "
+        "after the training part", partial(_errors, "forecast", fit_percent),
+    ),
+    "test RMSE": Kind(
+        "record", "root mean squared error of the simulation of this test record",
+        partial(_errors, "test", channel_rmse),
+    ),
+    "forecast RMSE": Kind(
+        "record", "root mean squared error of the forecast after the training part",
+        partial(_errors, "forecast", channel_rmse),
+    ),
+    "score": Kind(
+        "deviation", "the lowest is recommended: the held-out RMSE in standard deviations, of "
+        "several outputs the root of the sum of squares; networks carry a penalty of "
+        f"{WORTH_TRAINING:.0%}", lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
+    ),
+    "in interval": Kind(
+        "share", "share of the measured samples in the forecast's interval; "
+        f"{LEVEL:.0%} is ideal", _intervals,
+    ),
+    "held-out RMSE": Kind(
+        "record", "error on the last quarter of the training samples, by models trained on the "
+        "rest", lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else [],
+    ),
+    "RMSE from the start": Kind(
+        "record", "of the simulation from the first samples to the end of the record",
+        partial(_errors, "start", channel_rmse),
+    ),
+    "fit % from the start": Kind(
+        "percent", "of the same simulation", partial(_errors, "start", fit_percent)
+    ),
+    "fit (s)": Kind("seconds", "seconds of one training, on average", _seconds),
+    "trainings": Kind(
+        "count", "how many the median is of; after ±: the standard deviation of their errors",
+        _trainings,
+    ),
+}  # fmt: skip
+"""The columns of comparisons by heading; a narrow terminal leaves out the last ones."""

@@ -44,11 +44,9 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     These are the test records, or else the samples after the training part.
     """
     best = comparison.recommended
-    listed = [column for column in columns(comparison) if best in column.values]
-    side = "test" if any(c.heading == "test fit %" for c in listed) else "forecast"
-    fits = [column for column in listed if column.heading == f"{side} fit %"]
-    errors = [column for column in listed if column.heading == f"{side} RMSE"]
-    held = {c.channel: c for c in listed if c.heading == "in interval"}
+    side = "test" if comparison.medians[best].tests else "forecast"
+    fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
+    held = {c.channel: c for c in columns(comparison, "in interval")}
     ahead = len(comparison.record) - comparison.plan.train
     found = []
     for fit, error in zip(fits, errors, strict=True):
@@ -91,10 +89,8 @@ def why(trial: Trial, train: int) -> list[str]:
 
 def afterwards(comparison: Comparison) -> list[str]:
     """Return which methods had a better fit than the recommended one on unseen samples."""
-    best, listed = comparison.recommended, columns(comparison)
-    tests = [column for column in listed if column.heading == "test fit %"]
-    ahead = [column for column in listed if column.heading == "forecast fit %"]
-    fits = tests or ahead
+    best = comparison.recommended
+    fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
     if not fits or best not in fits[0].values:
         return []
     better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
@@ -125,10 +121,9 @@ def warnings(comparison: Comparison) -> list[str]:
             doubts.setdefault(doubt, []).append(name)
     said += [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()]
     share = comparison.require_trial().intervals[best].share
-    held = [c for c in columns(comparison) if c.heading == "in interval"]
     missed = [
         c.entry(best) + (f" ({c.channel})" if c.channel else "")
-        for c in held
+        for c in columns(comparison, "in interval")
         if c.values[best] < share - POOR
     ]
     if missed:

@@ -38,3 +38,16 @@ def did_you_mean(unknown: Iterable[str], possible: Iterable[str]) -> str:
     possible = [*possible]
     close = [match for name in unknown for match in get_close_matches(name, possible, 1)]
     return f" (did you mean {', '.join(close)}?)" if close else ""
+
+
+def check_device(name: Any) -> None:
+    """Raise ValueError for a device of networks that is not there."""
+    if name == "cpu":
+        return
+    import torch  # noqa: PLC0415  only where another device is asked for
+
+    try:
+        torch.zeros(1, device=name).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"device must be one that is there, got {name}: {reason}") from None

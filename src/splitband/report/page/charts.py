@@ -59,22 +59,13 @@ Drawn = npt.NDArray[np.float32] | Array
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Hold what charts over the same axis share; they zoom together.
+    """Hold what charts over the same axis share; they zoom together."""
 
-    Attributes
-    ----------
-    values : Positions of the samples; dates are in milliseconds since 1970.
-    label : Label with its unit.
-    shown : The visible range.
-    bins : First samples of the bins of which two values are drawn; of a short axis, every sample.
-    dates, log : Whether the values are dates, and whether the axis is logarithmic.
-    """
-
-    values: Array
-    label: str
-    shown: Range1d
-    bins: npt.NDArray[np.int64]
-    dates: bool = False
+    values: Array  # positions of the samples; dates are in milliseconds since 1970
+    label: str  # label with its unit
+    shown: Range1d  # the visible range
+    bins: npt.NDArray[np.int64]  # their first samples; two values are drawn of a bin of several
+    dates: bool = False  # whether the values are dates
     log: bool = False
 
     @classmethod
@@ -159,18 +150,8 @@ def _range(low: float, high: float, name: str = "") -> Range1d:
 class Chart:
     """Draw a chart with its curves, and only those tools that a reader needs.
 
-    Labels are plain text: to look for formulas in users' names, Bokeh would load a library.
-
-    Parameters
-    ----------
-    axis : The horizontal axis.
-    label : Label of the vertical axis, with its unit.
-    limits : Limits of the vertical axis.
-    caption : Text above it.
-    height : Height in pixels; the width is that of its place on the page.
-    log : Whether the vertical axis is logarithmic.
-    small : Whether several share a row.
-    methods : It is shown if one of these is switched on; if empty, always.
+    Labels are plain text: to look for formulas in users' names, Bokeh would load a library. Several
+    `small` charts share a row. With `methods`, it is shown if one of these is switched on.
     """
 
     def __init__(  # noqa: PLR0913

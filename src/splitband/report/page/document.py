@@ -18,8 +18,7 @@ from splitband.evaluation.forecast import Forecast
 from splitband.report.colors import DARK, PALETTE
 from splitband.report.page import pages
 from splitband.report.page.charts import Chart
-from splitband.report.page.parts import Page, Usage
-from splitband.report.page.rendering import template
+from splitband.report.page.parts import Page, Usage, template
 from splitband.runtime.files import replacing
 
 

@@ -257,10 +257,7 @@ def of_spectrum(
     drawn = plots.spectrum(record, bands.cutoff, {})
     drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
     title = f"Cut-off: {number(bands.cutoff)} Hz, order {bands.order}"
-    sections = [
-        Section("answer", title, said, items, tables, drawn),
-        _settings([], used),
-    ]
+    sections = [Section("answer", title, said, items, tables, drawn), _settings([], used)]
     return Page(f"{record.name or 'a record'}: spectrum", words.lead(record), sections)
 
 

@@ -1,10 +1,11 @@
-"""Define the parts of a page, which the template renders."""
+"""Define the parts of a page, and the templates that render them; without Bokeh, which is slow."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from splitband.report.colors import PALETTE
 from splitband.report.table import Table
@@ -15,47 +16,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """Hold a part of the page with a heading.
+    """Hold a part of the page with a heading."""
 
-    Attributes
-    ----------
-    name : Its anchor.
-    title : The heading.
-    words : Paragraphs.
-    items : A list after them.
-    tables, plots : Shown after the list.
-    code : Lines to copy, each with what they do.
-    facts : Pairs of a name and a value.
-    folded : Whether it is closed until clicked.
-    """
-
-    name: str
-    title: str
-    words: Sequence[str] = ()
-    items: Sequence[str] = ()
-    tables: Sequence[Table] = ()
+    name: str  # its anchor
+    title: str  # the heading
+    words: Sequence[str] = ()  # paragraphs
+    items: Sequence[str] = ()  # A list after them
+    tables: Sequence[Table] = ()  # shown after the list
     plots: Sequence[Chart] = ()
-    code: Sequence[tuple[str, str]] = ()
-    facts: Sequence[tuple[str, str]] = ()
-    folded: bool = False
+    code: Sequence[tuple[str, str]] = ()  # lines to copy, each with what they do
+    facts: Sequence[tuple[str, str]] = ()  # pairs of a name and a value
+    folded: bool = False  # whether it is closed until clicked
 
 
 @dataclass(frozen=True)
 class Method:
-    """Describe a method that readers switch on and off; the recommended one is on at first.
+    """Describe a method that readers switch on and off; the recommended one is on at first."""
 
-    Attributes
-    ----------
-    name : Name of the forecaster.
-    color : Index of its colour in the palette.
-    dashed : Whether its colour repeats that of another method.
-    recommended : Whether it is the recommended method.
-    """
-
-    name: str
-    color: int = 0
-    dashed: bool = False
-    recommended: bool = True
+    name: str  # name of the forecaster
+    color: int = 0  # index of its colour in the palette
+    dashed: bool = False  # whether its colour repeats that of another method
+    recommended: bool = True  # whether it is the recommended method
 
     @property
     def tags(self) -> list[str]:
@@ -73,21 +54,13 @@ def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Hold a page.
-
-    Attributes
-    ----------
-    title, lead : The heading, and the line below it.
-    sections : Sections in order; the switches of the methods are below the first one.
-    methods : Methods that are drawn.
-    views : Ranges of the time axis that a button with this name shows.
-    """
+    """Hold a page."""
 
     title: str
-    lead: str
-    sections: Sequence[Section]
-    methods: Sequence[Method] = ()
-    views: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    lead: str  # the line below it
+    sections: Sequence[Section]  # the switches of the methods are below the first one
+    methods: Sequence[Method] = ()  # methods that are drawn
+    views: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # buttons: time ranges
 
     @property
     def plots(self) -> list[Chart]:
@@ -97,13 +70,19 @@ class Page:
 
 @dataclass(frozen=True)
 class Usage:
-    """Hold the command that made a result, and how to use its model.
+    """Hold the command that made a result, and how to use its model."""
 
-    Attributes
-    ----------
-    commands : Commands that use the model, in a shell or in Python, each with what it does.
-    asked : The command that made the page.
-    """
+    commands: Sequence[tuple[str, str]] = ()  # what each does, and the command or Python code
+    asked: str = ""  # the command that made the page
 
-    commands: Sequence[tuple[str, str]] = ()
-    asked: str = ""
+
+@cache
+def template(name: str) -> Any:
+    """Return a template of this folder."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  where it is shown
+
+    environment = Environment(
+        loader=PackageLoader("splitband.report.page", ""), autoescape=True,
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template(name)

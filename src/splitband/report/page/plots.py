@@ -44,11 +44,7 @@ NORMAL = 1.96
 class OverTime:
     """Plot a record and predictions over the same time axis, of which the predicted part is seen.
 
-    Parameters
-    ----------
-    shown : The record and the predictions.
-    styles : How each method is drawn.
-    name : "time" for the plots that the page's buttons move.
+    The buttons of the page move the plots with the `name` "time".
     """
 
     def __init__(self, shown: Predicted, styles: Mapping[str, Method], name: str = "") -> None:

@@ -1,0 +1,359 @@
+"""Define the options that several commands share: names, help and defaults stand here alone."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from splitband.data.named import RECORDS
+from splitband.data.signals import Gaps
+from splitband.data.stamps import TIME_NAMES
+from splitband.runtime.errors import InputError
+from splitband.simulators.named import SIMULATORS
+from splitband.training.settings import Recipe
+
+
+def panel(title: str | None) -> Callable[..., Any]:
+    """Return a function that describes options in one panel of the help.
+
+    It takes the help text, the name of the value, the default to show if it differs from the
+    actual one, the names of the option, and further arguments of `typer.Option`.
+    """
+
+    def option(
+        does: str, value: str | None = None, usual: str | bool = True, *names: str, **more: Any
+    ) -> Any:
+        return typer.Option(
+            *names, help=does, metavar=value, show_default=usual, rich_help_panel=title, **more
+        )
+
+    return option
+
+
+def _fields(title: str) -> Callable[..., Any]:
+    """Return a function that describes fields of a group: the default, then as `panel`."""
+    described = panel(title)
+
+    def option(default: Any, *does: Any, **more: Any) -> Any:
+        return field(default=default, metadata={"option": described(*does, **more)})
+
+    return option
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command for typer in which each field of a dataclass parameter is an option.
+
+    Thus options that several commands share are defined once. Groups may be nested.
+    """
+    # Parameters with a default come last, as in any signature.
+    options = sorted(_options(command), key=lambda option: option.default is not option.empty)
+
+    @wraps(command)
+    def expanded(**given: Any) -> None:
+        command(**_grouped(command, given))
+
+    expanded.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    expanded.__annotations__ = {option.name: option.annotation for option in options}
+    return expanded
+
+
+def _options(owner: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+    hints = get_type_hints(owner, include_extras=True)
+    own = fields(owner) if is_dataclass(owner) else ()
+    described = {each.name: each.metadata["option"] for each in own if each.metadata}
+    for name, parameter in inspect.signature(owner).parameters.items():
+        hint = hints[name]
+        if is_dataclass(hint) and isinstance(hint, type):
+            yield from _options(hint)
+        else:
+            hint = Annotated[hint, described[name]] if name in described else hint
+            yield parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY)
+
+
+def _grouped(owner: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    hints = get_type_hints(owner)
+    return {
+        name: hints[name](**_grouped(hints[name], given))
+        if is_dataclass(hints[name])
+        else given[name]
+        for name in inspect.signature(owner).parameters
+    }
+
+
+def names(text: str, blank: bool = False) -> list[str]:
+    """Return the parts of a comma-separated option; one in double quotes may have commas.
+
+    Empty parts are left out unless they may be `blank`.
+    """
+    line = " ".join(text.splitlines())
+    parts = next(csv.reader([line], skipinitialspace=True))
+    return [part.strip() for part in parts if blank or part.strip()]
+
+
+def seconds(duration: str, option: str = "--budget") -> float:
+    """Return the length of a duration such as 90s, 10m or 1h; raises ValueError for other text."""
+    number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
+    try:
+        length = float(number) * {"s": 1, "m": 60, "h": 3600}[unit]
+    except (KeyError, ValueError):
+        length = 0.0
+    if not 0 < length < float("inf"):
+        raise InputError(f"{option} must be a time such as 90s, 10m or 1h, got {duration}")
+    return length
+
+
+def milestones(text: str) -> tuple[tuple[int, float], ...]:
+    """Return the pairs of --lr-milestones."""
+    try:
+        pairs = [part.split(":") for part in names(text)]
+        return tuple((int(epoch), float(rate)) for epoch, rate in pairs)
+    except ValueError:
+        raise InputError(f"--lr-milestones must be EPOCH:RATE,EPOCH:RATE,..., got {text}") from None
+
+
+def hidden(text: str) -> tuple[int, int]:
+    """Return the two sizes of --hidden."""
+    try:
+        high, low = (int(part) for part in names(text))
+    except ValueError:
+        raise InputError(f"--hidden must be HIGH,LOW, two whole numbers, got {text}") from None
+    return high, low
+
+
+def _or_auto(kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
+    """Return a parser of numbers, and of auto as None: what nothing is given for is chosen."""
+
+    def parsed(value: str) -> float | None:
+        if value == "auto":
+            return None
+        try:
+            number = kind(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise typer.BadParameter(f"must be {what} or auto")
+        return number
+
+    return parsed
+
+
+_hertz = _or_auto(float, "a frequency in Hz")
+_samples = _or_auto(int, "a whole number of samples")
+_record, _simulator = _fields("Record"), _fields("Simulator")
+_filter, _training = _fields("Filter"), _fields("Training")
+_FILTER, _TRAINING, _TIME = panel("Filter"), panel("Training"), panel("Time")
+plain = panel(None)
+"""Describes an option in the first part of the help."""
+
+RecordArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RECORD",
+        help=f"A CSV, Parquet, NPZ, NPY, MAT or text file, or one of {', '.join(RECORDS)}.",
+        show_default=False,
+    ),
+]
+ModelArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MODEL_DIR",
+        help="What `fit` wrote, or `compare` and `forecast` (OUT/model).",
+        show_default=False,
+    ),
+]
+FutureInputs = Annotated[
+    Path | None, panel("Record")("Known inputs of the samples to come.", "FILE", False)
+]
+Calibrate = Annotated[
+    bool,
+    panel("Simulator")("Fit its gain, offset, delay and clock first.", None, True, "--calibrate"),
+]
+Cutoff = Annotated[
+    float | None,
+    _FILTER("Cut-off between the two bands; auto chooses it.", "HZ|auto", "auto", parser=_hertz),
+]
+Order = Annotated[
+    int | None, _FILTER("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
+]
+Conditioned = Annotated[
+    bool, _FILTER("Give networks the slow band as an input.", None, True, "--conditioned")
+]
+Epochs = Annotated[int | None, _TRAINING("Passes over all windows.", "N", "about 1,000 steps")]
+Out = Annotated[Path, plain("Folder for results and page.", "DIR")]
+Methods = Annotated[
+    str | None,
+    plain("Methods, separated by commas; see splitband methods.", "NAMES", "what suits the record"),
+]
+Seeds = Annotated[
+    int | None, _TRAINING("Trainings of each network; the median is used.", "N", "1 to 8", min=1)
+]
+Like = Annotated[
+    Path | None,
+    _TRAINING("Train as the model of an earlier run was, with its settings alone.", "DIR", False),
+]
+Device = Annotated[str, _TRAINING("Train networks on cpu, cuda, cuda:1, ...", "NAME")]
+Budget = Annotated[str | None, _TIME("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]
+Rounds = Annotated[
+    int | None,
+    _TIME("Rounds of the search, in place of a time: the same anywhere.", "N", False, min=1),
+]
+Seed = Annotated[int, _TIME("Of all random numbers.", "N", min=0)]
+Jobs = Annotated[int | None, _TIME("Trainings at once, one on each core.", "N", "all cores", min=1)]
+Cluster = Annotated[
+    str | None, _TIME("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS", False)
+]
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """Say how files of samples are read."""
+
+    time_column: str | None = _record(
+        None,
+        "Column of time stamps, seconds or dates; or a date and a time of the day, DATE,TIME.",
+        "NAME", ", ".join(TIME_NAMES),
+    )  # fmt: skip
+    gaps: Gaps = _record("refuse", "Refuse missing values and rows, or mask them.")
+    missing: str | None = _record(
+        None, "Words or numbers that stand for a missing value: Bad,-9999.", "WORDS", False
+    )
+    skip_rows: int = _record(0, "Lines at the top of a text file to leave out.", "N", False, min=0)
+    header_row: int | None = _record(
+        None, "Line of a text file with the names, from 1; 0: none.", "N", "found", min=0
+    )
+
+
+@dataclass(frozen=True)
+class RecordOptions(FileOptions):
+    """Say how records are read, and what they hold."""
+
+    columns: str | None = _record(
+        None, "Measured columns, by name, or by position from 0 in a file without names.",
+        "NAMES", "all numeric",
+    )  # fmt: skip
+    inputs: str | None = _record(None, "Known inputs: forces, set-points.", "NAMES", False)
+    sampling_time: float | None = _record(
+        None, "Time between samples, without a time column or with one that can mean two things.",
+        "SECONDS", False,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FurtherRecords:
+    """Name other records of the same system, to train on."""
+
+    more: list[str] | None = _record(
+        None, "Train on this record too; may be repeated.", "FILE", False
+    )
+    more_simulator: list[str] | None = _simulator(
+        None, "Simulator of each --more, in order.", "FILE", False
+    )
+
+
+@dataclass(frozen=True)
+class TestRecords:
+    """Name other records of the same system, to test on."""
+
+    __test__ = False  # for pytest: not a test class
+
+    test: list[str] | None = _record(
+        None, "Validate on this record; may be repeated.", "FILE", False
+    )
+    test_simulator: list[str] | None = _simulator(
+        None, "Simulator of each --test, in order.", "FILE", False
+    )
+    initial: int | None = _record(
+        None, "Measured samples at the beginning of a test record.", "N", "the warm-up", min=1
+    )
+
+
+_SIMULATOR = (
+    "A simulator: an exported trajectory, an .fmu, FILE.py:FUNCTION of time in s or of (time, u), "
+    f"or one of {', '.join(SIMULATORS)}. It is driven by the record's inputs."
+)
+
+
+@dataclass(frozen=True)
+class SimulatorOptions:
+    """Name the simulator of the record, and say how it is run."""
+
+    simulator: str | None = _simulator(None, _SIMULATOR, "FILE|NAME", "a named record's own")
+    simulator_columns: str | None = _simulator(
+        None, "Its columns or outputs that match --columns.", "NAMES", "of the same names"
+    )
+    simulator_inputs: str | None = _simulator(
+        None,
+        "Variables of an FMU that take --inputs, in their order, none for one that it does not "
+        'take (a,,c); the others keep their start values, with "" all of them.',
+        "NAMES", "of the same names",
+    )  # fmt: skip
+    simulator_start: str | None = _simulator(
+        None, "Its time in s at the record's first sample, or `record` for its time stamp there.",
+        "SECONDS|record", "0",
+    )  # fmt: skip
+    simulator_timeout: float = _simulator(
+        600.0, "Give up on a simulator after this time.", "SECONDS", min=0.0
+    )
+    simulator_cache: Path | None = _simulator(
+        None, "Keep the output of a slow simulator here.", "DIR", "not kept"
+    )
+    simulator_reads: list[str] | None = _simulator(
+        None, "A file it reads: the cache is renewed with it.", "FILE", False
+    )
+    parameters: str | None = _simulator(
+        None,
+        "Fit the simulator's parameters in these ranges, or set them. The simulator is an "
+        "FMU, FILE.py:RHS with a function of (t, x, u, p), whose states begin at x0_1, x0_2, "
+        "... and of which the first ones are measured, FILE.py:FUNCTION of (time, u, p), or an "
+        "sb.Ode of a file, which may have its ranges itself.",
+        "k=0.1:10,c=0.05", False,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SimulatorOrBaseOptions(SimulatorOptions):
+    """Name a simulator, or a model that is fitted to the record in its place."""
+
+    simulator: str | None = _simulator(
+        None, f"{_SIMULATOR} Or linear, periodic, harmonic: a fitted model.", "FILE|NAME",
+        "a named record's own",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Hold the options of filters, networks and their training."""
+
+    cutoff: Cutoff = None
+    order: Order = None
+    downsampling: int | None = _filter(
+        None, "Keep every K-th sample of the low band.", "K", "as the low band allows"
+    )
+    warmup: int | None = _training(
+        None, "Measured samples that start a simulation.", "R|auto", "auto, up to 50",
+        parser=_samples,
+    )  # fmt: skip
+    window: int | None = _training(
+        None, "Samples in a training window, warm-up included.", "N", "150 to 400"
+    )
+    epochs: Epochs = None
+    recipe: Recipe = _training("default", "Training settings where none are given.")
+    learning_rate: float | None = _training(None, "Highest learning rate of Adam.", "RATE", "1e-2")
+    lr_milestones: str | None = _training(
+        None, "Later rates by epoch: 20:1e-4,500:1e-5.", "LIST", False
+    )
+    hidden: str | None = _training(
+        None, "Hidden units of the fast and the slow network.", "HIGH,LOW", "32,16"
+    )
+    budget: Budget = None
+    rounds: Rounds = None
+    seed: Seed = 0
+    device: Device = "cpu"

@@ -1,0 +1,232 @@
+"""Open the simulator that a path or a name stands for, and run it beside a record."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from splitband.data import Grid, Record, read
+from splitband.data.reading import ColumnError
+from splitband.data.timing import in_words
+from splitband.runtime.errors import InputError
+from splitband.simulators.base import (
+    Recorded,
+    Simulator,
+    SimulatorTimeoutError,
+    Start,
+    check_start,
+    is_driven,
+    matched,
+    origin,
+    run,
+)
+from splitband.simulators.calibration import samples_needed
+from splitband.simulators.code import check_open, count_arguments, outline
+from splitband.simulators.isolation import Isolated, named_in, opened
+from splitband.simulators.named import SIMULATORS
+from splitband.simulators.parameters import Adjustable, Parameters
+
+log = logging.getLogger("splitband")
+"""Says what was put together and how; the command line prints it."""
+
+
+def open_simulator(  # noqa: PLR0913
+    name: str,
+    record: Record,
+    *,
+    columns: Sequence[str] = (),
+    inputs: Sequence[str] | None = None,
+    start: Start | str | None = None,
+    parameters: str | Mapping[str, Any] | None = None,
+    timeout: float | None = None,
+    cache: str | Path | None = None,
+    reads: Sequence[str] = (),
+    time_column: str | None = None,
+) -> Any:
+    """Return the simulator that a text stands for, as `--simulator` does.
+
+    Parameters
+    ----------
+    name : A file of an exported trajectory, an .fmu, FILE.py:FUNCTION, FILE.py:RHS with
+        `parameters`, or the name of a public record that has a simulator.
+    record : The record that it is for.
+    columns : Its columns or outputs that match the record's; by default those of the same names.
+    inputs : Variables of an FMU that take the record's inputs; by default those of their names.
+    start : Its time in s at the record's first sample, or "record" for its time stamp there.
+    parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
+    timeout : Seconds after which a run is given up; None for no limit.
+    cache : Folder that keeps its outputs.
+    reads : Files on which its output depends, too.
+    time_column : Of an exported trajectory, if it has such a column.
+
+    Returns
+    -------
+    Simulator
+        One with parameters to fit runs in this process, any other function or FMU in its own.
+
+    Raises
+    ------
+    FileNotFoundError
+        For a missing file.
+    ValueError
+        For what this kind of simulator does not take, and a file that cannot be used.
+    """
+    file, _, function = name.partition(".py:")
+    file += ".py" if function else ""
+    fmu, exists = file.lower().endswith(".fmu"), Path(file).is_file()
+    for what, given, taken in (
+        ("inputs (--simulator-inputs)", inputs, fmu),
+        ("start (--simulator-start)", start, fmu or function),
+        ("parameters", parameters, fmu or function),
+    ):
+        if given is not None and not taken:
+            others = "" if what.startswith("inputs") else " or FILE.py:FUNCTION"
+            raise InputError(
+                f"{what} must be left out but for a simulator that is an .fmu{others}, got "
+                f"{name or 'none'}"
+            )
+    if timeout is not None and not math.isfinite(timeout):
+        raise InputError(
+            f"timeout (--simulator-timeout) must be a number of seconds, got {timeout:g}"
+        )
+    try:
+        begin: Start | None = check_start(start)
+    except InputError as error:
+        raise InputError(f"{error} (--simulator-start)") from None
+    if parameters is None and function and exists and outline(file, function) is None:
+        # An `Ode` of the file may have ranges to fit itself.
+        parameters = {} if getattr(named_in(file, function), "adjustable", False) else None
+    if parameters is None and name in SIMULATORS:
+        return SIMULATORS[name]()
+    if name.endswith(".py"):
+        raise InputError(f"simulator needs a function of the file: {name}:FUNCTION, got {name}")
+    if not exists:
+        raise FileNotFoundError(
+            f"simulator must be a file, FILE.py:FUNCTION or one of {', '.join(SIMULATORS)}, "
+            f"got {name}"
+        )
+    if parameters is not None:
+        given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
+        return opened(file, function, given, columns, inputs, begin)
+    for each in reads:
+        if not Path(each).is_file():
+            raise FileNotFoundError(f"reads (--simulator-reads) must be a file, got {each}")
+    if not (fmu or function):
+        return _exported(name, record, columns, time_column)
+    driven = bool(function) and _takes_inputs(file, function, record)
+    return Isolated(
+        file, function or None, () if function else tuple(columns), timeout, tuple(reads),
+        None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
+        begin if function else begin or 0.0,
+    )  # fmt: skip
+
+
+def is_fitted(simulator: Any) -> bool:
+    """Return whether a simulator has parameters to fit or, as an `Ode`, needs inputs."""
+    return isinstance(simulator, Adjustable) and simulator.adjustable
+
+
+def _takes_inputs(file: str, name: str, record: Record) -> bool:
+    """Return whether a function of a file is one of time and inputs.
+
+    Raises ValueError for a differential equation, whose states have to be named, and for a function
+    of time alone that may be meant to take the inputs of the record.
+    """
+    function = outline(file, name) or named_in(file, name)
+    count = count_arguments(function) if callable(function) else 1
+    if count >= 3:
+        raise InputError(
+            f"parameters must say where the states of {file}:{name} begin, a function of "
+            f"(t, x, u, p): x0_1=0,x0_2=-1:1, or set the p of (time, u, p); got {count} arguments"
+        )
+    if count < 2 and record.u is not None and callable(function):
+        check_open(function, f"{file}:{name}", record.inputs)
+    return count > 1
+
+
+def _exported(
+    file: str, record: Record, columns: Sequence[str], time_column: str | None
+) -> Recorded:
+    exported = read_beside(file, record.sampling_time, time_column, columns=columns or None)
+    y = exported.y
+    if not columns and set(record.columns) <= set(exported.columns):
+        y = y[:, [exported.columns.index(name) for name in record.columns]]
+    if y.shape[1] != record.ny:
+        raise InputError(
+            f"columns (--simulator-columns) must choose {record.ny} column(s), as many as the "
+            f"record has, out of {', '.join(exported.columns)} in {file}"
+        )
+    name = f"simulator {file}: the exported trajectory"
+    return Recorded(y, exported.sampling_time, exported.start, name)
+
+
+def read_beside(
+    path: str | Path, sampling_time: float, time_column: str | None, **options: Any
+) -> Record:
+    """Read a file that accompanies a record, whose sampling time and time column are the default.
+
+    The file may have a time column with a usual name in place of the record's.
+    """
+    options |= {"fallback_sampling_time": sampling_time}
+    try:
+        return read(path, time_column=time_column, **options)
+    except ColumnError:
+        if not time_column:
+            raise
+        return read(path, **options)
+
+
+def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool = False) -> Record:
+    """Return the record with the output of a simulator.
+
+    Parameters
+    ----------
+    record : Its inputs drive the simulator.
+    simulator : As for `simulators.run`.
+    ahead : Samples beyond the record that the output must reach, too.
+    longer : Ask for more samples, for a calibration, if the simulator can run that long.
+
+    Raises
+    ------
+    ValueError
+        As `simulators.run`.
+    """
+    least = len(record) + ahead
+    samples = samples_needed(least, len(record)) if longer else least
+    grid, u = Grid(record.start, record.sampling_time, samples), record.u
+    name = getattr(simulator, "name", "") or type(simulator).__name__
+    if isinstance(simulator, Recorded):
+        samples = min(samples, max(least, simulator.reach(grid)))
+    else:
+        simulator = matched(simulator, record.columns, record.inputs)
+        u = u if is_driven(simulator) else None
+        if u is not None:
+            u = u if record.u_beyond is None else np.vstack([u, record.u_beyond])
+            samples = min(samples, len(u))
+        begin = origin(simulator, record.start)
+        if record.start:
+            at = in_words(record.start)
+            log.info("%s runs from %g s on, at the record's first sample, %s", name, begin, at)
+
+    def output(samples: int) -> Any:
+        if not isinstance(simulator, Recorded):
+            return run(simulator, samples, grid.step, record.ny, None, None, grid.start, u)
+        found = simulator.on(replace(grid, samples=samples))
+        if found.note:
+            log.info("%s: %s", name, found.note)
+        return found.values
+
+    try:
+        y_sim = output(samples)
+    except InputError as error:
+        if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
+            raise
+        y_sim = output(least)
+    rest = y_sim[len(record) :]
+    return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
