@@ -96,7 +96,7 @@ BENCH = {"jax", "tsfast"}
 
 
 def test_a_name_that_is_gone_says_what_to_use_and_an_unknown_one_is_none() -> None:
-    with pytest.raises(AttributeError, match=r"splitband\.Known is gone: .* ForecastContext"):
+    with pytest.raises(AttributeError, match=r"splitband\.Known is gone: .*ForecastContext"):
         sb.Known  # type: ignore[attr-defined]  # noqa: B018
     assert not hasattr(sb, "Unknown")
     assert "Known" not in dir(sb)

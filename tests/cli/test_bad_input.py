@@ -42,7 +42,7 @@ RECORDS = [
 
 SETTINGS = [
     bad(SPLIT + "--train 200", "train", "199", "got 200"),
-    bad(SPLIT + "--train 20", "window", "20 training samples", "got 30"),
+    bad(SPLIT + "--train 20", "window", "20 samples", "got 30"),
     bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
     bad(SPLIT + "--methods splt-gru,mean", "--methods", "'splt-gru' (did you mean split-gru?)"),
     bad(GRU + "--cutoff 7", "cutoff", "got 7"),
