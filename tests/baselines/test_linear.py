@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import splitband as sb
+from benchmarks.driven import drawn
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.metrics import fit_percent
@@ -292,3 +293,13 @@ def test_after_the_deadline_it_is_a_model_of_one_pole_and_says_that_it_was_cut()
     assert late.require_fitted().report.cut
     assert late.poles() == pytest.approx([0.9], abs=1e-6)
     assert not sb.Linear().fit(record).require_fitted().report.cut
+
+
+def test_a_slow_pole_that_the_record_does_not_determine_is_no_integrator() -> None:
+    """Two filters with a diode between them: a simulation of more samples would drift away."""
+    record, test = drawn("Wiener-Hammerstein", 104, 400)
+    model = sb.Linear().fit(record)
+    assert (abs(model.poles()) < 1).all()
+    with pytest.warns(sb.ExtrapolationWarning):  # the test's input goes a little beyond
+        y = model.predict(len(test) - 50, history=test[:50], other_record=True).y
+    assert fit_percent(test.y[50:], y)[0] > 60

@@ -18,6 +18,8 @@ from splitband.baselines.refinement import Run, Solution, by_segment, segments, 
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
+NORMAL = 1.96
+"""Half width of a 95 % interval in standard errors, of a normal distribution."""
 FREQUENCIES = 100
 """Number of frequencies at which the response has a band. Layout."""
 _PARTS = 40

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from splitband.baselines.accuracy import accuracy_of, silent
+from splitband.baselines.accuracy import NORMAL, accuracy_of, silent
 from splitband.baselines.delays import Units, delays_of, explains
 from splitband.baselines.kalman import (
     MAX_OBSERVER_POLE,
@@ -129,7 +129,9 @@ def _of_outputs(
         model = replace(model, accuracy=replace(errors, delay_errors=late))
     noisy = at.scale.max() > _EXACT and not current().over
     if noisy and not integrators and feedback(at.errors, [u.T for _, u in records]):
-        model = _by_prediction(model, at, runs)
+        by_prediction = _by_prediction(model, at, runs)
+        if not _unstable_by_chance(by_prediction):
+            model = by_prediction
     model = replace(
         model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
         values=search.values,
@@ -157,6 +159,13 @@ def _delay_errors(
             curvature = samples * (sum(costs) - 2 * at.cost)
             found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
     return found
+
+
+def _unstable_by_chance(model: LinearModel) -> bool:
+    """Return whether a pole is outside of the unit circle by less than its 95 % interval."""
+    assert model.accuracy is not None
+    size, error = abs(model.accuracy.poles), model.accuracy.pole_errors[:, 2]
+    return bool(((size > 1) & (size - NORMAL * error <= 1)).any())
 
 
 def _model_of(

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
+from splitband.baselines.accuracy import NORMAL, accuracy_of
 from splitband.baselines.delays import filled
 from splitband.baselines.refinement import (
     Run,
@@ -215,7 +216,22 @@ class Search:
                         break
         least = min(found, key=lambda c: c.error)
         good = [c for c in found if c.as_good_as(least)]
-        return min(good, key=lambda c: (c.order, -c.integrators))
+        chosen = min(good, key=lambda c: (c.order, -c.integrators))
+        return free if chosen.integrators == 1 and not self._lasts(chosen.order) else chosen
+
+    def _lasts(self, order: int) -> bool:
+        """Return whether the record tells that the slowest pole hardly decays over its length.
+
+        Where the upper limit of its decay is more than `_DECAYED`, what looks like an integrator
+        may be a nonlinearity or chance, and would drift in a longer simulation.
+        """
+        free = None if current().over else self.of_order(order)
+        if free is None:
+            return True
+        found = accuracy_of(free.solution, self.runs, free.solution.matrices)
+        pole, error = found.poles[0], found.pole_errors[0, 2]
+        longest = max(run.u.shape[1] for run in self.runs)
+        return bool(pole.imag != 0 or not longest * (1 - abs(pole) + NORMAL * error) > _DECAYED)
 
     def _constant(self) -> Candidate:
         """Return a model of one pole without a subspace, for records with few samples."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from bokeh.models.annotations import BoxAnnotation
 
+from splitband.baselines.accuracy import NORMAL
 from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.filters.cutoff import LEAST_PASSED, Choice
@@ -37,8 +38,6 @@ MAX_TALL_CHANNELS = 2
 """Largest number of outputs or inputs that have plots of full size. Layout."""
 TRANSIENT = 10
 """First samples of a prediction, whose errors vary too much to set the scale. Layout."""
-NORMAL = 1.96
-"""Half width of a 95 % interval in standard errors, of a normal distribution."""
 
 
 class OverTime:
