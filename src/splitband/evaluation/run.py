@@ -227,7 +227,7 @@ class Run:
                 break
             if not self.trials and search.round == 1:
                 jobs[0] = replace(jobs[0], needed=True)
-            until = Deadline.after((clock.left - reserve) / search.seconds_with_finals)
+            until = Deadline.after((clock.left - reserve) / search.cost_factor)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
             self.trials |= search.trials
             if search.round == 1 and self.plan.extended and (most is None or most > 1):

@@ -25,11 +25,11 @@ from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
 
 MOST_MEMBERS = 8
-"""Largest number of trainings whose median is handed out, and of seeds of one choice."""
+"""Largest number of trainings in a method's median, and of seeds for one choice of settings."""
 LEAST_MEMBERS = 3
-"""Smallest number of them on records of up to `SHORT_RECORD` samples: the median of fewer is
-their mean, which one of them can spoil. On longer ones, held-out errors tell which training is
-best."""
+"""Smallest number of trainings in the median on records of up to `SHORT_RECORD` samples: the median
+of fewer is their mean, which one of them can spoil. On longer ones, held-out errors tell which
+training is best (docs/results/rules.md)."""
 GIVEN_SEEDS = 3
 """Default number of trainings of a network whose settings are given."""
 
@@ -50,8 +50,8 @@ class Search:
 
     Parameters
     ----------
-    plan : With its methods ready to be fitted; those in `plan.searched` are searched, other
-        networks are trained once in the first round, as they are.
+    plan : Its methods are ready to be fitted. `plan.searched` names the networks whose settings are
+        searched; others are trained in the first round only, as they are.
     cores : Trainings that run side by side.
 
     Attributes
@@ -59,11 +59,11 @@ class Search:
     round : Number of the last round that was asked for.
     attempts : All candidates after each of their rounds, in order.
     tried : Candidates that were trained at least once.
-    members : Candidates of each method whose median is handed out, the best one first.
+    members : Candidates of each method whose median is its prediction, the best one first.
     trials : Fits to three quarters of the training part by method, the best method first.
     failed : Why methods have no fit so far.
     settled : Whether further rounds would change nothing.
-    cut : Whether a deadline has ended a training early.
+    cut : Whether a deadline has ended a training early; then the search has not settled.
     """
 
     def __init__(self, plan: Plan, cores: int = 1) -> None:
@@ -75,7 +75,7 @@ class Search:
         for method in plan.methods:
             if method.name in plan.searched and isinstance(method, Network):
                 self._choose(method)
-        self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
+        self._fixed = [f for f in plan.methods if f.random and f.name not in self._choices]
         self._course = self._rounds()
         self._asked: list[Candidate] = []
         self._left = math.inf
@@ -100,9 +100,9 @@ class Search:
         try:
             network.check(self._record, *plan.others)
         except ValueError:
-            return False  # its job says why
+            return False  # what its job then reports
         sized = plan.searched.get(network.name, False)
-        # The seeds of a comparison are no others', so that several of them are independent.
+        # Comparisons with different seeds share no training seeds, and are independent.
         first = plan.seed * MOST_MEMBERS
         found = candidates(network, sized, self._record, plan.others, first)
         self._choices[network.name] = found
@@ -119,7 +119,7 @@ class Search:
         self.round += 1
         jobs = [self._job(candidate) for candidate in self._asked]
         if self.round == 1:
-            jobs += [job for method in self._given for job in self._jobs_as_given(method)]
+            jobs += [job for method in self._fixed for job in self._jobs_of_fixed(method)]
         return jobs
 
     def tell(self, fits: Sequence[Fit]) -> None:
@@ -142,7 +142,7 @@ class Search:
         """Take the fit of a candidate's round."""
         self.cut = self.cut or fit.cut
         if fit.model is None and fit.cut:
-            return  # there was no time to begin with it
+            return  # it was not started in time
         error = math.inf if fit.model is None else held_out_score(self._record, [fit])
         candidate.fits.append(fit)
         candidate.errors.append(error if math.isfinite(error) else math.inf)
@@ -153,21 +153,21 @@ class Search:
             self.tried.append(candidate)
 
     @property
-    def seconds_with_finals(self) -> float:
-        """Return the seconds by which a second of this round delays the end of the comparison.
+    def cost_factor(self) -> float:
+        """Return the time until the end that a second of this round costs, in seconds: more than 1.
 
-        Each job of a round takes its share of it, and the final trainings a share of what it adds
-        to the best candidates.
+        A candidate that has been trained for longer takes longer in its final training, too:
+        `SETTLING` of the iterations before, on all samples.
         """
         members, jobs = len(next(iter(self.trials.values()), [None])), max(len(self._asked), 1)
         of_each = min(self._cores, jobs) / jobs
         return 1 + of_each * max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
 
     def _members(self, method: str) -> list[Candidate]:
-        """Return the candidates of a method whose median is handed out, the best one first.
+        """Return the candidates of a method whose median is its prediction, the best one first.
 
         They are the n best ones, whatever their settings, where n gives the median with the lowest
-        held-out error; on short records at least `LEAST_MEMBERS` (`benchmarks.members`).
+        held-out error; on short records at least `LEAST_MEMBERS`.
         """
         of_method = [c for c in self.tried if c.method == method and math.isfinite(c.error)]
         ranked = sorted(of_method, key=lambda c: c.error)[:MOST_MEMBERS]
@@ -189,7 +189,7 @@ class Search:
         training goes on from its weights on all samples; one as given begins again.
         """
         found: list[tuple[Job, float]] = []
-        given = {method.name: method for method in self._given}
+        given = {method.name: method for method in self._fixed}
         for place, (name, fits) in enumerate(self.trials.items()):
             if name in given:
                 method, took = given[name], fits[0].seconds / (1 - HELD_OUT_SHARE)
@@ -209,7 +209,7 @@ class Search:
         firsts = [each[0] for each in self._choices.values()]
         yield firsts
         found = [*firsts]
-        for new in (self._others, self._combinations):
+        for new in (self._further_choices, self._combinations):
             if more := new(found):
                 yield more
                 found += more
@@ -222,12 +222,12 @@ class Search:
                 yield found
 
     def _better(self, pool: Sequence[Candidate]) -> list[Candidate]:
-        """Return the better half of candidates, as many as keep all cores busy, the best first."""
+        """Return the better half of candidates, rounded up to a multiple of the cores."""
         ranked = sorted((c for c in pool if math.isfinite(c.error)), key=lambda c: c.error)
         half = math.ceil(len(ranked) / 2)
         return ranked[: -(-half // self._cores) * self._cores]
 
-    def _others(self, firsts: Sequence[Candidate]) -> list[Candidate]:
+    def _further_choices(self, firsts: Sequence[Candidate]) -> list[Candidate]:
         """Return further choices of the better half of the methods, as time allows."""
         ranked = sorted((c for c in firsts if math.isfinite(c.error)), key=lambda c: c.error)
         better = ranked[: math.ceil(len(ranked) / 2)]
@@ -268,7 +268,7 @@ class Search:
         start = candidate.fits[-1].model if candidate.fits else None
         return Job(network, self._plan.held_out_spec(network), candidate.seed, start)
 
-    def _jobs_as_given(self, method: Forecaster) -> list[Job]:
+    def _jobs_of_fixed(self, method: Forecaster) -> list[Job]:
         shorter = for_trial(method, len(self._record))
         return [Job(shorter, self._plan.held_out_spec(shorter), seed) for seed in self._seeds()]
 

@@ -1,8 +1,8 @@
 """Train networks as forecasters, and simulate with them.
 
 A forecaster holds a model of `splitband.models`, the settings of its training, its bands, and the
-base that it is combined with. Networks alone are in `forecasters.learned`, hybrids with a simulator
-or another forecaster in `forecasters.learned`.
+base that it is combined with. Networks alone, and hybrids with a simulator or
+another forecaster, are in `forecasters.learned`.
 """
 
 from __future__ import annotations

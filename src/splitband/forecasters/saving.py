@@ -334,7 +334,8 @@ def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a ki
     if not named:
         return found
     if "cell" in value:
-        _ = networks.GRU, networks.EulerMLP, networks.StateSpace  # load them, as they may be meant
+        for name in networks.__all__:  # it may be one of them, which are loaded on their first use
+            getattr(networks, name)
         return _cell(_loaded(value["cell"], value.get("module")), found)
     kind = _loaded(value["class"], value.get("module"))
     if issubclass(kind, Forecaster):

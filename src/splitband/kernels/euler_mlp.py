@@ -64,7 +64,7 @@ def euler_rollout(
     steps : How many samples to simulate.
     ny : How many entries of the state are the sample.
     step_size : dt.
-    u : ForecastContext inputs `(batch, steps - 1, nu)` or longer, from time R on, or None.
+    u : Known inputs `(batch, steps - 1, nu)` or longer, from time R on, or None.
     weight_1, bias_1 : `(M, S + nu)` and `(M,)`.
     weight_2, bias_2 : `(N, M)` and `(N,)`.
     weight_3, bias_3 : `(S, N)` and `(S,)`.

@@ -45,7 +45,7 @@ def gru_rollout(
     ----------
     y_warmup : Measured samples `(batch, R, ny)`, float32 or float64.
     steps : How many samples to simulate.
-    u : ForecastContext inputs `(batch, R + steps - 1, nu)` or longer, or None.
+    u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
     weight_ih, weight_hh : `(3 H, ny + nu)` and `(3 H, H)`, gates r, z, n as in `torch.nn.GRUCell`.
     bias_ih, bias_hh : `(3 H,)` each.
     weight_out, bias_out : C `(ny, H)` and c `(ny,)`.

@@ -54,7 +54,7 @@ def state_space_rollout(
     x0 : The state at the first sample `(batch, S)`, float32 or float64.
     y_warmup : Measured samples `(batch, R, ny)`.
     steps : How many samples to simulate.
-    u : ForecastContext inputs `(batch, R + steps - 1, nu)` or longer, or None.
+    u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
     weight_f, bias_f, weight_g, bias_g : The units, `(H, S + nu)` and `(H,)` each, H >= 0.
     weight_x, bias_x : [A, B, W_f] `(S, S + nu + H)` and a `(S,)`.
     weight_y, bias_y : [C, D, W_g] `(ny, S + nu + H)` and c `(ny,)`.

@@ -103,7 +103,7 @@ class Model(nn.Module, ABC):
         ----------
         y_warmup : Measured samples `(R, ny)`.
         steps : How many samples to simulate.
-        u : ForecastContext inputs over warm-up and simulation, `(R + steps, nu)`.
+        u : Known inputs over warm-up and simulation, `(R + steps, nu)`.
         y_sim : A simulator's output over both, `(R + steps, ny)`, where one is used.
         """
         with torch.no_grad():

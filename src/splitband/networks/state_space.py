@@ -57,7 +57,7 @@ class StateSpace(WithRepr, nn.Module):
     states : Size of x.
     hidden : Tanh units of each layer; 0 for a linear model.
     ny : Measured channels.
-    nu : ForecastContext inputs in a row.
+    nu : Known inputs in a row.
     layers : Hidden layers of f and of g. The compiled kernel has one.
     encoded : Warm-up samples from which the first state is estimated; 0: a trained constant.
     """
