@@ -80,6 +80,9 @@ OUTPUTS = [
 SIMULATORS = [
     bad(f"{GRU} --methods filtered-gru", "filtered-gru", "--simulator"),
     bad(SIMULATOR + "nothing.csv", "--simulator", "nothing.csv"),
+    bad(SIMULATOR + "simulated.csv --more record.csv --more-simulator harmonic",
+        "--more-simulator", "got harmonic", "is a baseline"),
+    bad(f"{GRU} --simulator-start 5", "--simulator must be given"),
     bad(SIMULATOR + "broken.py:good", "broken.py", "SyntaxError"),
     bad(SIMULATOR + "simulated_holed.csv", "simulated_holed.csv", "'a'", "row 3", "nan"),
     bad(SIMULATOR + "simulated_short.csv", "simulated_short.csv", "0 s to 19.9 s", "0 s to 18.9 s"),
@@ -115,6 +118,8 @@ MODELS = [
     bad("forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
         "--simulator simulated.csv", "0 s to 20.4 s", "0 s to 19.9 s"),
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
+    bad(HYBRID_AHEAD + "--simulator linear", "--simulator", "got linear", "is a baseline"),
+    bad(HYBRID_AHEAD + "--simulator-start 5", "--simulator must be given"),
     bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
     bad(DRIVEN_AHEAD, "--future-inputs", "force"),
     bad(DRIVEN_AHEAD + "--future-inputs simulated.csv", "simulated.csv", "'force'"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
+import splitband as sb
 from splitband import Record, Settings
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
@@ -241,3 +242,9 @@ def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> No
         assert np.linalg.norm(of_channels) == pytest.approx(compared.errors(found).total)
         left = both.y[-len(found.from_start) :] - found.from_start.y
         np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
+
+
+def test_a_simulator_beside_a_record_that_has_the_output_of_one_is_refused() -> None:
+    beside = sb.Recorded(record().y, DT)
+    with pytest.raises(sb.InputError, match=r"simulator must be left out .*y_sim.* got both"):
+        sb.plan(record(), TRAIN, ["mean"], simulator=beside)

@@ -184,6 +184,24 @@ def test_what_a_function_holds_or_reads_from_a_table_is_part_of_it() -> None:
     assert len({*digests}) == 3
 
 
+def test_an_abstract_class_does_not_hide_what_a_function_is(tmp_path: Path) -> None:
+    """Of installed code as of the user's own, the code itself counts."""
+    digests = []
+    for k in (1, 2):
+        source = (
+            "from abc import ABC\n\n\nclass Rig(ABC):\n    def rate(self, x):\n"
+            f"        return -{k} * x\n\n\ndef rhs(t, x):\n    return [Rig().rate(x[0])]\n"
+        )
+        path = tmp_path / f"of{k}" / "site-packages" / "rig.py"
+        path.parent.mkdir(parents=True)
+        path.write_text(source, encoding="utf-8")
+        space: dict[str, Any] = {"__name__": "rig"}
+        exec(compile(source, str(path), "exec"), space)
+        digests.append(code_digest(space["Rig"].rate))
+    assert None not in digests
+    assert len({*digests}) == 2
+
+
 @compiled
 def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -61,6 +61,8 @@ def planned(
     model = None if asked.like is None else _like(asked)
     record = records.load_record(asked.record, reading, model)
     simulator = records.opened(simulated, record, reading.time_column)
+    if simulator is not None and not isinstance(simulator, str) and not is_fitted(simulator):
+        record = replace(record, y_sim=None, beyond=None)  # the named one counts
     if steps:
         coming = records.inputs_ahead(future_inputs, record, steps, reading)
         record = replace(record, u_beyond=coming)

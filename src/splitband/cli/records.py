@@ -24,6 +24,7 @@ from splitband.forecasters.names import BASES
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
 from splitband.simulators.opening import open_simulator, read_beside, simulated
+from splitband.simulators.parameters import Adjustable
 
 
 def load_record(name: str, reading: RecordOptions, like: Forecaster | None = None) -> Record:
@@ -158,7 +159,9 @@ def load_further(
         more = replace(more, name=file if option == "--more" else Path(file).stem)
         if simulators and options is not None:
             own = replace(options, simulator=simulators[i])
-            more = simulated(more, opened(own, more, reading.time_column), longer=True)
+            beside = opened(own, more, reading.time_column)
+            _check_run_as_it_is(f"{option}-simulator", simulators[i], beside)
+            more = simulated(more, beside, longer=True)
         found.append(more)
     return found
 
@@ -219,6 +222,9 @@ def inputs_ahead(
 def opened(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
     """Return the simulator that the options name, or the name of a baseline; None without any."""
     name, inputs = options.simulator, options.simulator_inputs
+    if name is None and (inputs is not None or options.simulator_start is not None):
+        option = "inputs" if inputs is not None else "start"
+        raise InputError(f"--simulator must be given where --simulator-{option} is, got none")
     if options.parameters is None and (name is None or name in BASES):
         return name
     how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
@@ -226,6 +232,16 @@ def opened(options: SimulatorOptions, record: Record, time_column: str | None = 
     if inputs is not None:
         how["inputs"] = names(inputs, blank=True) if inputs.strip() else []
     return open_simulator(how.pop("simulator") or "", record, time_column=time_column, **how)
+
+
+def _check_run_as_it_is(option: str, given: str | None, simulator: Any) -> None:
+    """Raise InputError for a baseline, and for parameters that would have to be fitted."""
+    if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):
+        why = "is a baseline" if isinstance(simulator, str) else "has parameters to fit"
+        raise InputError(
+            f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {given}, "
+            f"which {why}"
+        )
 
 
 def with_simulator(
@@ -238,10 +254,16 @@ def with_simulator(
             raise InputError(f"--simulator must be given for {model.name}, which runs one")
         return model
     if used := model.parameters.get("used"):
+        if not (".py:" in options.simulator or options.simulator.lower().endswith(".fmu")):
+            raise InputError(
+                f"--simulator must be the FILE.py:FUNCTION or .fmu that {model.name} was fitted "
+                f"with, got {options.simulator}"
+            )
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
         options = replace(options, parameters=options.parameters or own)
     found = opened(options, past, time_column)
     if not used:
+        _check_run_as_it_is("--simulator", options.simulator, found)
         found = matched(found, past.columns, past.inputs)
     if isinstance(found, Recorded):
         if found.start is None:  # it is taken to begin with the history

@@ -31,6 +31,8 @@ _FIT = [
     *RecordOptions.__annotations__, "gaps", *_FILES, *_SIMULATOR, "parameters",
     *FurtherRecords.__annotations__, *_FOUND, "like", "seed", "device",
 ]  # fmt: skip
+_BLANK = "simulator_inputs", "time_column"
+"""Options of which an empty text says something: none of them."""
 _USUAL = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
 WIDTH = 80
 """Characters in a line of a command."""
@@ -124,7 +126,8 @@ def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] =
     words = [begin]
     for name in sorted(names, key=lambda name: name != "record"):
         value = given.get(name)
-        if value is False or value in (None, "", [], ()) or _USUAL.get(name) == value:
+        none = value is False or value in (None, [], ()) or (value == "" and name not in _BLANK)
+        if none or _USUAL.get(name) == value:
             continue
         if name == "record":
             words.append(shlex.quote(str(value)))

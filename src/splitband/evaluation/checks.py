@@ -54,8 +54,8 @@ def check_needs(methods: Sequence[Forecaster], record: Record, others: Sequence[
     without = next((other for other in others if other.y_sim is None), None)
     if hybrid is not None and without is not None:
         raise InputError(
-            f"others must have a simulator's output each (--more-simulator) for {hybrid.name}, "
-            f"{without.name or 'one'} has none"
+            f"further records (others, --more) must each have a simulator's output "
+            f"(--more-simulator) for {hybrid.name}, {without.name or 'one'} has none"
         )
 
 

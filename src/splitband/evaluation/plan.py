@@ -221,6 +221,11 @@ def plan(  # noqa: PLR0913
         train = len(record) if tests else int(TRAINING_SHARE * len(record))
     if isinstance(simulator, str) and simulator not in BASES:
         simulator = open_simulator(simulator, record)
+    elif record.y_sim is not None and not (simulator is None or is_fitted(simulator)):
+        raise InputError(
+            "simulator must be left out for a record that has a simulator's output (y_sim), or "
+            "that output be taken out of the record: got both"
+        )
     names = _asked(record, methods, simulator, calibrate, conditioned)
     fitted: Any = simulator if is_fitted(simulator) else None
     ahead = (horizon or 0) if train == len(record) else 0
@@ -235,7 +240,8 @@ def plan(  # noqa: PLR0913
     usual = recipe == "default" and given is None and not {*changes} - {"warmup"}
     asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else names
     with_bands = [_known(each) for each in asked]
-    check_needs(with_bands, record, others)
+    if names is not None:
+        check_needs(with_bands, record, others)
     chosen = chosen_bands(bands or Bands(), training, decided, with_bands)
     small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     of_names = sizes or small

@@ -120,7 +120,7 @@ class Linear(Forecaster):
         return new
 
     def accuracy(self) -> Accuracy:
-        """Return poles, static gains and the frequency response with standard errors.
+        """Return poles, static gains, the frequency response and delays with standard errors.
 
         Raises ValueError for a fit that a deadline ended.
         """

@@ -43,7 +43,7 @@ from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
 from splitband.simulators.base import Absent
 
-FORMAT = 6
+FORMAT = 7
 """Version of the description, which changes with the attributes of what is saved."""
 FILE, WEIGHTS = outputs.DESCRIPTION, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
@@ -334,7 +334,7 @@ def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a ki
     if not named:
         return found
     if "cell" in value:
-        for name in networks.__all__:  # it may be one of them, which are loaded on their first use
+        for name in dir(networks):  # it may be one of them, which are loaded on their first use
             getattr(networks, name)
         return _cell(_loaded(value["cell"], value.get("module")), found)
     kind = _loaded(value["class"], value.get("module"))

@@ -277,6 +277,8 @@ class Recorded(WithRepr):
     def on(self, grid: Grid) -> Aligned:
         """Return the simulation at other times; raises ValueError if it does not cover them."""
         y = np.asarray(self.y, float)
+        if not 1 <= y.ndim <= 2 or not y.size:
+            raise InputError(f"y must be (time,) or (time, ny) with samples, got {y.shape}")
         return aligned(self.name, y.reshape(len(y), -1), self._grid, grid)
 
     def reach(self, grid: Grid) -> int:

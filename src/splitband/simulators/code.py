@@ -175,22 +175,25 @@ def code_digest(*functions: Callable[..., Any] | None) -> str | None:
         return None
 
 
-def _digest(value: Any, within: tuple[int, ...], told: dict[int, int]) -> str:
-    """Return a digest of a value, part of those `within`; `told`: functions and classes so far."""
+def _digest(value: Any, within: tuple[int, ...], seen_before: dict[int, int]) -> str:
+    """Return a digest of a value, which is part of those `within`.
+
+    `seen_before`: the functions and classes so far, with their numbers.
+    """
     value = getattr(value, "py_func", value)  # the source of a Numba function
     parts = [type(value).__qualname__]
     if value is None or isinstance(value, bool | int | float | complex | str | bytes | np.generic):
         parts.append(repr(value))
-    elif id(value) in told:
-        parts.append(f"again {told[id(value)]}")
+    elif id(value) in seen_before:
+        parts.append(f"again {seen_before[id(value)]}")
     elif id(value) not in within:
         if isinstance(value, FunctionType | type):
-            told[id(value)] = len(told)
+            seen_before[id(value)] = len(seen_before)
         inner = (*within, id(value))
         if isinstance(value, set | frozenset):
-            parts += sorted(_digest(each, inner, dict(told)) for each in value)
+            parts += sorted(_digest(each, inner, dict(seen_before)) for each in value)
         else:
-            parts += [_digest(each, inner, told) for each in _contents(value)]
+            parts += [_digest(each, inner, seen_before) for each in _contents(value)]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
@@ -209,12 +212,13 @@ def _contents(value: Any) -> list[Any]:  # noqa: PLR0911  one kind after the oth
     if isinstance(value, FunctionType):
         file = Path(value.__code__.co_filename).resolve()
         installed = file.is_file() and not _of_the_user(file)
-        names = value.__module__, value.__qualname__
-        code = names if installed else [value.__code__, _globals(value)]
+        refers = (value.__module__, value.__qualname__) if installed else _globals(value)
+        code = [value.__code__, refers]
         cells = [cell.cell_contents for cell in value.__closure__ or ()]
         return [code, cells, value.__defaults__, value.__kwdefaults__, vars(value)]
     if isinstance(value, type):
         parts = dict(vars(value)) if is_users(value.__module__) else {}
+        parts.pop("_abc_impl", None)  # what an abstract class has counted so far
         used = [n for n in sorted(parts) if not n.startswith("__") or callable(parts[n])]
         return [value.__qualname__, *value.__bases__, [(name, parts[name]) for name in used]]
     if isinstance(value, property | cached_property | classmethod | staticmethod):

@@ -184,7 +184,7 @@ class Fmu(Adjustable):
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments, with which another process opens it."""
         outputs = self.outputs if self._named else None
-        return Fmu, (self.path, outputs, self.parameters, self.inputs, self.start, self.held)
+        return type(self), (self.path, outputs, self.parameters, self.inputs, self.start, self.held)
 
     def fingerprint(self) -> str:
         """Return the cache key: everything the output depends on except the time grid."""
@@ -235,8 +235,9 @@ def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
         moves = [None if to is None or at is None else to - at
                  for to, at in zip(moves, begin, strict=True)]  # fmt: skip
         assert moves[0] is not None
-        moved |= moves[0][0] != 0
-        for i in np.flatnonzero(open_ones & (moves[0][0] != 0)).tolist():
+        first = abs(moves[0][0]) > 0  # not for NaN
+        moved |= first
+        for i in np.flatnonzero(open_ones & first).tolist():
             each = [move[:, i] for move in moves if move is not None]
             late[i] |= _is_late(each, f"{task.outputs[i]} of {unit.path}", depends[i])
     return Reading(late, before), bool(moved[open_ones].all())

@@ -37,7 +37,7 @@ class UserCode(Adjustable):
     the parameters, which `opened_by` sets.
     """
 
-    survives = True
+    survives = True  # but for compiled code that crashes
     _opened_by: Callable[[Given], Any] | None = None
 
     @property

@@ -48,12 +48,13 @@ the longest record has at most in the first one. By eye."""
 _PULL = 1e-6
 """Residual of an unknown that moves from its start by its unit: those that the records do not tell
 stay where they are. Rounding."""
-QUICK = 2.0
-"""Starts that take less, in s, are all tried in one process: others would have to be started and to
-compile the equation (4 s here).
+QUICK, SLOW = 2.0, 20.0
+"""Seconds. Starts that are quicker than the first number run in one process: further ones would
+first have to start and to compile the equation, 4 s here. If the first start takes longer than the
+second number, they are slow.
 """
 _ROUNDS, LAST_ROUNDS = 30, 100
-"""Most evaluations in a search, and in the last one from the best fractions. Bounds the time."""
+"""Most evaluations in a search, and in the last one, from the best values. Bounds the time."""
 _SAME_PLACE = 0.02
 """Distance, as a share of a range, within which values count as the same. By eye."""
 WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
@@ -275,7 +276,7 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
             break
         left = [i for i in batch if i not in done]
         # The first start, in this process, shows whether others are worth starting.
-        alone = left[: problem.simulator.survives and first == 0]
+        alone, began = left[: problem.simulator.survives and first == 0], now()
         for part in (alone, left[len(alone) :]):
             for outcome in _side_by_side(work, part, 1 if part is alone else workers):
                 done[outcome.number] = outcome
@@ -285,7 +286,9 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
                         write_json(path, asdict(outcome))
                 if effort.progress is not None:
                     effort.progress(len(done), len(points))
-            if part is alone and alone and _seconds(problem, points[0], deadline) < QUICK:
+            # It may have compiled an equation; only of a slow one is that a small part.
+            quick = part is alone and alone and now() - began < SLOW
+            if quick and _seconds(problem, points[0], deadline) < QUICK:
                 workers = 1
         if _settled([done[i] for i in sorted(done)], problem.longest):
             break

@@ -180,7 +180,7 @@ class QuasiNewton:
             saved = state[name].clone().to(device) if name in state else None
             if name in _LISTS:
                 # Rounding of a sum depends on where in a cache line a vector begins, and rows of
-                # one array begin at different samples.
+                # one array begin at different addresses.
                 of_torch[name] = [row.clone() for row in ([] if saved is None else saved)]
             else:
                 of_torch[name] = saved
