@@ -155,7 +155,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
     for job in jobs:
         assert job.start is not None
         trained = FIRST_ROUND * 5 ** (trainer.done[id(job.start)] - 1)
-        assert settings_of(job).quasi_newton == round(0.25 * trained)
+        assert settings_of(job).quasi_newton == trained
         assert job.spec.origins[-1].fitted == TRAIN
     assert all(seconds > 0 for _, seconds in search.finals())
 
