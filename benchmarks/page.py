@@ -48,7 +48,8 @@ def made(out: Path) -> str:
     rows = clock.read(out / clock.FILE)
     parts = [
         "# Public benchmarks",
-        "Each row is the plain command `splitband compare RECORD --budget TIME`, several seeds "
+        "Each row is the plain command `splitband compare RECORD --budget TIME`, as many seeds as "
+        "its last column says "
         "(`python -m benchmarks.clock`, then `python -m benchmarks.page`): median over seeds and "
         "range. A budget is wall time of the whole command on two cores.",
         "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "

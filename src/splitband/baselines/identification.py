@@ -162,10 +162,10 @@ def _delay_errors(
 
 
 def _unstable_by_chance(model: LinearModel) -> bool:
-    """Return whether a pole is outside of the unit circle by less than its 95 % interval."""
+    """Return whether a pole is outside of the unit circle, but not its whole 95 % interval."""
     assert model.accuracy is not None
     size, error = abs(model.accuracy.poles), model.accuracy.pole_errors[:, 2]
-    return bool(((size > 1) & (size - NORMAL * error <= 1)).any())
+    return bool(((size > 1) & ~(size - NORMAL * error > 1)).any())  # also without an interval
 
 
 def _model_of(

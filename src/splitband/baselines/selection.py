@@ -217,18 +217,18 @@ class Search:
         least = min(found, key=lambda c: c.error)
         good = [c for c in found if c.as_good_as(least)]
         chosen = min(good, key=lambda c: (c.order, -c.integrators))
-        return free if chosen.integrators == 1 and not self._lasts(chosen.order) else chosen
+        return free if chosen.integrators == 1 and not self._lasts(chosen.order, free) else chosen
 
-    def _lasts(self, order: int) -> bool:
+    def _lasts(self, order: int, free: Candidate) -> bool:
         """Return whether the record tells that the slowest pole hardly decays over its length.
 
         Where the upper limit of its decay is more than `_DECAYED`, what looks like an integrator
         may be a nonlinearity or chance, and would drift in a longer simulation.
         """
-        free = None if current().over else self.of_order(order)
-        if free is None:
+        same = free if free.order == order else None if current().over else self.of_order(order)
+        if same is None:
             return True
-        found = accuracy_of(free.solution, self.runs, free.solution.matrices)
+        found = accuracy_of(same.solution, self.runs, same.solution.matrices)
         pole, error = found.poles[0], found.pole_errors[0, 2]
         longest = max(run.u.shape[1] for run in self.runs)
         return bool(pole.imag != 0 or not longest * (1 - abs(pole) + NORMAL * error) > _DECAYED)

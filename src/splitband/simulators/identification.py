@@ -51,7 +51,7 @@ stay where they are. Rounding."""
 QUICK, SLOW = 2.0, 20.0
 """Seconds. Starts that are quicker than the first number run in one process: further ones would
 first have to start and to compile the equation, 4 s here. If the first start takes longer than the
-second number, they are slow.
+second number, by eye, they are slow.
 """
 _ROUNDS, LAST_ROUNDS = 30, 100
 """Most evaluations in a search, and in the last one, from the best values. Bounds the time."""
