@@ -40,7 +40,7 @@ SETTLED = 0.01
 SETTLING, SETTLING_LONG = 1.0, 0.25
 """Iterations of a final training, which goes on on all samples, as a share of those before: on
 records of up to `SHORT_RECORD` samples, and on longer ones, which have no time for more. With a
-quarter, errors on short development records are 1.13 times as large (docs/results/rules.md)."""
+quarter, errors on short development records are 1.14 times as large (docs/results/rules.md)."""
 
 
 @dataclass(eq=False)
