@@ -202,6 +202,13 @@ def test_behind_a_controller_noise_does_not_bias_the_pole() -> None:
     assert np.mean(poles) == pytest.approx(0.9, abs=0.015)
 
 
+def test_errors_of_a_nonlinear_system_are_not_taken_for_a_controller() -> None:
+    """A filter, a diode, a filter: a smooth input can be predicted from its own effect."""
+    record, _ = drawn("Wiener-Hammerstein", 126, 1000)
+    assert record.u is not None
+    assert identified([(record.y, record.u)]).by == "output error"
+
+
 def test_an_unstable_plant_behind_a_controller_is_unstable() -> None:
     rng = np.random.default_rng(0)
     setpoint, e = rng.choice([-1.0, 1.0], 150).repeat(20), rng.standard_normal(3000)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from splitband import Settings, Sizes
-from splitband.evaluation.candidates import FIRST_ROUND
+from splitband.evaluation.candidates import FIRST_ROUND, SETTLING
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import plan
 from splitband.evaluation.search import MOST_MEMBERS, Search
@@ -155,7 +155,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
     for job in jobs:
         assert job.start is not None
         trained = FIRST_ROUND * 5 ** (trainer.done[id(job.start)] - 1)
-        assert settings_of(job).quasi_newton == trained
+        assert settings_of(job).quasi_newton == SETTLING * trained
         assert job.spec.origins[-1].fitted == TRAIN
     assert all(seconds > 0 for _, seconds in search.finals())
 

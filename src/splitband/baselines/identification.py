@@ -247,15 +247,23 @@ def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     """Return whether a controller acts on the inputs: past errors of a simulation predict an input.
 
     Beside its own past and that of the other inputs, that is (C. W. J. Granger, 1969). In an open
-    loop the errors are noise, which no input knows. They are `(ny, time)` and `(nu, time)`.
+    loop the errors are noise, which no input knows. Where squares of the inputs explain the errors,
+    these are those of a nonlinear system, from which a smooth input can be predicted, too: then no
+    controller is noticed. `errors` are `(ny, time)` and `inputs` `(nu, time)`, of each record.
     """
     rows, nu, ny = [], len(inputs[0]), len(errors[0])
+    mean, deviation = np.hstack(inputs).mean(axis=1), np.hstack(inputs).std(axis=1)
     for e, u in zip(errors, inputs, strict=True):
         if u.shape[1] > 2 * _LAGS:
-            views = np.lib.stride_tricks.sliding_window_view(np.vstack([u, e]), _LAGS + 1, axis=1)
-            past = views[:, :_ROWS, :-1].transpose(1, 0, 2)
-            rows.append(np.hstack([past.reshape(len(past), -1), views[:nu, :_ROWS, -1].T]))
+            squares = ((u.T - mean) / np.where(deviation > 0, deviation, 1.0)) ** 2 - 1
+            signals = np.vstack([u, e, squares.T])
+            views = np.lib.stride_tricks.sliding_window_view(signals, _LAGS + 1, axis=1)
+            rows.append(views[:, :_ROWS].transpose(1, 0, 2))
     if not rows:
         return False
-    data, own, both = np.concatenate(rows), nu * _LAGS, (nu + ny) * _LAGS
-    return explains(data[:, own:both], data[:, both:], data[:, :own])
+    data = np.concatenate(rows)
+    signals = data[:, : nu + ny, :-1].reshape(len(data), -1)
+    own, past = signals[:, : nu * _LAGS], signals[:, nu * _LAGS :]
+    noticed = explains(past, data[:, :nu, -1], own)
+    squares = data[:, nu + ny :].reshape(len(data), -1)
+    return noticed and not explains(squares, data[:, nu : nu + ny, -1], signals)

@@ -58,7 +58,7 @@ class Display:
             self._live.update(Group(self._table, Text(in_words(state))), refresh=True)
         elif state.new_table:
             showing.console.print(in_words(state))
-        if state.new_table:
+        if state.new_table and state.clock.left:
             self._write(state)
 
     def _write(self, state: Run) -> None:
@@ -71,7 +71,8 @@ class Display:
                 self._written = True
                 facts = self._facts | {"unfinished": state.doing}
                 results.save(state.comparison(), self._out, facts)
-                state.clock.writing = state.clock.used - began
+                # The last one has more methods in it, and loads what runs the model.
+                state.clock.writing += state.clock.used - began
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there

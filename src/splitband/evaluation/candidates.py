@@ -37,10 +37,9 @@ PENALTIES = 1e-4, 1e-3
 
 SETTLED = 0.01
 """A round that lowers the held-out error by less than this share of it has changed nothing."""
-SETTLING, SETTLING_LONG = 1.0, 0.25
-"""Iterations of a final training, which goes on on all samples, as a share of those before: on
-records of up to `SHORT_RECORD` samples, and on longer ones, which have no time for more. With a
-quarter, errors on short development records are 1.14 times as large (docs/results/rules.md)."""
+SETTLING = 0.25
+"""Iterations of a final training, which goes on on all samples, as a share of those before. Four
+times as many change no error by the whole command (docs/results/rules.md)."""
 
 
 @dataclass(eq=False)
@@ -49,7 +48,6 @@ class Candidate:
 
     network: Network  # untrained, with the settings of the first round, for the whole training part
     seed: int = 0  # of its initial weights
-    settling: float = SETTLING  # iterations of its final training, as a share of those before
     fits: list[Fit] = field(default_factory=list)  # one for each round that it was trained in
     errors: list[float] = field(default_factory=list)  # held-out, after each; inf for a failure
 
@@ -86,7 +84,7 @@ class Candidate:
         Without the forecasts after it.
         """
         took = sum(fit.report.seconds for fit in self.fits[: self.best + 1])
-        return self.settling * took / (1 - HELD_OUT_SHARE)
+        return SETTLING * took / (1 - HELD_OUT_SHARE)
 
     @property
     def progressed(self) -> bool:
@@ -102,7 +100,7 @@ class Candidate:
     def final(self) -> Network:
         """Return the network with the settings of its final training, on all samples."""
         done = sum(_iterations(fit) for fit in self.fits[: self.best + 1])
-        return self.going_on(max(round(self.settling * done), 1))
+        return self.going_on(max(round(SETTLING * done), 1))
 
     def going_on(self, iterations: int) -> Network:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
@@ -112,7 +110,7 @@ class Candidate:
 
     def again(self, seed: int) -> Candidate:
         """Return the same choice with another seed, not trained."""
-        return Candidate(self.network, seed, self.settling)
+        return Candidate(self.network, seed)
 
     def options(self) -> dict[str, str]:
         """Return, as text, all options that may differ between candidates of a method."""
@@ -148,7 +146,7 @@ def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate |
         **{name: getattr(other.network, name) for name in theirs - {*vars(best.settings)}}
     )
     trained_as = network._trained_as(replace(best.settings, **trained))
-    return Candidate(trained_as, usual.seed, usual.settling)
+    return Candidate(trained_as, usual.seed)
 
 
 def candidates(
@@ -187,14 +185,9 @@ def candidates(
     distinct: dict[str, Candidate] = {}
     for network, how in every:  # windows may become equal on the shorter record of a trial
         shorter = for_trial(network._trained_as(how), samples)
-        candidate = Candidate(network._trained_as(how), seed, settling(samples))
+        candidate = Candidate(network._trained_as(how), seed)
         distinct.setdefault(shorter._training_in_words(), candidate)
     return [*distinct.values()]
-
-
-def settling(samples: int) -> float:
-    """Return how long final trainings on a record are, as a share of the trainings before."""
-    return SETTLING if samples <= SHORT_RECORD else SETTLING_LONG
 
 
 def _sizes(forecaster: Network) -> list[Network]:

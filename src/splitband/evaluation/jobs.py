@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -153,23 +153,30 @@ class Runner:
                 self.executor.submit(_compile, rows, cell)
 
     def run(
-        self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0
+        self,
+        jobs: Sequence[Job],
+        deadline: Deadline,
+        forecasting: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> Iterator[tuple[Job, Fit]]:
         """Yield each job with its fit, as it is done; at the end those that came too late.
 
         `forecasting`: seconds that the forecasts of a job may take after its training.
+        `meanwhile`: what this process does once the workers have their jobs.
         """
         todo = []
         for job in jobs:
             found = self._kept(job)
-            if found is None:
-                todo.append(job)
-            else:
+            if found is not None:
                 self.found += 1
                 yield job, found
+            elif deadline.over and job.trains and not job.needed:
+                yield job, job.late()
+            else:
+                todo.append(job)
         patience = Deadline(deadline.at + max(PATIENCE, 2 * forecasting))
         for job, future in run_jobs(
-            partial(_run, {**KEPT}, deadline), [*todo], self.executor, patience
+            partial(_run, {**KEPT}, deadline), [*todo], self.executor, patience, meanwhile
         ):
             todo.remove(job)
             error = future.exception()

@@ -188,11 +188,9 @@ class Run:
         )
         for forecaster in at_once:
             self._try(forecaster)
-        for forecaster in at_once:
-            self._keep_final(Job(forecaster, self.plan.spec(forecaster)))
         # Workers load torch while the first table is shown and written.
         self._runner.start([f for f in self._ready if f.random])
-        if slow:
+        if len(at_once) < len(self._ready):
             self._report("baselines", new_table=True)
         until = self._half()
         prepared = [f for f in self._ready if f not in at_once]
@@ -203,8 +201,7 @@ class Run:
                 prepare([forecaster], records, self._runner, until)
         for forecaster in slow:
             self._try(forecaster)
-            self._keep_final(Job(forecaster, self.plan.spec(forecaster)))
-        if self.finals and len(quick) < len(self._ready):
+        if slow and len(quick) < len(self._ready):
             self._report("baselines", new_table=True)
 
     def run_rounds(self) -> None:
@@ -228,7 +225,7 @@ class Run:
             if not self.trials and search.round == 1:
                 jobs[0] = replace(jobs[0], needed=True)
             until = Deadline.after((clock.left - reserve) / search.cost_factor)
-            search.tell(self._trained(jobs, until, f"round {search.round}"))
+            search.tell(self._trained(jobs, until, f"round {search.round}", self._keep_quick))
             self.trials |= search.trials
             if search.round == 1 and self.plan.extended and (most is None or most > 1):
                 self._extend(search)
@@ -280,27 +277,12 @@ class Run:
         """Predict with the models of the trial where there is no final training."""
         for name, held in self.trials.items():
             method = next(f for f in self._ready if f.name == name)
-            if name in self.finals:
-                continue
-            if not method.random:
-                self._keep_final(Job(method, self.plan.spec(method)))
-                continue
-            spec = self.plan.spec(held[0].fitted)
-            best = self._search is not None and name == next(iter(self._search.trials))
-            models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
-            jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
-            if self.clock.interrupted:  # which has ended the workers
-                fits = [job.run() for job in jobs]
-            else:
-                fits = self._trained(jobs, self.clock.deadline, "forecasts")
-            if good := [fit for fit in fits if fit.model is not None]:
-                self.finals[name] = good
-                why = self.failed.pop(name, LATE)
-                said = "in the time" if why == LATE else f"({why})"
-                self.clock.notes.append(
-                    f"{name} could not be trained on the whole training part {said}: its "
-                    "results are those of three quarters of it"
-                )
+            # After Ctrl-C, nothing that may take long begins.
+            if not method.random and not (method._fits_simulator and self.clock.interrupted):
+                self._keep_final(method)
+            late = self.failed.get(name, LATE) == LATE
+            if name not in self.finals and (method.random or late):
+                self._keep_trial(method, held)
         for name in [*self.failed]:
             if name in self.finals:
                 del self.failed[name]
@@ -385,14 +367,23 @@ class Run:
         else:
             self.failed[forecaster.name] = fit.failure
 
-    def _keep_final(self, job: Job) -> None:
-        """Fit a quick method to the whole training part, in this process."""
-        if job.method in self.trials:
-            fit = self._at_once(job)
+    def _keep_quick(self) -> None:
+        """Fit the quick methods to the whole training part, while workers train networks."""
+        for forecaster in sorted(self._ready, key=lambda f: f._fits_simulator):
+            if not forecaster.random:
+                records = [self.plan.training, *self.plan.others]
+                prepare([forecaster], records, self._runner, self._half())
+                self._keep_final(forecaster)
+
+    def _keep_final(self, forecaster: Forecaster) -> None:
+        """Fit a method to the whole training part, in this process, once."""
+        name = forecaster.name
+        if name in self.trials and name not in self.finals:
+            fit = self._at_once(Job(forecaster, self.plan.spec(forecaster)))
             if fit.model is not None:
-                self.finals[job.method] = [fit]
+                self.finals[name] = [fit]
             else:
-                self.failed[job.method] = fit.failure
+                self.failed[name] = fit.failure
 
     def _at_once(self, job: Job) -> Fit:
         # A deadline would change a quick fit for no gain.
@@ -400,12 +391,34 @@ class Run:
         with one_thread(), within(until):
             return job.run()
 
-    def _trained(self, jobs: Sequence[Job], until: Deadline, doing: str) -> list[Fit]:
+    def _keep_trial(self, method: Forecaster, held: Sequence[Fit]) -> None:
+        """Predict with the models that were fitted to three quarters of the training part."""
+        name, spec = method.name, self.plan.spec(held[0].fitted)
+        best = self._search is not None and name == next(iter(self._search.trials), None)
+        models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
+        jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
+        # In this process: workers may have been ended with a job that was late.
+        if good := [fit for job in jobs if (fit := job.run()).model is not None]:
+            self.finals[name] = good
+            why = self.failed.pop(name, LATE)
+            said = "in the time" if why == LATE else f"({why})"
+            self.clock.notes.append(
+                f"{name} could not be {'trained on' if method.random else 'fitted to'} the whole "
+                f"training part {said}: its results are those of three quarters of it"
+            )
+
+    def _trained(
+        self,
+        jobs: Sequence[Job],
+        until: Deadline,
+        doing: str,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> list[Fit]:
         """Return the fits of jobs, in their order."""
         fits: dict[Job, Fit] = {}
         try:
             self._report(f"{doing}, 0 of {len(jobs)} trainings")
-            for job, fit in self._runner.run(jobs, until, self._forecasting()):
+            for job, fit in self._runner.run(jobs, until, self._forecasting(), meanwhile):
                 fits[job] = fit
                 self.clock.trained += fit.seconds
                 self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")

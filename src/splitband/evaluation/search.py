@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.evaluation.candidates import SHORT_RECORD, Candidate, candidates, combined, settling
+from splitband.evaluation.candidates import SETTLING, SHORT_RECORD, Candidate, candidates, combined
 from splitband.evaluation.clock import HALF
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import Plan
@@ -157,11 +157,11 @@ class Search:
         """Return the time until the end that a second of this round costs, in seconds: more than 1.
 
         A candidate that has been trained for longer takes longer in its final training, too:
-        a share (`settling`) of the iterations before, on all samples.
+        a share `SETTLING` of the iterations before, on all samples.
         """
         members, jobs = len(next(iter(self.trials.values()), [None])), max(len(self._asked), 1)
-        of_each, share = min(self._cores, jobs) / jobs, settling(len(self._record))
-        return 1 + of_each * max(members / self._cores, 1) * share / (1 - HELD_OUT_SHARE)
+        of_each = min(self._cores, jobs) / jobs
+        return 1 + of_each * max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
 
     def _members(self, method: str) -> list[Candidate]:
         """Return the candidates of a method whose median is its prediction, the best one first.

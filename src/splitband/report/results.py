@@ -76,10 +76,10 @@ def save_unfinished(state: Run, folder: Path, facts: dict[str, Any]) -> None:
     """
     trial, record = state.trial, state.plan.record
     with staged(folder) as new:
-        part = "the training part"
-        part = part if trial.recommended in state.finals else f"three quarters of {part}"
-        marked = {"unfinished": state.doing, "trained_on": part}
-        saving.save(state.model, new / MODEL_FOLDER, marked)
+        model = state.model
+        samples = len(model.require_fitted().record)
+        marked = {"unfinished": state.doing, "trained_on": f"the first {samples} samples"}
+        saving.save(model, new / MODEL_FOLDER, marked)
         said = {
             "unfinished": state.doing,
             "recommended": trial.recommended,

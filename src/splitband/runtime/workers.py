@@ -111,6 +111,7 @@ def run_jobs(
     jobs: Sequence[Job],
     executor: Executor | None = None,
     patience: Deadline = NEVER,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[Job, Future[Result]]]:
     """Yield each job with its result, as it is done.
 
@@ -122,8 +123,10 @@ def run_jobs(
     jobs : In the order in which they start.
     executor : Where they run; None for this process, one after the other.
     patience : Deadline after which nobody waits for a result.
+    meanwhile : What this process does once an executor has all jobs.
     """
     if executor is None:
+        meanwhile()
         for job in jobs:
             future: Future[Result] = Future()
             try:
@@ -136,6 +139,7 @@ def run_jobs(
     try:
         for job in jobs:
             waiting[executor.submit(_on_one_thread, work, job)] = job
+        meanwhile()
         while waiting and not patience.over:
             done, _ = wait(waiting, min(TICK, max(patience.left, 0.0)), FIRST_COMPLETED)
             for future in done:
