@@ -13,7 +13,7 @@ import scipy.signal
 
 from splitband import Record, read
 from splitband.cli.options import RecordOptions, SimulatorOptions
-from splitband.cli.records import load_further, opened
+from splitband.cli.records import load_further, simulator_of
 from splitband.cli.showing import saying
 from splitband.metrics import rmse
 from splitband.simulators.opening import simulated
@@ -53,7 +53,7 @@ def simulator_error(
     record = read("record.csv", time_column=time_column)
     options = SimulatorOptions(simulator, simulator_start=start)
     with saying(quiet=False, json=False):
-        found = simulated(record, opened(options, record, time_column))
+        found = simulated(record, simulator_of(options, record, time_column))
     assert found.y_sim is not None
     return rmse(found.y, found.y_sim)
 

@@ -60,7 +60,7 @@ def planned(
     reading, simulated = asked.reading, asked.simulator
     model = None if asked.like is None else _like(asked)
     record = records.load_record(asked.record, reading, model)
-    simulator = records.opened(simulated, record, reading.time_column)
+    simulator = records.simulator_of(simulated, record, reading.time_column)
     if simulator is not None and not isinstance(simulator, str) and not is_fitted(simulator):
         record = replace(record, y_sim=None, beyond=None)  # the named one counts
     if steps:

@@ -159,7 +159,7 @@ def load_further(
         more = replace(more, name=file if option == "--more" else Path(file).stem)
         if simulators and options is not None:
             own = replace(options, simulator=simulators[i])
-            beside = opened(own, more, reading.time_column)
+            beside = simulator_of(own, more, reading.time_column)
             _check_run_as_it_is(f"{option}-simulator", simulators[i], beside)
             more = simulated(more, beside, longer=True)
         found.append(more)
@@ -219,7 +219,7 @@ def inputs_ahead(
     return u.values
 
 
-def opened(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
+def simulator_of(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
     """Return the simulator that the options name, or the name of a baseline; None without any."""
     name, inputs = options.simulator, options.simulator_inputs
     if name is None and (inputs is not None or options.simulator_start is not None):
@@ -261,7 +261,7 @@ def with_simulator(
             )
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
         options = replace(options, parameters=options.parameters or own)
-    found = opened(options, past, time_column)
+    found = simulator_of(options, past, time_column)
     if not used:
         _check_run_as_it_is("--simulator", options.simulator, found)
         found = matched(found, past.columns, past.inputs)

@@ -56,7 +56,7 @@ def spectrum(
     record: for its cut-off give --train the number of all samples.
     """
     whole = records.load_record(record, reading)
-    opened = records.opened(simulator, whole, reading.time_column)
+    opened = records.simulator_of(simulator, whole, reading.time_column)
     if isinstance(opened, str) or is_fitted(opened):
         raise InputError(
             f"--simulator must be a simulator for spectrum; got {simulator.simulator}, which is "

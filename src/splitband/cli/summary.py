@@ -10,7 +10,7 @@ import pandas as pd
 import typer
 
 from splitband.cli import showing
-from splitband.report.table import KINDS, OVER_ALL, Column, Table, Unit
+from splitband.report.table import COLUMNS, OVER_ALL, Column, Table, Unit
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS, replacing, to_json
 from splitband.runtime.outputs import FACTS, FORMAT
@@ -37,7 +37,7 @@ def summary(
         raise InputError(f"--out must end in .csv or .json, got {out}")
     units: dict[str, Unit] = {_TIME: "seconds"}
     rows = [row for folder in dict.fromkeys(folders) for row in _rows(folder, units)]
-    order, said = [*KINDS, _TIME], dict[str, str]()
+    order, said = [*COLUMNS, _TIME], dict[str, str]()
     values: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:
         name = f"{row['folder']}: {row['recommended'] or '-'}"

@@ -239,18 +239,18 @@ def plan(  # noqa: PLR0913
         decided = replace(decided, warmup=min(decided.warmup, shortest))
     usual = recipe == "default" and given is None and not {*changes} - {"warmup"}
     asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else names
-    with_bands = [_known(each) for each in asked]
+    listed = [_known(each) for each in asked]
     if names is not None:
-        check_needs(with_bands, record, others)
-    chosen = chosen_bands(bands or Bands(), training, decided, with_bands)
+        check_needs(listed, record, others)
+    chosen = chosen_bands(bands or Bands(), training, decided, listed)
     small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
-    of_names = sizes or small
+    named_sizes = sizes or small
     if names is None:
-        asked = _usual(record, chosen, fitted)
+        asked = _default_methods(record, chosen, fitted)
     if fitted is not None:
         check_runs(fitted, record)
     found = Plan(
-        record, train, horizon, (), decided, chosen, of_names, others=tuple(others),
+        record, train, horizon, (), decided, chosen, named_sizes, others=tuple(others),
         tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
         seeds=seeds, refit=refit,
     )  # fmt: skip
@@ -268,10 +268,10 @@ def plan(  # noqa: PLR0913
     return replace(found, tests=_with_distinct_names(tests))
 
 
-def _given(simulator: Any, part: Forecaster) -> Forecaster:
+def _with_simulator(simulator: Any, part: Forecaster) -> Forecaster:
     """Return a part with this simulator, if it fits the parameters of one and has none."""
-    open_ = isinstance(part, GreyBox) and part.simulator is None
-    return part.clone().set_params(simulator=simulator) if open_ else part
+    lacks_it = isinstance(part, GreyBox) and part.simulator is None
+    return part.clone().set_params(simulator=simulator) if lacks_it else part
 
 
 def _known(method: Forecaster | str, sizes: Sizes | None = None) -> Forecaster:
@@ -326,7 +326,7 @@ def _completed(
         method = _known(each, plan.sizes)
         complete = with_defaults(method, plan.settings, plan.bands)
         if isinstance(each, str) and plan.simulator is not None:
-            complete = with_parts_changed(complete, partial(_given, plan.simulator))
+            complete = with_parts_changed(complete, partial(_with_simulator, plan.simulator))
         if searched and isinstance(complete, Network) and method.settings is None:
             names[complete.name] = isinstance(each, str) and sized
         made.append(complete if device == "cpu" else complete.to(device))
@@ -404,7 +404,9 @@ def usual_names(record: Record, bands: Bands) -> list[str]:
     return [*learned[:trained], *kept, *learned[trained:]]
 
 
-def _usual(record: Record, bands: Bands, simulator: Adjustable | None) -> list[Forecaster | str]:
+def _default_methods(
+    record: Record, bands: Bands, simulator: Adjustable | None
+) -> list[Forecaster | str]:
     """Return the default methods for a record; a simulator is also compared before its fit."""
     if simulator is None:
         return [*usual_names(record, bands)]

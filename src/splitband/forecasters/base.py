@@ -33,7 +33,7 @@ from splitband.forecasters.stepping import (
     Part,
     Recursion,
     Stream,
-    alone,
+    recursion_of_part,
     stream_of,
 )
 from splitband.metrics import ExtrapolationWarning
@@ -524,7 +524,7 @@ class Forecaster(WithRepr, ABC):
         program. Raises NotSteppedError where `predict` is needed for each sample, with the reason.
         """
         record = self.require_fitted().record
-        return alone(self._part(outside), record.ny, record.nu)
+        return recursion_of_part(self._part(outside), record.ny, record.nu)
 
     def _part(self, outside: bool = False) -> Part:
         """Return what computes its values step by step, alone or in a hybrid; see `_stepped`."""

@@ -11,7 +11,7 @@ from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import ForecastContext, extrapolated, median_components
-from splitband.forecasters.stepping import Recursion, medians
+from splitband.forecasters.stepping import Recursion, recursion_of_median
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -173,7 +173,7 @@ class Ensemble(Forecaster):
 
     def _stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""
-        return medians([member._stepped(outside) for member in self.members])
+        return recursion_of_median([member._stepped(outside) for member in self.members])
 
     def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return the module that simulates the median of the members."""

@@ -14,7 +14,7 @@ import numpy as np
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.simulation import given
+from splitband.forecasters.simulation import part_of_given_output
 from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
@@ -185,7 +185,7 @@ class GreyBox(Forecaster):
         """Return the simulator, integrated from the first state of the training record on."""
         if outside:
             ny = self.require_fitted().record.ny
-            return given(np.ones(ny), np.zeros(ny), self.trajectory)
+            return part_of_given_output(np.ones(ny), np.zeros(ny), self.trajectory)
         if not getattr(self.simulator, "advances", False):
             raise NotSteppedError(f"{self.name} has a simulator that does not go on from a state")
         adjusted = self._adjusted()

@@ -26,7 +26,7 @@ from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.stepping import NotSteppedError, Recursion, warmed
+from splitband.forecasters.stepping import NotSteppedError, Recursion, recursion_of_network
 from splitband.models.labels import FAST, SLOW
 from splitband.networks.cell import Cell, Template
 from splitband.runtime.arguments import check_device
@@ -304,7 +304,7 @@ class Network(Forecaster):
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
         part = None if self._fitted_base is None else self._fitted_base._part(outside)
-        return warmed(model, part, self.warmup, self.delays)
+        return recursion_of_network(model, part, self.warmup, self.delays)
 
     def differentiable(self, known: ForecastContext) -> nn.Module:
         """Return model and base as a torch module, warmed up."""

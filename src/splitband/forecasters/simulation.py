@@ -300,7 +300,7 @@ class SimulatorForecaster(Forecaster):
             )
         ny = self.require_fitted().record.ny
         gain, offset = self.applied.gain or [1.0] * ny, self.applied.offset or [0.0] * ny
-        return given(np.array(gain), np.array(offset), self.trajectory)
+        return part_of_given_output(np.array(gain), np.array(offset), self.trajectory)
 
     def on(self, record: Record, first: bool = True) -> Record:
         """Return a record with the calibrated output as `y_sim`; both begin together."""
@@ -458,7 +458,9 @@ class Calibrated(SimulatorForecaster):
         return samples_needed(samples, train)
 
 
-def given(gain: Array, offset: Array, trajectory: Callable[[ForecastContext], Array]) -> Part:
+def part_of_given_output(
+    gain: Array, offset: Array, trajectory: Callable[[ForecastContext], Array]
+) -> Part:
     """Return a simulator's output, which is given with each sample, calibrated.
 
     `gain`, `offset`: of the calibration, `(ny,)` each. `trajectory`: see `Forecaster.trajectory`.

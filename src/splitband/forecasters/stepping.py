@@ -122,7 +122,7 @@ def read(rows: Array, settled: Array) -> Array:
     return rows[..., 0] + (rows[..., 1:] * settled).sum(axis=-1)
 
 
-def alone(part: Part, ny: int, nu: int) -> Recursion:
+def recursion_of_part(part: Part, ny: int, nu: int) -> Recursion:
     """Return the recursion of a part alone."""
 
     def initial(known: ForecastContext | None) -> State:
@@ -163,7 +163,9 @@ def delay_line(delays: Sequence[int]) -> tuple[State, Callable[[State, Array], A
     return {"past": np.zeros((max(delays), len(delays))), "filled": np.zeros(())}, tick
 
 
-def warmed(model: Stepped, slow: Part | None, warmup: int, delays: Sequence[int]) -> Recursion:
+def recursion_of_network(
+    model: Stepped, slow: Part | None, warmup: int, delays: Sequence[int]
+) -> Recursion:
     """Return the recursion of a trained model, with a slow part or none.
 
     It keeps the last `warmup` samples. A free run starts from them when a sample is not measured,
@@ -242,7 +244,7 @@ def warmed(model: Stepped, slow: Part | None, warmup: int, delays: Sequence[int]
                      first_row=first_row)  # fmt: skip
 
 
-def medians(members: Sequence[Recursion]) -> Recursion:
+def recursion_of_median(members: Sequence[Recursion]) -> Recursion:
     """Return the recursion of the median of several, which predicts once all of them do."""
 
     def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:

@@ -63,7 +63,7 @@ class Column:
     @property
     def note(self) -> str:
         """Return the explanation of the heading; empty if it needs none."""
-        return KINDS[self.heading].note if self.heading in KINDS else ""
+        return COLUMNS[self.heading].note if self.heading in COLUMNS else ""
 
     @property
     def label(self) -> str:
@@ -263,8 +263,8 @@ def columns(comparison: Comparison, *headings: str) -> list[Column]:
     """
     return [
         column
-        for heading in headings or KINDS
-        for numbers in KINDS[heading].of(comparison)
+        for heading in headings or COLUMNS
+        for numbers in COLUMNS[heading].of(comparison)
         for column in _columns(heading, numbers)
     ]
 
@@ -353,7 +353,7 @@ class Numbers(NamedTuple):
 def _columns(heading: str, numbers: Numbers) -> list[Column]:
     """Return the columns of these numbers, which have a unit each."""
     values, record, test, spreads = numbers
-    unit = KINDS[heading].unit
+    unit = COLUMNS[heading].unit
     if record is None:
         return [Column(heading, unit, values, ranked=unit == "deviation")] if values else []
 
@@ -411,7 +411,7 @@ def _seconds(comparison: Comparison) -> list[Numbers]:
     return [Numbers({name: statistics.mean(r.report.seconds for r in rs) for name, rs in runs})]
 
 
-class Kind(NamedTuple):
+class Quantity(NamedTuple):
     """Describe a column of comparisons: its unit, what it means, and where its numbers are from."""
 
     unit: Unit
@@ -420,45 +420,45 @@ class Kind(NamedTuple):
 
 
 _FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
-KINDS = {
-    "test fit %": Kind(
+COLUMNS = {
+    "test fit %": Quantity(
         "percent", f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as the "
         "mean of the record", partial(_errors, "test", fit_percent),
     ),
-    "forecast fit %": Kind(
+    "forecast fit %": Quantity(
         "percent", f"{_FIT} forecast: 100 is perfect, 0 is as good as the mean of the samples "
         "after the training part", partial(_errors, "forecast", fit_percent),
     ),
-    "test RMSE": Kind(
+    "test RMSE": Quantity(
         "record", "root mean squared error of the simulation of this test record",
         partial(_errors, "test", channel_rmse),
     ),
-    "forecast RMSE": Kind(
+    "forecast RMSE": Quantity(
         "record", "root mean squared error of the forecast after the training part",
         partial(_errors, "forecast", channel_rmse),
     ),
-    "score": Kind(
+    "score": Quantity(
         "deviation", "the lowest is recommended: the held-out RMSE in standard deviations, of "
         "several outputs the root of the sum of squares; networks carry a penalty of "
         f"{WORTH_TRAINING:.0%}", lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
     ),
-    "in interval": Kind(
+    "in interval": Quantity(
         "share", "share of the measured samples in the forecast's interval; "
         f"{LEVEL:.0%} is ideal", _intervals,
     ),
-    "held-out RMSE": Kind(
+    "held-out RMSE": Quantity(
         "record", "error on the last quarter of the training samples, by models trained on the "
         "rest", lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else [],
     ),
-    "RMSE from the start": Kind(
+    "RMSE from the start": Quantity(
         "record", "of the simulation from the first samples to the end of the record",
         partial(_errors, "start", channel_rmse),
     ),
-    "fit % from the start": Kind(
+    "fit % from the start": Quantity(
         "percent", "of the same simulation", partial(_errors, "start", fit_percent)
     ),
-    "fit (s)": Kind("seconds", "seconds of one training, on average", _seconds),
-    "trainings": Kind(
+    "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
+    "trainings": Quantity(
         "count", "how many the median is of; after ±: the standard deviation of their errors",
         _trainings,
     ),

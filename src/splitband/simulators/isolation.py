@@ -153,7 +153,7 @@ def named_in(path: str, name: str) -> Any:
         raise InputError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
 
 
-def opened(
+def adjustable_from(
     file: str,
     name: str,
     given: Mapping[str, Any],
@@ -180,11 +180,11 @@ def opened(
     file = str(Path(file).resolve())
     _defined(file, name, content_digest([file]))  # which imports what it needs
     key = f"{content_digest([file, *loaded_files()])} {name}"
-    simulator: Adjustable = _opened(file, name, start, key, given)
+    simulator: Adjustable = _of_file(file, name, start, key, given)
     return simulator
 
 
-def _opened(file: str, name: str, start: Start | None, key: str, given: Mapping[str, Any]) -> Any:
+def _of_file(file: str, name: str, start: Start | None, key: str, given: Mapping[str, Any]) -> Any:
     """Return a simulator of a Python file, in any process."""
     found = _defined(file, name, content_digest([file]))
     if isinstance(found, UserCode):
@@ -198,7 +198,7 @@ def _opened(file: str, name: str, start: Start | None, key: str, given: Mapping[
         simulator = Function(found, key, dict(given))
     if start is not None:
         simulator = replace(simulator, start=start)
-    return simulator.opened_by(partial(_opened, file, name, start, key))
+    return simulator.opened_by(partial(_of_file, file, name, start, key))
 
 
 @lru_cache(maxsize=16)

@@ -28,7 +28,7 @@ from splitband.simulators.base import (
 )
 from splitband.simulators.calibration import samples_needed
 from splitband.simulators.code import check_open, count_arguments, outline
-from splitband.simulators.isolation import Isolated, named_in, opened
+from splitband.simulators.isolation import Isolated, adjustable_from, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.parameters import Adjustable, Parameters
 
@@ -113,7 +113,7 @@ def open_simulator(  # noqa: PLR0913
         )
     if parameters is not None:
         given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return opened(file, function, given, columns, inputs, begin)
+        return adjustable_from(file, function, given, columns, inputs, begin)
     for each in reads:
         if not Path(each).is_file():
             raise FileNotFoundError(f"reads (--simulator-reads) must be a file, got {each}")
