@@ -19,6 +19,7 @@ from splitband.forecasters.learned import Single
 from splitband.forecasters.names import Sizes
 from splitband.forecasters.simulation import Calibrated
 from splitband.models import Residual
+from splitband.runtime.deadlines import DeadlineError
 from splitband.training import fit
 from tests.records import Setup
 from tests.support import compare
@@ -76,6 +77,28 @@ def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
     found = compare(RECORD, methods, SETUP)
     assert (found.recommended, [*found.require_trial().failed]) == ("persistence", [CALIBRATED])
     assert CALIBRATED in found.require_trial().scores
+
+
+def test_a_simulator_without_time_for_its_last_fit_has_the_results_of_the_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    learn = Calibrated.learn
+
+    def learn_from_less(self: Calibrated, records: Any, **options: Any) -> Any:
+        if len(records[0]) == TRAIN:
+            raise DeadlineError
+        return learn(self, records, **options)
+
+    monkeypatch.setattr(Calibrated, "learn", learn_from_less)
+    found = compare(RECORD, ["persistence", CALIBRATED], SETUP)
+    assert found.recommended == CALIBRATED
+    (fit,) = found.fits[CALIBRATED]
+    assert len(fit.fitted.require_fitted().record) < TRAIN
+    (said,) = found.clock.notes
+    assert said == (
+        f"{CALIBRATED} could not be fitted to the whole training part in the time: its results are "
+        "those of three quarters of it"
+    )
 
 
 def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

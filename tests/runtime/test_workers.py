@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -44,6 +45,22 @@ def test_every_job_comes_with_its_result_or_its_error(executor: Executor | None)
     assert {job: future.result() for job, future in found.items() if job > 0} == {1: 1, 2: 4}
     with pytest.raises(ValueError, match="must not be negative, got -3"):
         found[-3].result()
+
+
+def test_this_process_does_other_work_while_workers_have_jobs() -> None:
+    begun, done = threading.Event(), threading.Event()
+
+    def waiting(_: int) -> bool:
+        begun.set()
+        return done.wait(300)
+
+    def meanwhile() -> None:
+        assert begun.wait(300)
+        done.set()
+
+    with ThreadPoolExecutor(1) as executor:
+        ((_, future),) = run_jobs(waiting, [0], executor, meanwhile=meanwhile)
+    assert future.result()
 
 
 def leave(job: int) -> str:
