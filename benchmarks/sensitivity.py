@@ -123,6 +123,19 @@ def simulators() -> Results:
     return found
 
 
+def networks() -> Results:
+    """Errors of short trainings of a state-space network, from the linear model and at random."""
+    found = {}
+    for system, linear_start in product(driven.SYSTEMS, (True, False)):
+        record, test = driven.drawn(system, SEEDS[0], 400)
+        steps = 0 if linear_start else 50
+        how = sb.Settings(200, 50, steps, 25, quasi_newton=100, linear_start=linear_start)
+        model = sb.Single(sb.StateSpace(4, 8), how).fit(record)
+        y = model.predict(len(test) - 50, history=test[:50]).y
+        found[f"{system} {'linear' if linear_start else 'random'}"] = rmse(test.y[50:], y)
+    return found
+
+
 def tests() -> Results:
     """Shares of right models that the residual tests reject, and of wrong ones that they accept."""
     found = {}
@@ -143,12 +156,13 @@ GROUPS: dict[str, tuple[Callable[[], Results], tuple[str, ...]]] = {
                              ("delays", "identification", "kalman", "linear", "selection"))),
     "time": (time, ("baselines/seasonal.py", "baselines/sinusoids.py",
                     "forecasters/closed_form.py")),
-    "comparison": (comparison, ("forecasters/backtest.py", "forecasters/intervals.py",
+    "comparison": (comparison, ("forecasters/backtest.py", "forecasters/intervals.py", "metrics.py",
                                 "forecasters/prehistory.py", "evaluation/recommendation.py")),
     "bands": (bands, ("filters/cutoff.py",)),
     "simulators": (simulators, ("forecasters/grey_box.py", "simulators/identification.py",
                                 "simulators/parameters.py", "simulators/shooting.py",
                                 "simulators/calibration.py")),
+    "networks": (networks, ("networks/state_space.py",)),
     "tests": (tests, ("forecasters/residuals.py",)),
 }  # fmt: skip
 """Results of a group, and the files whose constants they depend on."""

@@ -108,7 +108,7 @@ def test_there_is_a_result_whatever_the_deadline(
 def test_what_has_settled_ends_before_its_time_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("splitband.evaluation.search.MOST_MEMBERS", 1)
+    monkeypatch.setattr("splitband.evaluation.search.SEEDS", 1)
     constant = Record(np.ones(80) + 1e-3 * np.sin(np.arange(80.0)), 0.1)
     result = compare(constant, 60, ["mean", "gru"], budget=1e5, **SMALL)  # type: ignore[arg-type]
     assert "settled" in result.clock.in_words()

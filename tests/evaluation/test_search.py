@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from splitband import Settings, Sizes
-from splitband.evaluation.candidates import FIRST_ROUND, SETTLING
+from splitband.evaluation.candidates import FINAL_SHARE, FIRST_ROUND
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import plan
-from splitband.evaluation.search import MOST_MEMBERS, Search
+from splitband.evaluation.search import SEEDS, Search
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.prediction import Prediction
@@ -116,8 +116,8 @@ def test_what_does_not_improve_stops_and_other_seeds_follow_until_all_is_settled
     assert all(trainer.done[id(job.start)] == 1 for jobs in trainer.rounds for job in jobs
                if job.start is not None)  # fmt: skip
     seeds = [{job.seed for job in jobs} for jobs in trainer.rounds if jobs[0].start is None]
-    assert seeds[-1] == {MOST_MEMBERS - 1}
-    assert search.settled
+    assert seeds[-1] == {SEEDS - 1}
+    assert search.converged
     assert search.ask() == []
 
 
@@ -129,7 +129,7 @@ def test_a_search_that_was_cut_is_not_settled() -> None:
         search.tell([job.late() for job in jobs])
         if search.round > 20:
             break
-    assert not search.settled
+    assert not search.converged
 
 
 def test_a_late_or_failed_training_is_left_out_and_said() -> None:
@@ -148,16 +148,16 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
     trainer = Trainer(lambda job, n: (0.1 if job.method == "gru" else 0.5) / n)
     trainer.run(search, 4)
     assert next(iter(search.trials)) == "gru"
-    jobs = [job for job, _ in search.finals()]
+    jobs = search.finals()
     of_gru = [job for job in jobs if job.method == "gru"]
     assert len(of_gru) >= 3  # on a short record the median of fewer is their mean
     assert len(jobs) == len(of_gru) + 1
     for job in jobs:
         assert job.start is not None
         trained = FIRST_ROUND * 5 ** (trainer.done[id(job.start)] - 1)
-        assert settings_of(job).quasi_newton == SETTLING * trained
+        assert settings_of(job).quasi_newton == FINAL_SHARE * trained
         assert job.spec.origins[-1].fitted == TRAIN
-    assert all(seconds > 0 for _, seconds in search.finals())
+    assert all(job.seconds > 0 for job in search.finals())
 
 
 def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
@@ -167,13 +167,13 @@ def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
     (jobs,) = trainer.rounds
     assert [job.seed for job in jobs] == [0, 1, 2]
     assert all(settings_of(job).epochs == QUICK.epochs for job in jobs)
-    assert [job.seed for job, _ in search.finals()] == [0, 1, 2]
-    assert all(job.start is None for job, _ in search.finals())
+    assert [job.seed for job in search.finals()] == [0, 1, 2]
+    assert all(job.start is None for job in search.finals())
 
 
 def test_the_seed_of_a_comparison_is_that_of_its_trainings() -> None:
     search = searching(["gru"], seed=7)
-    assert {job.seed for job in search.ask()} == {7 * MOST_MEMBERS}
+    assert {job.seed for job in search.ask()} == {7 * SEEDS}
 
 
 @pytest.mark.parametrize("short", [True, False])

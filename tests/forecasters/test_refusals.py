@@ -54,7 +54,7 @@ def mean() -> Forecaster:
         (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted first"),
         (lambda: sb.Mean().fit(), "records must be one or several, got none"),
         (lambda: mean().predict(0), "steps must be at least 1, got 0"),
-        (lambda: mean().predict(3, u=np.ones(3)), "u must be given exactly for a record with in"),
+        (lambda: mean().predict(3, u=np.ones(3)), "u must be left out: the record has no inputs"),
         (
             lambda: mean().predict(3, two_channels()),
             r"training record's 1 channel\(s\) and 0 input\(s\), got 2 and 0",

@@ -39,8 +39,10 @@ class LockedCommand(typer.core.TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; bad input is told with its options in place of arguments' names."""
+        from splitband.cli import output  # noqa: PLC0415  which loads what commands need
+
         try:
-            with import_module("splitband.cli.output").claimed(ctx):
+            with output.claimed(ctx):
                 return super().invoke(ctx)
         except EXPECTED as error:
             options = {p.name: p.opts[0] for p in self.params if p.param_type_name == "option"}
@@ -111,7 +113,9 @@ def splitband(
     ] = False,
 ) -> None:
     """Set what holds for every command."""
-    context.with_resource(import_module("splitband.cli.showing").saying(quiet, json))
+    from splitband.cli import showing  # noqa: PLC0415  which loads what commands need
+
+    context.with_resource(showing.saying(quiet, json))
 
 
 GONE = {

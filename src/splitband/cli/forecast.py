@@ -52,9 +52,9 @@ def forecast(
 
     Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
     the record from the rest of it; with --like, the model of that folder and
-    the baselines. What did well is fitted again, on the whole record, and should
-    then still forecast the same. A simulator must reach --steps samples beyond the record; a
-    record with known inputs needs --future-inputs.
+    the baselines. The recommended method is fitted again to the whole record, with the
+    interval that its held-out errors give. A simulator must reach --steps samples beyond the
+    record; a record with known inputs needs --future-inputs.
     """
     asked = Request(
         record, reading, simulator, further, methods=method, seeds=seeds, like=like,

@@ -129,7 +129,7 @@ def hidden(text: str) -> tuple[int, int]:
 
 
 def _or_auto(kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
-    """Return a parser of numbers, and of auto as None: what nothing is given for is chosen."""
+    """Return a parser of numbers that turns auto into None, for which a number is chosen."""
 
     def parsed(value: str) -> float | None:
         if value == "auto":

@@ -59,8 +59,8 @@ def spectrum(
     opened = records.simulator_of(simulator, whole, reading.time_column)
     if isinstance(opened, str) or is_fitted(opened):
         raise InputError(
-            f"--simulator must be a simulator for spectrum; got {simulator.simulator}, which is "
-            "fitted to the record: for compare, fit and forecast"
+            f"--simulator must be one that is run as it is, got {simulator.simulator}, which is "
+            "fitted to the record: compare, fit and forecast do that"
         )
     if opened is None and whole.y_sim is not None:  # a named record's own can run for longer
         opened = open_simulator(record, whole)

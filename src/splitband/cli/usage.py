@@ -25,15 +25,17 @@ from splitband.report.results import MODEL_FOLDER
 
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
-_FOUND = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
+_REPLACED_BY_LIKE = [
+    name for name in ModelOptions.__annotations__ if name not in ("seed", "device")
+]
 """Options that --like replaces."""
 _FIT = [
     *RecordOptions.__annotations__, "gaps", *_FILES, *_SIMULATOR, "parameters",
-    *FurtherRecords.__annotations__, *_FOUND, "like", "seed", "device",
+    *FurtherRecords.__annotations__, *_REPLACED_BY_LIKE, "like", "seed", "device",
 ]  # fmt: skip
 _BLANK = "simulator_inputs", "time_column"
 """Options of which an empty text says something: none of them."""
-_USUAL = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
+_DEFAULTS = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
 WIDTH = 80
 """Characters in a line of a command."""
 STEPS = 100
@@ -72,7 +74,7 @@ def usage(
     given = {**given, "record": record}
     commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
     if model.random:
-        given = {k: v for k, v in given.items() if k not in _FOUND} | {"like": str(out)}
+        given = {k: v for k, v in given.items() if k not in _REPLACED_BY_LIKE} | {"like": str(out)}
     if model.name in NAMES:
         if not plan.refit and plan.train < len(plan.record):
             end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
@@ -127,7 +129,7 @@ def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] =
     for name in sorted(names, key=lambda name: name != "record"):
         value = given.get(name)
         none = value is False or value in (None, [], ()) or (value == "" and name not in _BLANK)
-        if none or _USUAL.get(name) == value:
+        if none or _DEFAULTS.get(name) == value:
             continue
         if name == "record":
             words.append(shlex.quote(str(value)))

@@ -35,9 +35,9 @@ PENALTIES = 1e-4, 1e-3
 """Penalties to try; the second one only on records of up to `SHORT_RECORD` samples."""
 
 
-SETTLED = 0.01
+LEAST_IMPROVEMENT = 0.01
 """A round that lowers the held-out error by less than this share of it has changed nothing."""
-SETTLING = 0.25
+FINAL_SHARE = 0.25
 """Iterations of a final training, which goes on on all samples, as a share of those before. Four
 times as many change no error by the whole command (docs/results/rules.md)."""
 
@@ -49,7 +49,7 @@ class Candidate:
     network: Network  # untrained, with the settings of the first round, for the whole training part
     seed: int = 0  # of its initial weights
     fits: list[Fit] = field(default_factory=list)  # one for each round that it was trained in
-    errors: list[float] = field(default_factory=list)  # held-out, after each; inf for a failure
+    scores: list[float] = field(default_factory=list)  # held-out, after each; inf for a failure
 
     @property
     def method(self) -> str:
@@ -63,14 +63,14 @@ class Candidate:
         return self.network.settings
 
     @property
-    def error(self) -> float:
+    def score(self) -> float:
         """Return its lowest held-out error; infinite before the first round."""
-        return min(self.errors, default=math.inf)
+        return min(self.scores, default=math.inf)
 
     @property
     def best(self) -> int:
         """Return the index of the round with that error."""
-        return self.errors.index(self.error)
+        return self.scores.index(self.score)
 
     @property
     def seconds(self) -> float:
@@ -84,13 +84,13 @@ class Candidate:
         Without the forecasts after it.
         """
         took = sum(fit.report.seconds for fit in self.fits[: self.best + 1])
-        return SETTLING * took / (1 - HELD_OUT_SHARE)
+        return FINAL_SHARE * took / (1 - HELD_OUT_SHARE)
 
     @property
     def progressed(self) -> bool:
-        """Return whether its last round lowered the error by more than `SETTLED`."""
-        before = (1 - SETTLED) * min(self.errors[:-1], default=math.inf)
-        return bool(self.errors) and self.errors[-1] < before
+        """Return whether its last round lowered the error by more than `LEAST_IMPROVEMENT`."""
+        before = (1 - LEAST_IMPROVEMENT) * min(self.scores[:-1], default=math.inf)
+        return bool(self.scores) and self.scores[-1] < before
 
     def next(self) -> Network:
         """Return the network with the settings of its next round."""
@@ -100,17 +100,13 @@ class Candidate:
     def final(self) -> Network:
         """Return the network with the settings of its final training, on all samples."""
         done = sum(_iterations(fit) for fit in self.fits[: self.best + 1])
-        return self.going_on(max(round(SETTLING * done), 1))
+        return self.going_on(max(round(FINAL_SHARE * done), 1))
 
     def going_on(self, iterations: int) -> Network:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
         usual = Settings.most_samples
         more = replace(self.settings, epochs=0, quasi_newton=iterations, most_samples=usual)
         return self.network._trained_as(more)
-
-    def again(self, seed: int) -> Candidate:
-        """Return the same choice with another seed, not trained."""
-        return Candidate(self.network, seed)
 
     def options(self) -> dict[str, str]:
         """Return, as text, all options that may differ between candidates of a method."""

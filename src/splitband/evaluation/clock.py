@@ -10,9 +10,9 @@ from typing import Any
 
 from splitband.runtime.deadlines import Deadline, now
 
-HALF = 0.5
+MOST_OF_TIME_LEFT = 0.5
 """Largest share of the time left for what is done once before the best go on: fits of simulators,
-and further choices of training settings. By eye."""
+and further choices of training settings. Bounds the time."""
 
 
 @dataclass(eq=False)

@@ -16,10 +16,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from splitband.data import Record
-from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, as_it_is, backtest
+from splitband.forecasters.backtest import (
+    BacktestSpec,
+    Fit,
+    Origin,
+    as_it_is,
+    backtest,
+    for_trial,
+)
 from splitband.forecasters.base import Forecaster, all_parts, cells_of
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import simulations, with_simulators_of
@@ -30,12 +37,15 @@ from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import identity
 
+if TYPE_CHECKING:
+    from splitband.evaluation.plan import Plan
+
 LATE = "left out, as the time was over"
 BATCH = 8
 """Rows of the batch with which kernels of trainings are compiled; any number of several will do."""
-PATIENCE = 2.0
-"""Seconds after its deadline in which a job computes its forecasts, before it is ended; what the
-forecasts of a job have taken, if that is more."""
+GRACE = 2.0
+"""Least seconds after its deadline in which a job computes its forecasts before it is ended; twice
+what the forecasts of a job have taken, if that is more. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +58,7 @@ class Job:
     start: Forecaster | None = None  # trained, to go on from; None for a new training
     trains: bool = True  # False to forecast with `start` as it is
     needed: bool = False  # whether it starts even after the deadline, so that there is a result
+    seconds: float = 0.0  # that it is expected to take
 
     @property
     def method(self) -> str:
@@ -95,6 +106,14 @@ class Job:
     def late(self) -> Fit:
         """Return the fit of a job for which there was no time."""
         return Fit(self.method, self.seed, failure=LATE, cut=True)
+
+
+def held_out_job(
+    plan: Plan, forecaster: Forecaster, seed: int = 0, start: Forecaster | None = None
+) -> Job:
+    """Return the job that fits a method to three quarters of the training part."""
+    shorter = for_trial(forecaster, plan.train)
+    return Job(shorter, plan.held_out_spec(shorter), seed, start)
 
 
 def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
@@ -174,7 +193,7 @@ class Runner:
                 yield job, job.late()
             else:
                 todo.append(job)
-        patience = Deadline(deadline.at + max(PATIENCE, 2 * forecasting))
+        patience = Deadline(deadline.at + max(GRACE, 2 * forecasting))
         for job, future in run_jobs(
             partial(_run, {**KEPT}, deadline), [*todo], self.executor, patience, meanwhile
         ):

@@ -237,7 +237,7 @@ def plan(  # noqa: PLR0913
     if tests and given is None and "warmup" not in changes:
         shortest = default_warmup(min(map(len, tests)))
         decided = replace(decided, warmup=min(decided.warmup, shortest))
-    usual = recipe == "default" and given is None and not {*changes} - {"warmup"}
+    searched = recipe == "default" and given is None and not {*changes} - {"warmup"}
     asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else names
     listed = [_known(each) for each in asked]
     if names is not None:
@@ -254,7 +254,7 @@ def plan(  # noqa: PLR0913
         tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
         seeds=seeds, refit=refit,
     )  # fmt: skip
-    found = _completed(found, asked, usual, sizes is None, device)
+    found = _completed(found, asked, searched, sizes is None, device)
     check_limits(budget, rounds, seed, seeds, bool(found.searched))
     limit = BUDGET if budget is None and rounds is None and found.searched else budget
     found = replace(

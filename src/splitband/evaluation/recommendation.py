@@ -5,7 +5,7 @@ Not in the paper. No measured sample after the training part is used.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median_low
 
@@ -25,11 +25,16 @@ from splitband.metrics import channel_rmse, rmse, spread
 
 Array = npt.NDArray[np.float64]
 
-LEVEL = 0.9
+COVERAGE = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""
 WORTH_TRAINING = 0.1
 """Share of its score by which a network must beat a baseline. By eye."""
-FAILED = 2.0
+RULE = (
+    "the lowest is recommended: the held-out RMSE in standard deviations, of several outputs the "
+    f"root of the sum of squares; networks carry a penalty of {WORTH_TRAINING:.0%}"
+)
+"""How methods are ranked, in words."""
+FAILED_RATIO = 2.0
 """A training whose error is above this multiple of the usual one of the seeds has failed."""
 
 
@@ -54,8 +59,8 @@ class Trial:
 
     @property
     def intervals(self) -> dict[str, Interval]:
-        """Return the interval around each method's forecast of the record, for `LEVEL`."""
-        return {name: held_out.interval(LEVEL) for name, held_out in self.held_out.items()}
+        """Return the interval around each method's forecast of the record, for `COVERAGE`."""
+        return {name: held_out.interval(COVERAGE) for name, held_out in self.held_out.items()}
 
     @property
     def recommended(self) -> str:
@@ -65,9 +70,11 @@ class Trial:
         to fail later. A penalty on how much a forecast changes when the held-out part is learned as
         well would change the result of one reported record only (docs/results/rules.md).
         """
-        names = [*(self.final or self.scores)]
-        able = [name for name in names if name not in self.left_out]
-        return min(able or names, key=self.penalized_score)
+        return self.ranked(self.final or self.scores)[0]
+
+    def ranked(self, methods: Iterable[str]) -> list[str]:
+        """Return methods, the best one first; those that cannot simulate test records come last."""
+        return sorted(methods, key=lambda name: (name in self.left_out, self.penalized_score(name)))
 
     @property
     def without_result(self) -> dict[str, str]:
@@ -75,7 +82,7 @@ class Trial:
         return {name: f"no result: {reason}" for name, reason in self.failed.items()}
 
     def penalized_score(self, method: str) -> float:
-        """Return the score by which methods are ranked in `recommended`; lower is better."""
+        """Return the score by which methods are `ranked`; lower is better."""
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
 
 
@@ -133,7 +140,7 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
     for fit, error in zip(fits, errors, strict=True):
         if not fit.report.stable:
             said.append(f"seed {fit.seed} left out: it is unstable, and may grow without bound")
-        elif usual and error > FAILED * usual:
+        elif usual and error > FAILED_RATIO * usual:
             times = f"{error / usual:.3g}"
             said.append(f"seed {fit.seed} left out: training error {times} times the usual one")
         else:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
-from splitband.evaluation.clock import HALF, Clock
+from splitband.evaluation.clock import MOST_OF_TIME_LEFT, Clock
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import LATE, Job, Runner, prepare
+from splitband.evaluation.jobs import LATE, Job, Runner, held_out_job, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, judged, without_failed
-from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, for_trial
+from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.names import BASES, built
@@ -187,7 +187,7 @@ class Run:
             [f for f in quick if f._fits_simulator == slowly] for slowly in (False, True)
         )
         for forecaster in at_once:
-            self._try(forecaster)
+            self._fit_held_out(forecaster)
         # Workers load torch while the first table is shown and written.
         self._runner.start([f for f in self._ready if f.random])
         if len(at_once) < len(self._ready):
@@ -200,7 +200,7 @@ class Run:
                 records = [spec.record[:samples], *spec.others]
                 prepare([forecaster], records, self._runner, until)
         for forecaster in slow:
-            self._try(forecaster)
+            self._fit_held_out(forecaster)
         if slow and len(quick) < len(self._ready):
             self._report("baselines", new_table=True)
 
@@ -225,7 +225,9 @@ class Run:
             if not self.trials and search.round == 1:
                 jobs[0] = replace(jobs[0], needed=True)
             until = Deadline.after((clock.left - reserve) / search.cost_factor)
-            search.tell(self._trained(jobs, until, f"round {search.round}", self._keep_quick))
+            search.tell(
+                self._trained(jobs, until, f"round {search.round}", self._fit_quick_methods)
+            )
             self.trials |= search.trials
             if search.round == 1 and self.plan.extended and (most is None or most > 1):
                 self._extend(search)
@@ -234,7 +236,7 @@ class Run:
             if until.over or clock.interrupted:
                 break
         self.failed |= search.failed
-        if search.settled:
+        if search.converged:
             clock.notes.append(
                 "every training has settled: more time, or more rounds, would change little"
             )
@@ -255,7 +257,7 @@ class Run:
         """Train the networks on the whole training part, the best one first."""
         if self._search is None:
             return
-        jobs = [job for job, _ in self._search.finals()]
+        jobs = self._search.finals()
         for forecaster in {job.method: job.forecaster for job in jobs}.values():
             records = [self.plan.training, *self.plan.others]
             prepare([forecaster], records, self._runner, self.clock.deadline)
@@ -279,10 +281,10 @@ class Run:
             method = next(f for f in self._ready if f.name == name)
             # After Ctrl-C, nothing that may take long begins.
             if not method.random and not (method._fits_simulator and self.clock.interrupted):
-                self._keep_final(method)
+                self._fit_whole(method)
             late = self.failed.get(name, LATE) == LATE
             if name not in self.finals and (method.random or late):
-                self._keep_trial(method, held)
+                self._predict_by_trials(method, held)
         for name in [*self.failed]:
             if name in self.finals:
                 del self.failed[name]
@@ -358,24 +360,23 @@ class Run:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None
 
-    def _try(self, forecaster: Forecaster) -> None:
+    def _fit_held_out(self, forecaster: Forecaster) -> None:
         """Fit a quick method to three quarters of the training part, in this process."""
-        shorter = for_trial(forecaster, self.plan.train)
-        fit = self._at_once(Job(shorter, self.plan.held_out_spec(shorter)))
+        fit = self._at_once(held_out_job(self.plan, forecaster))
         if fit.model is not None:
             self.trials[forecaster.name] = [fit]
         else:
             self.failed[forecaster.name] = fit.failure
 
-    def _keep_quick(self) -> None:
+    def _fit_quick_methods(self) -> None:
         """Fit the quick methods to the whole training part, while workers train networks."""
         for forecaster in sorted(self._ready, key=lambda f: f._fits_simulator):
             if not forecaster.random:
                 records = [self.plan.training, *self.plan.others]
                 prepare([forecaster], records, self._runner, self._half())
-                self._keep_final(forecaster)
+                self._fit_whole(forecaster)
 
-    def _keep_final(self, forecaster: Forecaster) -> None:
+    def _fit_whole(self, forecaster: Forecaster) -> None:
         """Fit a method to the whole training part, in this process, once."""
         name = forecaster.name
         if name in self.trials and name not in self.finals:
@@ -391,7 +392,7 @@ class Run:
         with one_thread(), within(until):
             return job.run()
 
-    def _keep_trial(self, method: Forecaster, held: Sequence[Fit]) -> None:
+    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> None:
         """Predict with the models that were fitted to three quarters of the training part."""
         name, spec = method.name, self.plan.spec(held[0].fitted)
         best = self._search is not None and name == next(iter(self._search.trials), None)
@@ -435,13 +436,13 @@ class Run:
 
     def _half(self) -> Deadline:
         """Return the deadline of what comes before the networks: simulators' fits may be slow."""
-        return Deadline.after(HALF * self.clock.left)
+        return Deadline.after(MOST_OF_TIME_LEFT * self.clock.left)
 
     def _reserve(self, search: Search) -> float:
         """Return the seconds that the final trainings of what is best so far will take."""
-        expected = [(job.method, seconds) for job, seconds in search.finals()]
-        again = [s for name, s in expected if self.plan.refit and name == expected[0][0]]
-        every = [*(s for _, s in expected), *again]
+        jobs = search.finals()
+        again = [job for job in jobs if self.plan.refit and job.method == jobs[0].method]
+        every = [job.seconds for job in [*jobs, *again]]
         longest = max(every, default=0.0)
         return max(longest, sum(every) / self._runner.cores) + self._forecasting()
 

@@ -12,20 +12,26 @@ end, on all samples of the training part.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.evaluation.candidates import SETTLING, SHORT_RECORD, Candidate, candidates, combined
-from splitband.evaluation.clock import HALF
-from splitband.evaluation.jobs import Job
+from splitband.evaluation.candidates import (
+    FINAL_SHARE,
+    SHORT_RECORD,
+    Candidate,
+    candidates,
+    combined,
+)
+from splitband.evaluation.clock import MOST_OF_TIME_LEFT
+from splitband.evaluation.jobs import Job, held_out_job
 from splitband.evaluation.plan import Plan
-from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial, held_out_score
+from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, held_out_score
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
 
-MOST_MEMBERS = 8
-"""Largest number of trainings in a method's median, and of seeds for one choice of settings."""
+SEEDS = 8
+"""Seeds that each choice of settings is trained with at most, and trainings in a median at most."""
 LEAST_MEMBERS = 3
 """Smallest number of trainings in the median on records of up to `SHORT_RECORD` samples: the median
 of fewer is their mean, which one of them can spoil. On longer ones, held-out errors tell which
@@ -46,7 +52,7 @@ class Attempt:
 
 
 class Search:
-    """Ask for jobs round by round, and be told their fits.
+    """Search training settings by successive halving: `ask` returns jobs, `tell` takes their fits.
 
     Parameters
     ----------
@@ -58,12 +64,9 @@ class Search:
     ----------
     round : Number of the last round that was asked for.
     attempts : All candidates after each of their rounds, in order.
-    tried : Candidates that were trained at least once.
-    members : Candidates of each method whose median is its prediction, the best one first.
     trials : Fits to three quarters of the training part by method, the best method first.
     failed : Why methods have no fit so far.
-    settled : Whether further rounds would change nothing.
-    cut : Whether a deadline has ended a training early; then the search has not settled.
+    converged : Whether further rounds would change nothing, and no deadline has cut a training.
     """
 
     def __init__(self, plan: Plan, cores: int = 1) -> None:
@@ -71,28 +74,26 @@ class Search:
         self._plan, self._cores = plan, cores
         self._record = replace(plan.training, y_true=None)
         self._choices: dict[str, list[Candidate]] = {}
-        self._added: list[Candidate] = []
         for method in plan.methods:
             if method.name in plan.searched and isinstance(method, Network):
                 self._choose(method)
-        self._fixed = [f for f in plan.methods if f.random and f.name not in self._choices]
+        self._given = [f for f in plan.methods if f.random and f.name not in self._choices]
         self._course = self._rounds()
         self._asked: list[Candidate] = []
         self._left = math.inf
-        self.cut = False
+        self._cut = False
+        self._tried: list[Candidate] = []  # trained at least once
+        # Of each method those whose median is its prediction, the best one first.
+        self._members: dict[str, list[Candidate]] = {}
         self.round = 0
         self.attempts: list[Attempt] = []
-        self.tried: list[Candidate] = []
-        self.members: dict[str, list[Candidate]] = {}
         self.trials: dict[str, list[Fit]] = {}
         self.failed: dict[str, str] = {}
-        self.settled = False
+        self.converged = False
 
     def add(self, method: Forecaster) -> bool:
         """Add a method, if it can be trained; its first candidate is one of the next round."""
-        able = isinstance(method, Network) and self._choose(method)
-        self._added += self._choices[method.name][:1] if able else []
-        return able
+        return isinstance(method, Network) and self._choose(method)
 
     def _choose(self, network: Network) -> bool:
         """List the choices for a network; return whether it can be trained on the records."""
@@ -103,7 +104,7 @@ class Search:
             return False  # what its job then reports
         sized = plan.searched.get(network.name, False)
         # Comparisons with different seeds share no training seeds, and are independent.
-        first = plan.seed * MOST_MEMBERS
+        first = plan.seed * SEEDS
         found = candidates(network, sized, self._record, plan.others, first)
         self._choices[network.name] = found
         return True
@@ -115,11 +116,15 @@ class Search:
         """
         self._left = left
         self._asked = next(self._course, [])
-        self.settled = not self._asked and bool(self.tried) and not self.cut
+        self.converged = not self._asked and bool(self._tried) and not self._cut
         self.round += 1
         jobs = [self._job(candidate) for candidate in self._asked]
         if self.round == 1:
-            jobs += [job for method in self._fixed for job in self._jobs_of_fixed(method)]
+            jobs += [
+                held_out_job(self._plan, method, seed)
+                for method in self._given
+                for seed in self._seeds()
+            ]
         return jobs
 
     def tell(self, fits: Sequence[Fit]) -> None:
@@ -131,8 +136,8 @@ class Search:
         for fit in given:
             if fit.model is not None:
                 trials.setdefault(fit.method, []).append(fit)
-        self.members = {c.method: self._members(c.method) for c in self.tried}
-        trials |= {name: [c.fits[c.best] for c in some] for name, some in self.members.items()}
+        self._members = {c.method: self._best_median(c.method) for c in self._tried}
+        trials |= {name: [c.fits[c.best] for c in some] for name, some in self._members.items()}
         scores = {name: held_out_score(self._record, fits) for name, fits in trials.items() if fits}
         self.trials = {name: trials[name] for name in sorted(scores, key=lambda name: scores[name])}
         reasons = {fit.method: fit.failure for fit in reversed(fits) if fit.failure} | self.failed
@@ -140,37 +145,36 @@ class Search:
 
     def _take(self, candidate: Candidate, fit: Fit) -> None:
         """Take the fit of a candidate's round."""
-        self.cut = self.cut or fit.cut
+        self._cut = self._cut or fit.cut
         if fit.model is None and fit.cut:
             return  # it was not started in time
-        error = math.inf if fit.model is None else held_out_score(self._record, [fit])
+        score = math.inf if fit.model is None else held_out_score(self._record, [fit])
         candidate.fits.append(fit)
-        candidate.errors.append(error if math.isfinite(error) else math.inf)
+        candidate.scores.append(score if math.isfinite(score) else math.inf)
         trained = candidate.network if fit.model is None else fit.fitted
         said = candidate.method, trained._training_in_words(), candidate.seed
-        self.attempts.append(Attempt(self.round, *said, None if fit.model is None else error))
+        self.attempts.append(Attempt(self.round, *said, None if fit.model is None else score))
         if len(candidate.fits) == 1:
-            self.tried.append(candidate)
+            self._tried.append(candidate)
 
     @property
     def cost_factor(self) -> float:
         """Return the time until the end that a second of this round costs, in seconds: more than 1.
 
         A candidate that has been trained for longer takes longer in its final training, too:
-        a share `SETTLING` of the iterations before, on all samples.
+        a share `FINAL_SHARE` of the iterations before, on all samples.
         """
         members, jobs = len(next(iter(self.trials.values()), [None])), max(len(self._asked), 1)
         of_each = min(self._cores, jobs) / jobs
-        return 1 + of_each * max(members / self._cores, 1) * SETTLING / (1 - HELD_OUT_SHARE)
+        return 1 + of_each * max(members / self._cores, 1) * FINAL_SHARE / (1 - HELD_OUT_SHARE)
 
-    def _members(self, method: str) -> list[Candidate]:
+    def _best_median(self, method: str) -> list[Candidate]:
         """Return the candidates of a method whose median is its prediction, the best one first.
 
         They are the n best ones, whatever their settings, where n gives the median with the lowest
         held-out error; on short records at least `LEAST_MEMBERS`.
         """
-        of_method = [c for c in self.tried if c.method == method and math.isfinite(c.error)]
-        ranked = sorted(of_method, key=lambda c: c.error)[:MOST_MEMBERS]
+        ranked = _ranked(c for c in self._tried if c.method == method)[:SEEDS]
         if self._plan.seeds is not None:
             return ranked[: self._plan.seeds]
         least = LEAST_MEMBERS if len(self._record) <= SHORT_RECORD else 1
@@ -182,26 +186,23 @@ class Search:
             default=[],
         )
 
-    def finals(self) -> list[tuple[Job, float]]:
-        """Return the final trainings, the best method first, each with its expected seconds.
+    def finals(self) -> list[Job]:
+        """Return the final trainings, the best method first.
 
         The best method is trained as often as its median needs, the others once. A searched
         training goes on from its weights on all samples; one as given begins again.
         """
-        found: list[tuple[Job, float]] = []
-        given = {method.name: method for method in self._fixed}
+        found: list[Job] = []
+        given = {method.name: method for method in self._given}
         for place, (name, fits) in enumerate(self.trials.items()):
             if name in given:
-                method, took = given[name], fits[0].seconds / (1 - HELD_OUT_SHARE)
-                jobs = [Job(method, self._plan.spec(method), seed) for seed in self._seeds()]
-                found += [(job, took) for job in jobs]
+                spec, took = self._plan.spec(given[name]), fits[0].seconds / (1 - HELD_OUT_SHARE)
+                found += [Job(given[name], spec, seed, seconds=took) for seed in self._seeds()]
                 continue
-            for number, candidate in enumerate(self.members[name][: None if place == 0 else 1]):
-                network, last = candidate.final(), candidate.fits[candidate.best]
-                spec = self._plan.spec(network)
-                seed = self._plan.seed * MOST_MEMBERS + number
-                job = Job(network, spec, seed, last.model)
-                found.append((job, candidate.final_seconds))
+            for number, candidate in enumerate(self._members[name][: None if place == 0 else 1]):
+                network, start = candidate.final(), candidate.fits[candidate.best].model
+                spec, seed = self._plan.spec(network), self._plan.seed * SEEDS + number
+                found.append(Job(network, spec, seed, start, seconds=candidate.final_seconds))
         return found
 
     def _rounds(self) -> Iterator[list[Candidate]]:
@@ -215,24 +216,18 @@ class Search:
                 found += more
         while found:
             pool = found
-            while pool := self._better([c for c in pool if c.progressed]):
+            while pool := _better([c for c in pool if c.progressed], self._cores):
                 yield pool
             found = self._with_new_seeds()
             if found:
                 yield found
 
-    def _better(self, pool: Sequence[Candidate]) -> list[Candidate]:
-        """Return the better half of candidates, rounded up to a multiple of the cores."""
-        ranked = sorted((c for c in pool if math.isfinite(c.error)), key=lambda c: c.error)
-        half = math.ceil(len(ranked) / 2)
-        return ranked[: -(-half // self._cores) * self._cores]
-
     def _further_choices(self, firsts: Sequence[Candidate]) -> list[Candidate]:
         """Return further choices of the better half of the methods, as time allows."""
-        ranked = sorted((c for c in firsts if math.isfinite(c.error)), key=lambda c: c.error)
-        better = ranked[: math.ceil(len(ranked) / 2)]
-        found, left = [*self._added], HALF * self._left * self._cores
-        for first in better:
+        # A method that was added has not had its first one yet.
+        found = [own[0] for own in self._choices.values() if own[0] not in firsts]
+        left = MOST_OF_TIME_LEFT * self._left * self._cores
+        for first in _better(firsts):
             for choice in self._choices[first.method][1:]:
                 left -= first.seconds
                 if left < 0:
@@ -244,34 +239,39 @@ class Search:
         """Return combinations of the best choice of each method with others that helped, too."""
         found: list[Candidate] = []
         for usual, *others in self._choices.values():
-            better = [c for c in others if c in tried and c.error < usual.error]
-            best, *rest = sorted(better, key=lambda c: c.error) or [usual]
+            better = [c for c in others if c in tried and c.score < usual.score]
+            best, *rest = sorted(better, key=lambda c: c.score) or [usual]
             found += [c for other in rest if (c := combined(usual, best, other)) is not None]
         return found
 
     def _with_new_seeds(self) -> list[Candidate]:
         """Return the better half of the choices with the next seed."""
-        seeds = {c.seed for c in self.tried}
-        if len(seeds) == MOST_MEMBERS:
+        seeds = {c.seed for c in self._tried}
+        if not seeds or len(seeds) == SEEDS:
             return []
-        choices: dict[int, Candidate] = {}
-        for candidate in sorted(self.tried, key=lambda c: c.error):
-            choices.setdefault(id(candidate.network), candidate)
-        latest = [c for c in choices.values() if math.isfinite(c.error)]
-        if len(seeds) > 1:
-            newest = [c.network for c in self.tried if c.seed == max(seeds)]
-            latest = [c for c in latest if any(c.network is network for network in newest)]
-        return [c.again(max(seeds) + 1) for c in self._better(latest)]
+        choices: dict[Network, Candidate] = {}
+        for candidate in _ranked(self._tried):
+            choices.setdefault(candidate.network, candidate)
+        newest = {c.network for c in self._tried if c.seed == max(seeds)}
+        latest = [c for c in choices.values() if len(seeds) == 1 or c.network in newest]
+        return [Candidate(c.network, max(seeds) + 1) for c in _better(latest, self._cores)]
 
     def _job(self, candidate: Candidate) -> Job:
-        network = for_trial(candidate.next(), len(self._record))
         start = candidate.fits[-1].model if candidate.fits else None
-        return Job(network, self._plan.held_out_spec(network), candidate.seed, start)
-
-    def _jobs_of_fixed(self, method: Forecaster) -> list[Job]:
-        shorter = for_trial(method, len(self._record))
-        return [Job(shorter, self._plan.held_out_spec(shorter), seed) for seed in self._seeds()]
+        return held_out_job(self._plan, candidate.next(), candidate.seed, start)
 
     def _seeds(self) -> range:
         first, count = self._plan.seed, self._plan.seeds or GIVEN_SEEDS
         return range(first * count, (first + 1) * count)
+
+
+def _ranked(some: Iterable[Candidate]) -> list[Candidate]:
+    """Return the candidates that have a score, the best one first."""
+    return sorted((c for c in some if math.isfinite(c.score)), key=lambda c: c.score)
+
+
+def _better(some: Iterable[Candidate], multiple: int = 1) -> list[Candidate]:
+    """Return the better half of candidates, rounded up to a multiple of a number."""
+    ranked = _ranked(some)
+    half = math.ceil(len(ranked) / 2)
+    return ranked[: -(-half // multiple) * multiple]

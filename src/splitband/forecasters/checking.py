@@ -14,7 +14,7 @@ from splitband.data import Record, require_records
 from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
-from splitband.forecasters.residuals import LAGS, LEVEL, ResidualTests, residual_tests
+from splitband.forecasters.residuals import CONFIDENCE, LAGS, ResidualTests, residual_tests
 from splitband.metrics import Extrapolation, ExtrapolationWarning, fit_percent, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -96,7 +96,7 @@ class ModelCheck:
             "record": self.record.name,
             "samples": len(self.record),
             "accepted": self.accepted,
-            "level": LEVEL,
+            "level": CONFIDENCE,
             "fit": {
                 horizon: {
                     column: fit if math.isfinite(fit) else None

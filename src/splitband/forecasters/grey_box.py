@@ -187,7 +187,9 @@ class GreyBox(Forecaster):
             ny = self.require_fitted().record.ny
             return part_of_given_output(np.ones(ny), np.zeros(ny), self.trajectory)
         if not getattr(self.simulator, "advances", False):
-            raise NotSteppedError(f"{self.name} has a simulator that does not go on from a state")
+            raise NotSteppedError(
+                f"{self.name} has a simulator that cannot go on from a given state"
+            )
         adjusted = self._adjusted()
 
         def run(
@@ -207,7 +209,9 @@ class GreyBox(Forecaster):
 
         def initial(known: ForecastContext | None) -> State:
             if known is None or not self._anchored(known):
-                raise NotSteppedError(f"{self.name} begins in a state that its history tells")
+                raise NotSteppedError(
+                    f"{self.name} cannot be stepped: its first state is estimated from the history"
+                )
             begin = int(known.begin or 0)
             before = None if self.u is None else self.u[:begin]
             return {"now": run(None, 0.0, begin, before) if begin else None}

@@ -116,7 +116,10 @@ class HeldOut:
         if self.doubt is not None:
             channels.add(np.shape(self.doubt)[1:])
         if len(channels) != 1:
-            raise InputError("held-out errors must be those of one record's channels")
+            raise InputError(
+                "held-out errors, largest, deviation, bounded and doubt must be of as many "
+                f"channels, got {sorted(map(str, channels))}"
+            )
 
     @classmethod
     def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:

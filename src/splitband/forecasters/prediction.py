@@ -266,7 +266,7 @@ def known_of(
     if past.u is not None:
         inputs = continued("u", past.u, past.u_beyond, u, steps)
     elif u is not None:
-        raise InputError("u must be given exactly for a record with inputs, this has none")
+        raise InputError("u must be left out: the record has no inputs")
     simulated = None
     if "simulator" in forecaster.needs:
         if past.y_sim is None:

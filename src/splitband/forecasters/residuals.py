@@ -23,7 +23,7 @@ import scipy
 
 from splitband.runtime.arrays import Array
 
-LEVEL = 0.99
+CONFIDENCE = 0.99
 """Confidence level: for an adequate model, 1 test in 100 is rejected by chance. As in MATLAB's
 `resid`."""
 SIGNIFICANT = 0.005
@@ -57,7 +57,7 @@ class Correlation:
     ----------
     of : "residuals", or the input's name.
     values : By lag: from 1 on for residuals, from 0 on for an input.
-    band : Confidence limit: without correlation, `LEVEL` of the values lie within +- this.
+    band : Confidence limit: without correlation, `CONFIDENCE` of the values lie within +- this.
     p : The p-value of the test.
     """
 
@@ -88,11 +88,11 @@ class ResidualTests:
     @property
     def white(self) -> bool:
         """Return whether the residuals may be white noise."""
-        return self.whiteness.p >= 1 - LEVEL
+        return self.whiteness.p >= 1 - CONFIDENCE
 
     @property
     def dependent(self) -> list[str]:
-        """Return the inputs that the residuals depend on; `LEVEL` holds for all of them together.
+        """Return the inputs that the residuals depend on, with `CONFIDENCE` for all together.
 
         Where all inputs together are significant and none beside the others, all are returned.
         """
@@ -112,8 +112,8 @@ class ResidualTests:
             *first, last = (f"`{name}`" for name in self.dependent)
             names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
             return (
-                f"Rejected at {100 * LEVEL:.0f} %: the residuals of {self.output} still depend on "
-                f"{names}, so the model does not capture {whose} full effect."
+                f"Rejected at {100 * CONFIDENCE:.0f} %: the residuals of {self.output} still "
+                f"depend on {names}, so the model does not capture {whose} full effect."
             )
         if self.inputs:
             noise = " and are white noise." if self.white else (
@@ -271,7 +271,7 @@ def _outside(basis: Array, x: Array) -> Array:
 
 
 def _correlated(of: str, r: Array, samples: int, p: float) -> Correlation:
-    band = float(scipy.special.ndtri(0.5 + LEVEL / 2)) / math.sqrt(samples)
+    band = float(scipy.special.ndtri(0.5 + CONFIDENCE / 2)) / math.sqrt(samples)
     return Correlation(of, tuple(map(float, r)), band, p)
 
 

@@ -26,7 +26,7 @@ from rich.text import Text
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.recommendation import LEVEL, WORTH_TRAINING, Trial
+from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES
@@ -271,9 +271,7 @@ def columns(comparison: Comparison, *headings: str) -> list[Column]:
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
     """Return the methods sorted by their score, the recommended one first."""
-    if trial is None:
-        return [*methods]
-    return sorted(methods, key=lambda name: (name in trial.left_out, trial.penalized_score(name)))
+    return [*methods] if trial is None else trial.ranked(methods)
 
 
 def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
@@ -438,13 +436,11 @@ COLUMNS = {
         partial(_errors, "forecast", channel_rmse),
     ),
     "score": Quantity(
-        "deviation", "the lowest is recommended: the held-out RMSE in standard deviations, of "
-        "several outputs the root of the sum of squares; networks carry a penalty of "
-        f"{WORTH_TRAINING:.0%}", lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
+        "deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
     ),
     "in interval": Quantity(
         "share", "share of the measured samples in the forecast's interval; "
-        f"{LEVEL:.0%} is ideal", _intervals,
+        f"{COVERAGE:.0%} is ideal", _intervals,
     ),
     "held-out RMSE": Quantity(
         "record", "error on the last quarter of the training samples, by models trained on the "

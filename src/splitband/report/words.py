@@ -63,20 +63,19 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
 def why(trial: Trial, train: int) -> list[str]:
     """Return sentences that say why a method is recommended, and by which criterion."""
     best = trial.recommended
-    settled = [name for name in trial.errors if name in trial.final]
     if len(trial.errors) == 1:
         return [
             f"No other method was tried. Its held-out error is that of forecasts of the last "
             f"{percent(HELD_OUT_SHARE)} of the {train:,} training samples, fitted to the rest of "
             "them."
         ]
-    able = [name for name in settled if name not in trial.left_out] or settled
-    others = sorted((trial.penalized_score(name), name) for name in able if name != best)
+    ranked = trial.ranked(trial.final)
+    able = [name for name in ranked if name not in trial.left_out] or ranked
     words = [f"Lowest score, {number(trial.penalized_score(best))}"]
-    if others and len(able) < len(settled):
+    if 1 < len(able) < len(ranked):
         words[0] += ", of the methods that could simulate the test records"
-    if others:
-        words[0] += f"; next: {others[0][1]}, {number(others[0][0])}"
+    if len(able) > 1:
+        words[0] += f"; next: {able[1]}, {number(trial.penalized_score(able[1]))}"
     words[0] += "."
     words.append(
         f"The score uses the {train:,} training samples alone: every method was trained on the "

@@ -13,7 +13,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import parts_of
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.linear import Linear
-from splitband.forecasters.residuals import LEVEL, ResidualTests
+from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.models.labels import SLOW
 from splitband.report import table, words
 from splitband.report.environment import environment
@@ -81,9 +81,9 @@ def _residuals(tests: Sequence[ResidualTests], title: str, further: Sequence[Cha
     """Return the section of the residual tests, with further plots."""
     text = [
         " ".join(test.verdict() for test in tests),
-        f"Shaded: the band that holds {100 * LEVEL:.0f} % of the values by chance. Residuals that "
-        "depend on an input show dynamics that the model misses; residuals that depend on their "
-        "own past show a disturbance, or such dynamics.",
+        f"Shaded: the band that holds {100 * CONFIDENCE:.0f} % of the values by chance. Residuals "
+        "that depend on an input show dynamics that the model misses; residuals that depend on "
+        "their own past show a disturbance, or such dynamics.",
     ]
     stems = [plots.correlation(t.output, each) for t in tests for each in (t.whiteness, *t.inputs)]
     return Section(
