@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Protocol, final
 
@@ -198,6 +198,16 @@ class Periodic(_ByTime):
     _slow_part = "periodic waveform"
     _words = "periodic waveform, fitted"
     _fitted_to = staticmethod(periodic)
+
+
+BASELINES: tuple[Callable[[], Forecaster], ...] = (
+    Mean,
+    Persistence,
+    SeasonalNaive,
+    Harmonic,
+    Periodic,
+)
+"""All baselines of this file."""
 
 
 def _errors(y: Array, predicted: Array) -> Array:

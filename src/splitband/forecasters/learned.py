@@ -146,8 +146,8 @@ def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
         return Simulation(base) if adjustable is None else GreyBox(adjustable)
     if type(base).trajectory is Forecaster.trajectory:
         raise InputError(
-            f"base must say something about the whole record, as a simulator, Linear, Periodic "
-            f"and Harmonic do, got {base.name}"
+            "base must say something about the whole record (have a `trajectory`), as a simulator "
+            f"or Linear does, got {base.name}"
         )
     return base
 

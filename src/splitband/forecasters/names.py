@@ -1,7 +1,7 @@
 """Give names to forecasters, for tables, files and the command line.
 
 Names are derived from forecasters and never parsed. To add a method, write its class, add a line to
-`_kinds` (cells, hybrids) or `_baselines`, and export it in `splitband/__init__.pyi`.
+`_kinds` (cells, hybrids) or `closed_form.BASELINES`, and export it in `splitband/__init__.pyi`.
 
 The forecasters of the table have cells that are not built yet, so that the names are known without
 torch; `named` builds them.
@@ -15,7 +15,7 @@ from typing import Any
 
 from splitband import networks
 from splitband.forecasters.base import Forecaster, cells_of, parts_of, with_parts_changed
-from splitband.forecasters.closed_form import Harmonic, Mean, Periodic, Persistence, SeasonalNaive
+from splitband.forecasters.closed_form import BASELINES
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.learned import Filtered, Residual, Single, Split
 from splitband.forecasters.linear import Linear
@@ -99,7 +99,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
 
 
 def _baselines() -> list[Forecaster]:
-    return [Mean(), Persistence(), SeasonalNaive(), Harmonic(), Periodic(), Linear()]
+    return [*(kind() for kind in BASELINES), Linear()]
 
 
 BASES = {each.name: each for each in _baselines() if each._slow_part}
