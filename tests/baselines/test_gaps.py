@@ -9,12 +9,11 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
-from splitband import Record
 from splitband.baselines.seasonal import LastPeriod, _last_period, periodic
 from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, harmonic, recent
 from splitband.forecasters.closed_form import ByTime
 from splitband.forecasters.names import named
-from tests.records import DT, NAN, TRAIN, holed, record, rms, with_gaps
+from tests.records import NAN, TRAIN, holed, record, rms, with_gaps
 
 Array = npt.NDArray[np.float64]
 
@@ -120,14 +119,6 @@ def test_a_sparse_channel_does_not_make_the_others_longer() -> None:
     assert (~np.isnan(end)).sum(axis=0).tolist() == [MAX_FIT_SAMPLES, 3]
 
 
-@pytest.mark.parametrize("name", ["mean", "seasonal-naive", "periodic"])
-def test_a_baseline_of_a_record_without_gaps_is_that_of_its_samples(name: str) -> None:
-    r = record()
-    same = Record(r.y, DT, measured=np.ones_like(r.y, dtype=np.bool_))
-    a, b = (named(name).fit(each[:TRAIN]).predict(20).y for each in (r, same))
-    np.testing.assert_array_equal(a, b)
-
-
 def test_the_mean_of_a_record_with_long_gaps_is_that_of_what_was_measured() -> None:
     y = holed(record().y, slice(20, 74))
     found = named("mean").fit(with_gaps(y)[:TRAIN]).predict(1).y
@@ -142,13 +133,3 @@ def test_a_season_is_found_where_no_two_samples_follow_each_other(channels: int)
         y = holed(y, rows[channel], channel=channel)
     found = named("seasonal-naive").fit(with_gaps(y)[:TRAIN]).predict(20).y
     assert np.isfinite(found).all()
-
-
-def test_a_gap_does_not_spoil_the_forecast_of_a_sinusoid() -> None:
-    samples, train = 140, 100
-    y = sine(samples)[0]
-    rms_of = []
-    for each in (y, holed(y, slice(40, 60))):
-        ahead = named("harmonic").fit(with_gaps(each)[:train]).predict(samples - train).y
-        rms_of.append(rms(y[train:] - ahead))
-    assert rms_of[1] < 1.5 * rms_of[0]

@@ -87,18 +87,6 @@ def test_noise_alone_gets_no_vibrations_and_stays_within_its_range() -> None:
         assert np.abs(found.predict(400, 2000)).max() < np.ptp(y)
 
 
-@pytest.mark.parametrize(
-    ("samples", "constant"), [(2, False), (3, True), (4, False), (7, False), (20, True)]
-)
-def test_short_and_constant_records(samples: int, constant: bool) -> None:
-    y = np.full((samples, 2), 3.5) if constant else noise(2 * samples, 1).reshape(samples, 2)
-    ahead = periodic(y).predict(samples, 50)
-    assert ahead.shape == (50, 2)
-    assert np.isfinite(ahead).all()
-    if constant:
-        np.testing.assert_allclose(ahead, 3.5)
-
-
 def test_channels_have_their_own_periods_and_the_description_says_them() -> None:
     index = np.arange(TRAINING)
     found = periodic(np.stack([wave(50, index), wave(80, index)], axis=1))

@@ -45,24 +45,12 @@ def good(time):
     return 0.8 * np.sin(2 * np.pi * 0.3 * time + 0.2) + 0.3
 
 
-def shifted(time):
-    return good(time) + 5
-
-
-def late(time):
-    return good(0.97 * time)
-
-
 def constant(time):
     return np.ones_like(time)
 
 
 def raising(time):
     raise RuntimeError("no convergence\\nafter 7 steps")
-
-
-def holed(time):
-    return np.where(np.arange(len(time)) == 17, np.nan, time)
 
 
 def hanging(time):
@@ -80,23 +68,18 @@ def write_records(folder: Path) -> None:
     stamps = TIME.round(9)
     record = pd.DataFrame({"time": stamps, "a": A, "b": B, "force": FORCE})
     simulated = pd.DataFrame({"time": stamps, "a": SIMULATED, "b": B + 0.1})
-    holed, uneven, worded = (record.copy() for _ in range(3))
-    holed.loc[7, "a"] = np.nan
-    uneven.loc[50:, "time"] += 0.05
+    worded = record.copy()
     worded["a"] = worded["a"].astype(object)
     worded.loc[9, "a"] = "oops"
-    slow, holed_simulation = record.iloc[:50].copy(), simulated.copy()
+    slow = record.iloc[:50].copy()
     slow["time"] *= 2
-    holed_simulation.loc[3, "a"] = np.nan
     tables = {
-        "record": record, "holed": holed, "uneven": uneven, "worded": worded,
-        "untimed": record[["a"]], "empty": record.iloc[:0], "simulated": simulated,
-        "simulated_short": simulated.iloc[:190], "simulated_slow": simulated.iloc[::2],
-        "simulated_holed": holed_simulation,
+        "record": record, "worded": worded, "untimed": record[["a"]], "simulated": simulated,
+        "simulated_short": simulated.iloc[:190],
         "simulated_names": simulated.rename(columns={"a": "p", "b": "q"}),
         "history": record.iloc[:50], "history_slow": slow,
         "history_renamed": record.iloc[:50].rename(columns={"a": "z"}),
-        "history_holed": holed.iloc[:50], "future": record.iloc[50:70][["time", "force"]],
+        "future": record.iloc[50:70][["time", "force"]],
         "future_short": record.iloc[50:60][["force"]],
     }  # fmt: skip
     for name, table in tables.items():

@@ -1,6 +1,5 @@
 """Commands put files together by their time stamps; the oracles are signals known at any time."""
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,8 +16,9 @@ from splitband.cli.records import load_further, simulator_of
 from splitband.cli.showing import saying
 from splitband.metrics import rmse
 from splitband.simulators.opening import simulated
-from tests.cli.support import QUICK, assert_fails, call, results
+from tests.cli.support import QUICK, assert_fails, call
 from tests.data.support import SAMPLES, signal, times, write
+from tests.support import edit
 from tests.support import load_model as load
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +44,7 @@ pytestmark = pytest.mark.usefixtures("simulated_here")
 def inside_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("functions.py").write_text(FUNCTIONS)
+    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
 
 
 def simulator_error(
@@ -65,9 +66,7 @@ def simulator_error(
     ("start", "step", "told"),
     [
         pytest.param(15.0, 0.1, None, id="earlier"),
-        pytest.param(19.97, 0.1, "0.3 of a step", id="beside"),
         pytest.param(20.0, 0.1009, "every 0.1009 s", id="another step"),
-        pytest.param(20.0, 0.05, "every 0.05 s", id="twice as fine"),
     ],
 )
 def test_a_perfect_simulator_has_no_error_whatever_its_time_stamps(
@@ -122,40 +121,21 @@ def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     np.testing.assert_allclose(found.y_sim, found.y, atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "spectrum r.csv --simulator zoned.csv",
-        "forecast r.csv --inputs u --steps 5 --method linear --future-inputs zoned.csv",
-        "simulate m --history zoned.csv --steps 5 --out f.csv --future-inputs ahead.csv",
-    ],
-)
 def test_files_with_and_without_a_time_zone_are_refused(
-    command: str, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    dates = pd.date_range("2024-05-01 10:00", periods=120, freq="1s")
-    y, u = np.random.default_rng(1).standard_normal((2, 120))
-    pd.DataFrame({"date": dates, "y": y, "u": u}).to_csv("r.csv", index=False)
-    zoned = dates.tz_localize("Europe/Berlin")
-    pd.DataFrame({"date": zoned, "y": y, "u": u}).to_csv("zoned.csv", index=False)
-    after = pd.date_range(zoned[-1], periods=6, freq="1s")[1:]
-    pd.DataFrame({"date": after, "u": 0.0}).to_csv("ahead.csv", index=False)
-    if command.startswith("simulate"):
-        call("fit r.csv --inputs u --method linear --out m")
-    assert_fails(command, ("must all have a time zone, or none: got 2024-05-01 10:0",), capsys)
+    dates = pd.date_range("2024-05-01 10:00", periods=SAMPLES, freq="1s")
+    write(Path("record.csv"), dates, y=signal(times()))
+    write(Path("sim.csv"), dates.tz_localize("Europe/Berlin"), y=signal(times()))
+    says = ("must all have a time zone, or none: got 2024-05-01 10:0",)
+    assert_fails("spectrum record.csv --simulator sim.csv", says, capsys)
 
 
 # ---------------------------------------------------------------- what is written
 
 
-def test_predictions_and_forecasts_go_on_with_the_time_stamps() -> None:
+def test_a_forecast_goes_on_with_the_time_stamps() -> None:
     write(Path("record.csv"), times(20), y=signal(times(20)))
-    write(Path("sim.csv"), times(15, samples=400), y=signal(times(15, samples=400)))
-    call("compare record.csv --methods simulator,mean --simulator sim.csv --out out")
-    facts = results(Path("out"))
-    assert facts["methods"]["simulator"]["total_rmse"][0] < 1e-6
-    assert facts["record"]["start"] == 20
-    np.testing.assert_array_equal(pd.read_csv("out/predictions.csv")["time"], times(20).round(9))
     call("forecast record.csv --method persistence --steps 5 --out out")
     found = pd.read_csv("out/forecast.csv")["time"]
     np.testing.assert_allclose(found, times(20, samples=SAMPLES + 5)[-5:], rtol=0, atol=1e-9)
@@ -251,7 +231,6 @@ def test_a_later_history_is_simulated_on_as_the_whole_one_is(
 ) -> None:
     """The clock that was found counts from the training record, wherever the history begins."""
     assert load(late_model)[1]["calibration"]["clock"] == pytest.approx(1 / 0.97, abs=5e-3)
-    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
     write(Path("later.csv"), times(20)[100:180], y=signal(times())[100:180])
     simulated = signal(0.97 * times(samples=400))
     write(Path("cut.csv"), times(20, samples=400)[150:], y=simulated[150:])
@@ -263,31 +242,9 @@ def test_a_later_history_is_simulated_on_as_the_whole_one_is(
     assert "begins +10 s after the training record" in capsys.readouterr().out
 
 
-def test_a_history_between_the_samples_of_the_training_record_is_simulated_on(
-    late_model: Path,
-) -> None:
-    time = times(30.03, samples=80)
-    write(Path("later.csv"), time, y=signal(time - 20))
-    simulated = signal(0.97 * times(samples=400))
-    write(Path("sim.csv"), times(20, samples=400), y=simulated)
-    asked = ahead(late_model, "later.csv", f"--simulator {SLOW}")
-    exported = ahead(late_model, "later.csv", "--simulator sim.csv")
-    np.testing.assert_allclose(asked, exported, rtol=0, atol=1e-3)
-
-
-def test_a_history_before_the_training_record_is_refused_where_the_clock_was_calibrated(
-    late_model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write(Path("early.csv"), times()[:80], y=signal(times())[:80])
-    line = f"simulate {late_model} --history early.csv --steps 9 --out a.csv"
-    line += " --simulator functions.py:exact --simulator-start record"
-    assert_fails(line, ("--history", "20 s", "0 s", "clock 1.03"), capsys)
-
-
 def test_a_history_without_time_stamps_begins_where_the_training_record_did(
     late_model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
     whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
     Path("plain.csv").write_text(Path("whole.csv").read_text().replace("time", "when"))
     capsys.readouterr()
@@ -304,28 +261,9 @@ def test_a_history_without_time_stamps_begins_where_the_training_record_did(
 def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
     late_model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write(Path("whole.csv"), times(20)[:180], y=signal(times())[:180])
     whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
     shutil.copytree(late_model, "old")
-    description = json.loads(Path("old/forecaster.json").read_text())
-    fields = description["forecaster"]["fields"]["fitted"]["fields"]
-    assert fields["start"] == 20
-    fields["start"] = None
-    Path("old/forecaster.json").write_text(json.dumps(description))
+    edit(Path("old"), lambda d: d["forecaster"]["fields"]["fitted"]["fields"].update(start=None))
     old = ahead(Path("old"), "whole.csv", f"--simulator {SLOW}")
     assert "does not know when its training record began" in capsys.readouterr().out
     np.testing.assert_array_equal(old, whole)
-
-
-def test_a_history_of_a_slightly_other_sampling_time_is_resampled(
-    late_model: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    time = times(20, 0.1009, 180)
-    write(Path("h.csv"), time, y=signal(time - 20))
-    found = ahead(late_model, "h.csv", f"--simulator {SLOW}")
-    assert "h.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
-    exact = times(20, DT, 181)
-    assert exact[-1] <= time[-1] < exact[-1] + DT
-    write(Path("exact.csv"), exact, y=signal(exact - 20))
-    expected = ahead(late_model, "exact.csv", f"--simulator {SLOW}")
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3)

@@ -18,25 +18,18 @@ from tests.cli.support import (
 pytestmark = pytest.mark.usefixtures("inside")
 
 
-def bad(line: str, *says: str, id: str = "") -> Any:
+def bad(line: str, *says: str) -> Any:
     """A command line that must fail with a line that holds every one of `says`."""
-    for prefix in (SPLIT, GRU, SIMULATOR, FIT, AHEAD, HYBRID_AHEAD, DRIVEN_AHEAD):
-        id = id or (line.removeprefix(prefix) if line.startswith(prefix) else "")
-    return pytest.param(line, says, id=id or line or "nothing")
+    return pytest.param(line, says, id=line or "nothing")
 
 
 RECORDS = [
     bad("compare nothing.csv --out out", "RECORD", "nothing.csv"),
-    bad("compare folder --out out", "RECORD must be a file", "got the folder folder"),
     bad("compare record.csv --test folder --out out", "--test must be a file", "the folder folder"),
     bad("compare record.csv --columns torque --out out", "record.csv", "'torque'", "'a'"),
     bad("compare record.csv --columns a --inputs a --out out", "column 'a'", "twice"),
     bad("compare worded.csv --columns a --out out", "worded.csv", "'a'", "row 9", "'oops'"),
-    bad("compare holed.csv --columns a --out out", "holed.csv", "'a'", "row 7", "nan"),
-    bad("compare uneven.csv --out out", "uneven.csv", "'time'", "row 50", "0.15"),
     bad("compare untimed.csv --out out", "untimed.csv", "--sampling-time", "--time-column"),
-    bad("compare record.csv --sampling-time 0.3 --out out", "record.csv", "0.3", "0.1 s"),
-    bad("compare empty.csv --out out", "empty.csv", "at least 2 rows", "has 0"),
     bad("compare van-der-pol --columns a --out out", "--columns", "van-der-pol", "got a"),
 ]
 
@@ -47,11 +40,8 @@ SETTINGS = [
     bad(SPLIT + "--methods splt-gru,mean", "--methods", "'splt-gru' (did you mean split-gru?)"),
     bad(GRU + "--cutoff 7", "cutoff", "got 7"),
     bad(SPLIT + "--cutoff 1 --downsampling 5", "downsampling by 5", "1 Hz", "at most 4"),
-    bad(SPLIT + "--rounds 1 --budget 10s", "budget and rounds exclude each other"),
-    bad(SPLIT + "--warmup 30", "warm-up", "30", "window"),
     bad(SPLIT + "--warmup many", "--warmup", "a whole number of samples or auto", "got many"),
-    bad(SPLIT + "--lr-milestones 20", "--lr-milestones", "EPOCH:RATE", "got 20"),
-    bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "20:fast"),
+    bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "EPOCH:RATE", "20:fast"),
     bad(SPLIT + "--hidden 4", "--hidden", "HIGH,LOW", "got 4"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
     bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
@@ -64,17 +54,18 @@ WORDS = [
     bad("compare", "RECORD"),
     bad("learn record.csv", "learn"),
     bad("", "command"),
-    bad("data", "command"),
     bad("data fetch moon", "'moon'", "drill_string_data"),
-    bad("compare 'price [EUR].csv'", "price [EUR].csv"),
     bad("compare '[/b] :car:.csv'", "[/b] :car:.csv"),
+    bad(f"{GRU} --effort 60s", "--rounds", "--budget"),
+    bad(f"{GRU} --settings x.json", "--like"),
+    bad("benchmark list.csv", "compare", "splitband summary"),
 ]
 
 OUTPUTS = [
-    bad(GRU + "--out record.csv", "--out", "record.csv"),
     bad(GRU + "--out record.csv/below", "--out", "record.csv/below"),
     bad(f"{GRU} --out {'x' * 300}", "--out", "xxx"),
     bad(AHEAD + "history.csv --out record.csv/below.csv", "--out", "record.csv"),
+    bad("export gru record.csv/rig.c", "OUT must be a folder that can be written"),
 ]
 
 SIMULATORS = [
@@ -84,13 +75,10 @@ SIMULATORS = [
         "--more-simulator", "got harmonic", "is a baseline"),
     bad(f"{GRU} --simulator-start 5", "--simulator must be given"),
     bad(SIMULATOR + "broken.py:good", "broken.py", "SyntaxError"),
-    bad(SIMULATOR + "simulated_holed.csv", "simulated_holed.csv", "'a'", "row 3", "nan"),
     bad(SIMULATOR + "simulated_short.csv", "simulated_short.csv", "0 s to 19.9 s", "0 s to 18.9 s"),
-    bad(SIMULATOR + "simulated_slow.csv", "simulated_slow.csv", "19.9 s", "19.8 s"),
     bad(SIMULATOR + "simulated_names.csv", "--simulator-columns", "1 column", "p, q"),
     bad(SIMULATOR + "functions.py:raising", "simulator", "200 samples", "RuntimeError",
         "no convergence after 7 steps"),
-    bad(SIMULATOR + "functions.py:holed", "functions.py", "simulator", "finite", "1.7 s"),
     bad(SIMULATOR + "functions.py:hanging --simulator-timeout 0.2", "simulator", "0.2 s"),
     bad(SIMULATOR + "functions.py:good --simulator-timeout -1", "--simulator-timeout"),
     bad(SIMULATOR + "damaged.fmu", "damaged.fmu", "zip"),
@@ -101,9 +89,15 @@ MODELS = [
     bad(f"{FIT} --method simulator", "--simulator", "must be given for simulator"),
     bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
+    bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
+    bad("fit record.csv --inputs b --like driven --out m", "is for inputs: force; outputs: a",
+        "outputs: a, the record has inputs: b; outputs: a"),
+    bad("fit record.csv --columns a,b --like driven --out m",
+        "outputs: a, the record has inputs: force; outputs: a, b"),
+    bad("fit history_renamed.csv --like driven --out m", "is for inputs: force; outputs: a",
+        "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'"),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
     bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
-    bad(AHEAD + "history_holed.csv", "history_holed.csv", "'a'", "row 7", "nan"),
     bad(AHEAD + "history.csv --steps 0", "--steps"),
     bad(AHEAD + "history.csv --level 0.8", "--level must be left out", "held-out errors"),
     bad(AHEAD + "history.csv --simulator functions.py:good", "--simulator", "left out for gru"),
@@ -113,17 +107,17 @@ MODELS = [
     bad("forecast record.csv --columns a --inputs force --out out --steps 5", "(force)",
         "--future-inputs FILE"),
     bad("forecast record.csv --columns a --out out --steps 5 --method linear", "--inputs"),
-    bad("spectrum record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
-    bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
     bad("forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
         "--simulator simulated.csv", "0 s to 20.4 s", "0 s to 19.9 s"),
+    bad("spectrum record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
-    bad(HYBRID_AHEAD + "--simulator linear", "--simulator", "got linear", "is a baseline"),
-    bad(HYBRID_AHEAD + "--simulator-start 5", "--simulator must be given"),
     bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
     bad(DRIVEN_AHEAD, "--future-inputs", "force"),
     bad(DRIVEN_AHEAD + "--future-inputs simulated.csv", "simulated.csv", "'force'"),
     bad(DRIVEN_AHEAD + "--future-inputs future_short.csv", "--future-inputs", "20", "got 10"),
+    bad("export gru 1.c", "path must be named as functions of C are, such as model_1.c"),
+    bad("export gru rig.fmu --precision float", "--precision must be double for an FMU"),
+    bad("export filtered rig.c", "its time is calibrated", "gain and offset alone"),
 ]  # fmt: skip
 
 

@@ -10,7 +10,6 @@ import pytest
 import scipy
 
 import splitband as sb
-from splitband.cli import main
 from tests.cli.support import call, results
 
 
@@ -46,12 +45,3 @@ def test_a_good_model_is_accepted_in_text_json_and_page(
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Accepted: linear model" in page
     assert "Step response, force to x (mm)" in page
-
-
-def test_a_folder_without_a_model_is_named(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    line = ["check", str(folder), "--record", str(folder / "second.csv")]
-    assert main([*line, "--out", str(tmp_path / "out")]) == 2
-    assert "no model in" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

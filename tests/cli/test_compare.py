@@ -8,17 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitband import read
-from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import Sizes
-from splitband.training import Settings
 from tests.cli.support import (
     DT,
     FAST,
     QUICK,
     SAMPLES,
     SLOW,
-    TIME,
     TRAIN,
     WARMUP,
     A,
@@ -28,8 +23,7 @@ from tests.cli.support import (
     results,
     written,
 )
-from tests.records import Setup, rms
-from tests.support import compare
+from tests.records import rms
 
 pytestmark = pytest.mark.usefixtures("inside")
 
@@ -81,26 +75,6 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     assert found["environment"]["versions"]["numpy"] == np.__version__
 
 
-def test_compare_gives_the_numbers_of_the_library(compared: Path) -> None:
-    facts = results(compared)
-    chosen = {name: facts["settings"][name] for name in ("cutoff", "order", "downsampling")}
-    sizes = Sizes(hidden_high=4, hidden_low=3)
-    setup = Setup(TRAIN, Settings(30, WARMUP, 2), Bands(**chosen), sizes)
-    record = read("record.csv", columns="a")
-    result = compare(record, ["gru", "split-gru-hp"], setup)
-    for name, (fit,) in result.fits.items():
-        assert facts["methods"][name]["total_rmse"] == [result.errors(fit).total]
-        assert facts["methods"][name]["forecast_rmse"] == [result.errors(fit).forecast]
-
-
-def test_compare_follows_both_protocols_to_the_letter(compared: Path) -> None:
-    facts = results(compared)["methods"]
-    held = facts["persistence"]
-    assert held["total_rmse"] == [pytest.approx(rms(A[WARMUP:] - A[WARMUP - 1]))]
-    assert held["forecast_rmse"] == [pytest.approx(rms(A[TRAIN:] - A[TRAIN - 1]))]
-    assert facts["harmonic"]["total_rmse"][0] < 1e-6  # the record is two sinusoids
-
-
 def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> None:
     found = results(compared)
     held_out = {name: facts["held_out_rmse"] for name, facts in found["methods"].items()}
@@ -112,18 +86,6 @@ def test_compare_recommends_a_method_and_says_how_sure_it_is(compared: Path) -> 
     inside = table["a"].between(lower, upper).mean()
     assert found["methods"]["harmonic"]["interval"]["covers"] == pytest.approx(inside)
     assert "a, gru, lower" not in table
-
-
-def test_the_predictions_beside_the_results_have_the_errors_in_them(compared: Path) -> None:
-    table, found = written(compared / "predictions.csv"), results(compared)["methods"]
-    np.testing.assert_allclose(table["time"], TIME)
-    np.testing.assert_array_equal(table["a"], A)
-    for name, facts in found.items():
-        for protocol, key in (("from start", "total_rmse"), ("forecast", "forecast_rmse")):
-            predicted = table[f"a, {name}, {protocol}"].dropna()
-            assert len(predicted) == SAMPLES - (WARMUP if key == "total_rmse" else TRAIN)
-            errors = (table["a"] - predicted).dropna().to_numpy()
-            assert facts[key] == [pytest.approx(rms(errors))]
 
 
 def test_compare_prints_its_table_and_where_the_files_are(
@@ -151,9 +113,7 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
     assert facts["total_rmse"] == [pytest.approx(rms(A[10:150] - A[9]))]
 
 
-def test_compare_takes_several_channels_and_known_inputs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None:
     call(f"compare record.csv --columns a,b --inputs force --methods rnn,split-gru,persistence "
          f"{QUICK} --seeds 2 --jobs 1 --lr-milestones 1:1e-4 --order 2 "
          "--cutoff 1", tmp_path)  # fmt: skip
@@ -167,28 +127,6 @@ def test_compare_takes_several_channels_and_known_inputs(
     seeds = found["methods"]["rnn"]
     assert (seeds["seeds"], len({*seeds["total_rmse"]})) == ([0, 1], 2)
     assert seeds["total_rmse_std"] == pytest.approx(np.std(seeds["total_rmse"], ddof=1))
-    each = [[rms(y[n:] - y[n - 1]) for y in (A, B)] for n in (WARMUP, TRAIN)]
-    shown = capsys.readouterr().out
-    for heading, errors in zip(("RMSE from the start", "forecast RMSE"), each, strict=True):
-        columns = [c for c in found["table"] if c["heading"] == heading]
-        assert [c["channel"] for c in columns] == ["a", "b"]
-        assert [c["values"]["persistence"] for c in columns] == pytest.approx(errors)
-    assert all(f"{error:.3f}" in shown for error in each[1])
-
-
-@pytest.mark.usefixtures("public_data")
-def test_the_seasonal_baseline_finds_the_period_of_the_double_torsion_record(
-    tmp_path: Path,
-) -> None:
-    call(
-        "compare double-torsion --recipe constant-rate --warmup 100 "
-        "--methods seasonal-naive,persistence",
-        tmp_path,
-    )
-    facts = results(tmp_path)["methods"]["seasonal-naive"]
-    assert "160 training samples" in facts["description"]
-    assert facts["forecast_rmse"] == [pytest.approx(0.068, abs=5e-4)]
-    assert facts["total_rmse"] == [pytest.approx(0.062, abs=1e-3)]
 
 
 @pytest.mark.usefixtures("drawn")

@@ -55,21 +55,6 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     call("spectrum other.csv --inputs opening --columns level --simulator Plant.fmu "
          "--simulator-inputs valve --simulator-columns x", tmp_path)  # fmt: skip
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
-
-
-@needs_gcc
-def test_inputs_that_cannot_be_told_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    fmu()
-    lines = {
-        "other.csv --inputs heater,opening": "heater, opening, in their order: it has valve, heat",
-        "rig.csv": "of which it has none, in their order: it has valve, heater",
-        "rig.csv --inputs valve --simulator-inputs rate": "has no variable rate",
-    }
-    end = "--columns level --simulator Plant.fmu --out out"
-    for line, message in lines.items():
-        assert_fails(f"spectrum {line} {end}", (message,), capsys)
     call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
 

@@ -1,4 +1,4 @@
-"""`splitband fit`: the model that it writes."""
+"""`splitband fit` and `splitband export`: the model and the program that they write."""
 
 from pathlib import Path
 
@@ -43,16 +43,6 @@ def test_a_record_too_short_for_intervals_still_has_its_model(
     assert "the model has no intervals: " in capsys.readouterr().out
 
 
-def test_the_same_seed_fits_the_same_model(model: Path, tmp_path: Path) -> None:
-    line = f"fit record.csv --columns a,b --method gru {QUICK} --seed"
-    for seed in (0, 1):
-        call(f"{line} {seed}", tmp_path / str(seed))
-    expected, same, other = (
-        next(p.glob("weights-*")).name for p in (model, tmp_path / "0", tmp_path / "1")
-    )  # which are named after their content
-    assert same == expected != other
-
-
 def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None:
     pd.read_csv("record.csv").assign(a=lambda t: t["a"].where(t.index < 100, 50.0)).to_csv(
         tmp_path / "other.csv", index=False
@@ -94,5 +84,15 @@ def test_a_model_of_a_file_of_one_nameless_column_simulates_such_a_file(
     assert list(found) == ["time", "y"]
     expected = simulated(load(Path("model"))[0], A[-WARMUP:, None], 5)
     np.testing.assert_allclose(found[["y"]], expected, atol=1e-6)
-    assert sb.read("one.txt", columns="y", sampling_time=0.1).columns == ("y",)
-    assert sb.read("one.txt", columns=0, sampling_time=0.1).columns == ("y",)
+
+
+def test_export_says_what_it_writes(
+    driven_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"export {driven_model} {tmp_path}/new/rig.c --precision float")
+    assert sorted(file.name for file in (tmp_path / "new").iterdir()) == ["rig.c", "rig.h"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("gru is written to ")
+    header = (tmp_path / "new" / "rig.h").read_text()
+    assert "u[1]: force" in header
+    assert "int rig_step(rig_state *s, const float *u, float *y);" in header

@@ -16,9 +16,7 @@ from tests.support import load_model as load
 
 GRU_ON = f"--columns a --methods gru {QUICK} --seeds 1 --jobs 1 --out out"
 
-ALL = f"--method gru {QUICK} --out out"
-
-FIT_ON = f"--columns a {ALL}"
+FIT_ON = f"--columns a --method gru {QUICK} --out out"
 
 BAD_ROWS = {*range(5), *range(80, 84), *range(140, 150), *range(160, 166)}
 
@@ -60,30 +58,23 @@ def compared(folder: Path) -> Path:
     return folder / "compared"
 
 
-def test_compare_gives_finite_numbers_around_gaps_and_counts_them(compared: Path) -> None:
-    found = results(compared)
-    assert found["record"]["samples"] == 200
-    assert found["record"]["gaps"] == len(BAD_ROWS)
-    for facts in found["methods"].values():
-        numbers = [facts["held_out_rmse"], facts["interval"]["covers"]]
-        numbers += [*facts["total_rmse"], *facts["forecast_rmse"]]
-        numbers += facts["interval"]["first"] + facts["interval"]["exponent"]
-        assert np.isfinite(numbers).all()
-    assert found["arguments"]["gaps"] == "mask"
-
-
-def test_the_predictions_are_empty_in_gaps_of_the_record_alone(compared: Path) -> None:
-    table, found = written(compared / "predictions.csv"), results(compared)["methods"]
+def test_compare_counts_gaps_and_leaves_them_empty_in_the_record_alone(compared: Path) -> None:
+    facts, table = results(compared), written(compared / "predictions.csv")
+    assert (facts["record"]["samples"], facts["record"]["gaps"]) == (200, len(BAD_ROWS))
+    assert facts["arguments"]["gaps"] == "mask"
     np.testing.assert_array_equal(table["a"], SEEN)
-    for name in ("gru", "persistence", "mean"):
+    for name, found in facts["methods"].items():
+        interval = found["interval"]
+        numbers = [found["held_out_rmse"], interval["covers"]]
+        assert np.isfinite([*numbers, *interval["first"], *interval["exponent"]]).all()
         from_start, forecast = (table[f"a, {name}, {p}"] for p in ("from start", "forecast"))
         # Warmed up on samples 5 to 14.
         assert np.flatnonzero(np.isfinite(from_start)).tolist() == [*range(15, 200)]
         assert np.flatnonzero(np.isfinite(forecast)).tolist() == [*range(150, 200)]
-        median = found[name]["median_of_seeds"]
+        median = found["median_of_seeds"]
         for key, predicted in (("total_rmse", from_start), ("forecast_rmse", forecast)):
             error = (SEEN - predicted).dropna().to_numpy()
-            reported = found[name][key][0] if median is None else median[key]
+            reported = found[key][0] if median is None else median[key]
             assert reported == pytest.approx(rms(error))
     assert (table["a, persistence, forecast"].dropna() == A[139]).all()
 
@@ -138,11 +129,9 @@ HYBRID = f"--columns a --simulator whole.csv --method residual-gru {QUICK} --out
     ("line", "says"),
     [
         (f"compare history.csv {GRU_ON}", ("history.csv", "rows 52 to 59", "--gaps mask")),
-        (f"compare gappy.csv {GRU_ON}", ("gappy.csv", "row 80", "--gaps mask")),
         (f"compare gappy.csv --gaps fill {GRU_ON}", ("--gaps", "fill")),
         (f"compare whole.csv --more renamed.csv {GRU_ON}", ("renamed.csv", "'a'", "'z'")),
         (f"compare whole.csv --more slow.csv {GRU_ON}", ("slow.csv", "every 0.1 s", "0.2 s")),
-        (f"fit whole.csv --more renamed.csv {ALL}", ("renamed.csv", "'a'")),
         (f"fit whole.csv --more short.csv {FIT_ON}", ("window", "25 samples", "30")),
         (f"fit whole.csv --more nothing.csv {FIT_ON}", ("--more", "nothing.csv")),
         (

@@ -39,8 +39,6 @@ def test_the_record_of_a_logger(logger: Path, capsys: pytest.CaptureFixture[str]
     [
         ("spectrum logger.csv --inputs force", "row 50 holds 'Bad' (line 55)"),
         ("spectrum logger.csv --header-row 300", "header_row is 300, but there are 125 lines"),
-        ("spectrum van-der-pol --missing Bad", "--missing is for files"),
-        ("spectrum van-der-pol --skip-rows 2", "--skip-rows is for files"),
     ],
 )
 def test_errors_name_the_line(

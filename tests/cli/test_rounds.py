@@ -65,20 +65,6 @@ def test_a_disk_error_in_between_is_a_warning(
     assert results(tmp_path)["methods"].keys() == {"gru", "mean"}
 
 
-@pytest.mark.parametrize(
-    ("line", "instead"),
-    [
-        (f"{LINE} --effort 60s", ("--rounds", "--budget")),
-        (f"{LINE} --settings x.json", ("--like",)),
-        ("benchmark list.csv", ("compare", "splitband summary")),
-    ],
-)
-def test_what_is_gone_names_what_to_use(
-    line: str, instead: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert_fails(line, instead, capsys)
-
-
 def test_a_training_like_an_earlier_one_has_its_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,7 +81,6 @@ def test_a_training_like_an_earlier_one_has_its_settings(
         assert again.settings == first.settings
     capsys.readouterr()
     for line, says in (
-        (f"compare record.csv --columns b --like {earlier} --out x", "outputs: a, the record has"),
         (f"compare record.csv --like {earlier} --epochs 3 --out x", "--epochs must be left out"),
         (f"compare record.csv --like {earlier} --out {earlier}", "is read by --like"),
     ):

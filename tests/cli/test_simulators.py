@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy.integrate
-import scipy.signal
 
 import splitband as sb
 from splitband.cli.comparing import Request, planned
 from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
-from tests.cli.support import QUICK, SIMULATED, TIME, TRAIN, WARMUP, A, call, results
+from tests.cli.support import QUICK, SIMULATED, TRAIN, WARMUP, A, call, results
 from tests.records import rms
 
 pytestmark = pytest.mark.usefixtures("inside")
@@ -23,16 +21,6 @@ def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
 ) -> None:
     call(f"spectrum record.csv --columns b --simulator {options}", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(0.1)
-
-
-def test_an_fmu_serves_as_simulator(van_der_pol_fmu: Path, tmp_path: Path) -> None:
-    call(f"spectrum record.csv --columns a --simulator {van_der_pol_fmu} --simulator-columns x",
-         tmp_path)  # fmt: skip
-    y = scipy.integrate.solve_ivp(
-        lambda _, s: [s[1], (1 - s[0] ** 2) * s[1] - s[0]], (0, TIME[-1]), [-2, 1], t_eval=TIME,
-        rtol=1e-9, atol=1e-9,
-    ).y[0]  # fmt: skip
-    assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(rms(A - y), rel=1e-6)
 
 
 def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
@@ -47,21 +35,6 @@ def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
     assert Path("calls").read_text() == "xx"
     Path("calls").unlink()
     Path("f.py").unlink()
-
-
-def test_calibrated_and_conditioned_variants_follow_the_method() -> None:
-    asked = Request(
-        "record.csv",
-        RecordOptions(columns="a"),
-        SimulatorOrBaseOptions("simulated.csv"),
-        methods="filtered-gru",
-        calibrate=True,
-        conditioned=True,
-    )
-    assert [method.name for method in planned(asked).methods] == [
-        "filtered-gru", "filtered-gru-calibrated", "filtered-gru-conditioned",
-        "filtered-gru-calibrated-conditioned",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("simulator", ["simulated.csv", "periodic"])

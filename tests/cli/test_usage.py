@@ -12,7 +12,7 @@ from splitband.evaluation.plan import Plan
 GIVEN = {
     "record": "my rig.csv", "inputs": "force", "columns": None, "gaps": "mask", "cutoff": "auto",
     "train": 150, "test": ["later.csv"], "methods": "gru,linear", "calibrate": True, "out": "out",
-    "recipe": "default", "device": "cpu", "more": ["a.csv", "b.csv"],
+    "recipe": "default", "device": "cuda", "more": ["a.csv", "b.csv"], "budget": "1m", "hidden": 8,
 }  # fmt: skip
 
 
@@ -25,19 +25,25 @@ def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
     return Plan(record, 150, 50, (), sb.Settings())
 
 
+def said(command: str) -> list[str]:
+    """The words of a command over several lines."""
+    return shlex.split(command.replace("\\\n", ""))
+
+
 def test_the_trained_model_is_simulated_with_what_was_given() -> None:
+    """What decides how a network is trained is in the folder; the record and the device are not."""
     found = usage("compare", GIVEN, OUT, planned(1), sb.named("gru"))
     (_, simulate), (_, fit), (_, export), (_, checked), (_, python) = found.commands
     without_stamps = usage("compare", GIVEN, OUT, planned(1, None), sb.named("gru"))
     assert "--future-inputs FILE" in without_stamps.commands[-2][1]
     assert export == "splitband export out/model model.fmu"
     assert checked == "splitband check out/model --record later.csv"
-    assert shlex.split(simulate.replace("\\\n", "")) == shlex.split(
+    assert said(simulate) == said(
         "splitband simulate out/model --future-inputs 'my rig.csv' --steps 50 --out ahead.csv"
     )
-    assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
+    assert said(fit) == said(
         "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--like out --out out/model-of-all"
+        "--like out --device cuda --out out/model-of-all"
     )
     assert "sb.load('out/model')" in python
     assert "u=u" in python
@@ -45,25 +51,14 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     assert "--test later.csv" in found.asked
 
 
-def test_a_network_is_trained_again_as_it_was_found() -> None:
-    """What decides how to train is in the folder; the record and the device are not."""
-    given = GIVEN | {"budget": "1m", "hidden": 8, "device": "cuda"}
-    model = sb.Single(sb.GRU(8), sb.Settings())
-    _, (_, fit), *_ = usage("compare", given, OUT, planned(1), model).commands
-    assert shlex.split(fit.replace("\\\n", "")) == shlex.split(
-        "splitband fit 'my rig.csv' --inputs force --gaps mask --more a.csv --more b.csv "
-        "--like out --device cuda --out out/model-of-all"
-    )
-
-
 def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
     given = {"record": "rig.csv", "simulator": "rig.fmu", "simulator_columns": "y",
              "simulator_start": "record", "simulator_timeout": 600.0}  # fmt: skip
     for method, asked in (("filtered-gru", True), ("gru", False), ("linear", False)):
         (_, simulate), *_ = usage("compare", given, OUT, planned(), sb.named(method)).commands
-        said = " ".join(simulate.replace("\\\n", "").split())
+        words = " ".join(said(simulate))
         opened = "--simulator rig.fmu --simulator-columns y --simulator-start record --steps"
-        assert (opened in said) == asked
+        assert (opened in words) == asked
 
 
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:

@@ -46,20 +46,11 @@ def test_dates_go_through_slices_and_time_counts_from_the_first() -> None:
     assert list(part.stamps) == list(expected)
 
 
-@pytest.mark.parametrize("start", [np.nan, np.inf, "soon", pd.NaT])
-def test_what_is_no_time_stamp_is_refused(start: Any) -> None:
-    with pytest.raises(ValueError, match="a time stamp must be"):
-        Record(np.arange(5.0), DT, start=start)
-
-
 @pytest.mark.parametrize(
     ("name", "stamps", "start"),
     [
-        ("time", [f"{20 + 0.1 * i:.1f}" for i in range(9)], 20.0),
         ("t [ms]", [f"{5000 + 40 * i}" for i in range(9)], 5.0),
         ("time", [f"{7 + i / 3:.2f}" for i in range(200)], 7.0),
-        ("time", [f"00:01:{i:02d}.5" for i in range(9)], 60.5),
-        ("time", [f"2024-05-01 10:00:0{i}" for i in range(9)], pd.Timestamp("2024-05-01 10:00")),
         (
             "date",
             [f"2024-05-01T10:00:0{i}+02:00" for i in range(9)],
@@ -74,13 +65,6 @@ def test_reading_keeps_the_first_time_stamp(name: str, stamps: list[str], start:
         assert seconds_between(start, found) == pytest.approx(0, abs=2e-3)
         if isinstance(start, pd.Timestamp):
             assert str(found) == str(start)  # dates are shown as the file has them
-
-
-def test_a_file_without_a_time_column_has_no_time_stamps() -> None:
-    np.savetxt("r.txt", np.arange(9.0))
-    assert read("r.txt", sampling_time=DT).start is None
-    write(Path("r.csv"), times(3), y=times())
-    assert read("r.csv", sampling_time=DT, time_column="").start is None
 
 
 def test_rows_do_not_drift_away_from_the_time_stamps_over_many_gaps() -> None:
@@ -98,12 +82,6 @@ def test_stamps_that_wander_from_an_even_step_by_more_than_half_a_sample_are_ref
     write(Path("r.csv"), np.cumsum(step), y=np.cumsum(step))
     with pytest.raises(ValueError, match=r"wander by 2\.9 samples from an even step of 0\.1 s"):
         read("r.csv")
-
-
-def test_a_sampling_time_given_beside_time_stamps_may_not_drift_from_them() -> None:
-    write(Path("r.csv"), times(step=0.1009), y=times())
-    with pytest.raises(ValueError, match=r"is 0\.1 s, but time column 'time' steps by 0\.1009 s"):
-        read("r.csv", sampling_time=0.1)
 
 
 # ---------------------------------------------------------------- two signals

@@ -46,7 +46,6 @@ INFLUX = (
     ("name", "text", "step", "column", "options"),
     [
         ("units.csv", "time,T\ns,C\n" + table(lambda i: f"{i},{{y}}"), 1, "T [C]", {}),
-        ("ms.csv", "time,T\n(ms),(C)\n" + table(lambda i: f"{i},{{y}}"), 1e-3, "T [C]", {}),
         ("a.dat", TOA5 + table(lambda i: f'"2024-01-01 00:{i:02d}:00",{i},{{y}}'), 60,
          "T [Deg C]", {}),
         ("a.lvm", LVM + table(lambda i: f"{i * 0.001:.6f}\t{{y}}\t"), 1e-3, "V",
@@ -187,9 +186,3 @@ def test_what_is_data_and_what_is_not(
     found = read(text_file(tmp_path, text), **options)
     assert found.columns == (*columns,)
     np.testing.assert_array_equal(found.y, values)
-
-
-def test_a_column_without_a_name_is_left_out(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "time,,y\n0,5,1\n1,5,2\n2,7,4\n")
-    with pytest.warns(ReadingWarning, match="'Unnamed: 1' \\(no name\\)"):
-        assert read(path).columns == ("y",)

@@ -54,13 +54,6 @@ def test_rows_missing_between_stamps_are_gaps(
     assert "--gaps mask" in said
 
 
-def test_cells_and_rows_may_be_missing_from_one_file(tmp_path: Path) -> None:
-    path = text_file(tmp_path, "t,y\n0,\n1,1\n4,nan\n5,5\n6,6\n7,7\n")
-    found = read(path, gaps="mask")
-    np.testing.assert_array_equal(found.y_with_gaps[:, 0], [NAN, 1, NAN, NAN, NAN, 5, 6, 7])
-    np.testing.assert_array_equal(found.y[:, 0], [1, 1, 2, 3, 4, 5, 6, 7])
-
-
 @pytest.mark.parametrize(("rows", "rate", "places"), [(30, 10, 1), (200, 44, 2)])
 def test_a_whole_record_reads_the_same_either_way(
     tmp_path: Path, rows: int, rate: int, places: int
@@ -111,10 +104,3 @@ def test_rows_may_be_missing_between_rounded_stamps(
     found = read(text_file(tmp_path, f"t,y\n{rows}"), gaps="mask")
     assert np.flatnonzero(~found.complete).tolist() == [*range(50, 50 + missing)]
     assert found.sampling_time == pytest.approx(1 / rate, rel=1e-4)
-
-
-def test_a_logger_may_start_again_between_two_rows(tmp_path: Path) -> None:
-    stamps = [0, 1, 2, 3, 7.4, 8.4, 9.4, 10.4]
-    found = read(stamped(tmp_path, stamps), gaps="mask")
-    assert found.sampling_time == 1
-    np.testing.assert_array_equal(np.isnan(found.y_with_gaps[:, 0]), [*[0] * 4, *[1] * 3, *[0] * 4])

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy
 
 import splitband as sb
 from splitband import Record, Settings
@@ -15,7 +14,6 @@ from splitband.forecasters.backtest import BacktestSpec, Origin, backtest, for_t
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import HYBRIDS, Sizes
 from splitband.forecasters.network import Network
-from splitband.metrics import channel_rmse
 from tests.records import Setup
 from tests.support import compare
 
@@ -197,31 +195,6 @@ def test_each_channel_counts_the_same_in_the_recommendation() -> None:
     assert trial.recommended == "persistence"
 
 
-def test_the_held_out_error_of_a_baseline_is_that_of_fits_to_four_shares() -> None:
-    r = record()
-    begins = (90, 96, 102, 108)
-    left = np.concatenate([r.y[start:TRAIN] - r.y[start - 1] for start in begins])
-    trial = compare(r, ["persistence", "mean"], SETUP).require_trial()
-    assert trial.errors["persistence"] == pytest.approx((np.sqrt(np.mean(left**2)),))
-    left = np.concatenate([r.y[start:TRAIN] - r.y[:start].mean() for start in begins])
-    assert trial.errors["mean"] == pytest.approx((np.sqrt(np.mean(left**2)),))
-
-
-@pytest.mark.soak
-def test_intervals_of_many_records_hold_nine_tenths_on_average() -> None:
-    """And are at most 1.3 times as wide as the noise alone calls for."""
-    covered, width = [], []
-    for seed in range(8):
-        r = record(seed, noise=0.2)
-        found = compare(r, ["harmonic"], SETUP)
-        interval = found.require_trial().intervals["harmonic"]
-        left = r.y[TRAIN:] - found.fits["harmonic"][0].ahead
-        covered.append(interval.coverage(left))
-        width.append(interval.half_widths(len(left)).mean())
-    assert 0.85 <= np.mean(covered) <= 0.95
-    assert np.mean(width) <= 1.3 * 0.2 * scipy.stats.norm.ppf(0.95)
-
-
 def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     """A period of 40 samples is not found in 75, which hold less than two of them."""
     noise = 0.02 * np.random.default_rng(3).standard_normal((LENGTH, 1))
@@ -230,18 +203,6 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
     found = compare(r, ["seasonal-naive"], SETUP)
     interval = found.require_trial().intervals["seasonal-naive"]
     assert interval.half_widths(1).max() < 0.15
-
-
-def test_channels_of_different_units_have_errors_and_scales_of_their_own() -> None:
-    r = record()
-    units = np.array([1.0, 1e4])
-    both = Record(np.hstack([r.y, r.y[::-1]]) * units + [0, 1e5], DT, columns=("V", "Pa"))
-    compared = compare(both, ["mean", "harmonic"], SETUP)
-    for (found,) in compared.fits.values():
-        of_channels = channel_rmse(both.y[-len(found.from_start) :], found.from_start.y)
-        assert np.linalg.norm(of_channels) == pytest.approx(compared.errors(found).total)
-        left = both.y[-len(found.from_start) :] - found.from_start.y
-        np.testing.assert_allclose(of_channels, np.sqrt(np.mean(left**2, axis=0)))
 
 
 def test_a_simulator_beside_a_record_that_has_the_output_of_one_is_refused() -> None:

@@ -55,12 +55,16 @@ def test_a_residual_much_smaller_than_an_untrained_networks_output_is_trained() 
     assert history.notes == []
 
 
-def test_a_training_that_diverges_later_is_still_found() -> None:
-    """By a learning rate that is sane in the first epoch only."""
-    torch.manual_seed(0)
-    late = replace(QUICK, milestones=((1, 1e6),))
-    with pytest.raises(FloatingPointError, match="network diverged in epoch 2"):
-        fit(Residual(GRU(8, 1)), RECORD[:TRAIN], late)
+def failing_last(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    """The simulator's fit to the whole training part fails."""
+    learn = Calibrated.learn
+
+    def learn_from_less(self: Calibrated, records: Any, **options: Any) -> Any:
+        if len(records[0]) == TRAIN:
+            raise error
+        return learn(self, records, **options)
+
+    monkeypatch.setattr(Calibrated, "learn", learn_from_less)
 
 
 def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
@@ -68,12 +72,7 @@ def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
 ) -> None:
     methods = ["persistence", CALIBRATED]
     assert compare(RECORD, methods, SETUP).recommended == CALIBRATED
-    learn = Calibrated.learn
-
-    def learn_from_less(self: Calibrated, records: Any, **options: Any) -> Any:
-        return (_raising if len(records[0]) == TRAIN else learn)(self, records, **options)
-
-    monkeypatch.setattr(Calibrated, "learn", learn_from_less)
+    failing_last(monkeypatch, np.linalg.LinAlgError("SVD did not converge"))
     found = compare(RECORD, methods, SETUP)
     assert (found.recommended, [*found.require_trial().failed]) == ("persistence", [CALIBRATED])
     assert CALIBRATED in found.require_trial().scores
@@ -82,23 +81,13 @@ def test_what_fails_on_the_whole_training_part_alone_is_not_recommended(
 def test_a_simulator_without_time_for_its_last_fit_has_the_results_of_the_one_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    learn = Calibrated.learn
-
-    def learn_from_less(self: Calibrated, records: Any, **options: Any) -> Any:
-        if len(records[0]) == TRAIN:
-            raise DeadlineError
-        return learn(self, records, **options)
-
-    monkeypatch.setattr(Calibrated, "learn", learn_from_less)
+    failing_last(monkeypatch, DeadlineError())
     found = compare(RECORD, ["persistence", CALIBRATED], SETUP)
     assert found.recommended == CALIBRATED
     (fit,) = found.fits[CALIBRATED]
     assert len(fit.fitted.require_fitted().record) < TRAIN
     (said,) = found.clock.notes
-    assert said == (
-        f"{CALIBRATED} could not be fitted to the whole training part in the time: its results are "
-        "those of three quarters of it"
-    )
+    assert said.startswith(f"{CALIBRATED} could not be fitted to the whole training part")
 
 
 def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,15 +155,3 @@ def test_forecast_takes_another_method_than_one_that_failed(
     assert (found["method"], found["failed"]) == (CALIBRATED, {"mean": "SVD did not converge"})
     table = pd.read_csv(tmp_path / "out" / "forecast.csv")
     np.testing.assert_allclose(table["y"], RECORD.y[TRAIN : TRAIN + 50, 0], atol=1e-3)
-
-
-@pytest.mark.usefixtures("broken_mean")
-@pytest.mark.parametrize(
-    "command", ["compare record.csv --methods", "forecast begun.csv --steps 9 --method"]
-)
-def test_when_nothing_could_be_fitted_the_command_line_says_so_in_one_line(
-    command: str, files: Callable[[str], list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(files(f"{command} mean")) == 2
-    said = capsys.readouterr().err
-    assert said == "error: no method could be fitted; mean: SVD did not converge\n"

@@ -86,19 +86,17 @@ def test_simulations_warm_up_before_a_gap_or_after_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    ("y", "method", "words"),
     [
-        (slice(TRAIN), "the training part must have a measured sample in every channel"),
-        (slice(TRAIN, None), "the predicted part must have a measured sample in every channel"),
+        (holed(record(ny=2).y, slice(TRAIN), channel=1), "mean", "the training part must have"),
+        (holed(record(ny=2).y, slice(TRAIN, None), channel=1), "mean", "the predicted part must"),
+        (holed(record(ny=2).y, slice(60, TRAIN), channel=1), "gru", "last quarter of the 90 train"),
+        (holed(record().y, *range(5, TRAIN, 12)), "gru", "gaps of the 90 training samples, got 12"),
     ],
+    ids=["training part", "predicted part", "held-out part", "no warm-up"],
 )
-def test_a_channel_that_was_not_measured_in_a_part_is_refused(rows: slice, words: str) -> None:
-    r = with_gaps(holed(record(ny=2).y, rows, channel=1))
+def test_what_was_not_measured_where_it_is_needed_is_named(
+    y: Array, method: str, words: str
+) -> None:
     with pytest.raises(ValueError, match=words):
-        compare(r, ["mean"], SETUP)
-
-
-def test_gaps_that_leave_no_warm_up_for_a_forecast_are_refused() -> None:
-    r = with_gaps(holed(record().y, *range(5, TRAIN, 12)))
-    with pytest.raises(ValueError, match="between the gaps of the 90 training samples, got 12"):
-        compare(r, ["gru"], SETUP)
+        compare(with_gaps(y), [method], SETUP)

@@ -169,15 +169,6 @@ def test_a_first_warm_up_after_the_training_part_does_not_hide_the_forecast() ->
     assert len(fit.from_start) < 40
 
 
-def test_a_channel_that_ends_before_the_held_out_part_is_named() -> None:
-    y = np.concatenate([record().y, record().y], axis=1)
-    measured = np.ones(y.shape, bool)
-    measured[110:TRAIN, 1] = False
-    broken = Record(y, DT, columns=("a", "b"), measured=measured)
-    with pytest.raises(ValueError, match="the last quarter of the 160 training samples"):
-        compare(broken, ["gru"], SETUP)
-
-
 class _Diverging(Forecaster):
     """Says its seed, but for the seed 1, with which it diverges."""
 

@@ -111,12 +111,6 @@ def test_it_holds_nine_tenths_of_a_future_longer_than_the_past(kind: str) -> Non
     assert least <= np.mean(found) <= most
 
 
-def test_it_is_not_wider_than_the_noise_calls_for() -> None:
-    rng = np.random.default_rng(1)
-    widths = [fitted(rng.standard_normal(1000), averaged).half_widths(600) for _ in range(20)]
-    assert NORMAL <= np.mean(widths) <= 1.15 * NORMAL
-
-
 def test_errors_that_are_all_alike_say_less_than_as_many_different_ones() -> None:
     """An offset is one error, however many samples show it: Student's quantile of two at most."""
     alike = of_errors([np.ones((200, 1))], RECORD).half_widths(1)[0, 0]
@@ -237,18 +231,6 @@ def test_an_interval_is_fitted_to_the_errors_that_are_known() -> None:
     closed = [p[~np.isnan(p[:, 0])][:, :1] for p in scattered]
     moved = of_errors(closed, y[:, :1]).half_widths(150)[50:, 0]
     assert (moved > 1.1 * whole[:, 0]).all()
-
-
-def test_the_coverage_is_a_share_of_the_errors_that_are_known() -> None:
-    interval = Interval((1.0, 2.0), (0.5, 0.0), (None, 9.0))
-    left = holed(holed(growing(80, 2, 5), slice(20, 33)), 60, channel=1)
-    known = inside = 0
-    for n, row in enumerate(left):
-        for error, half in zip(row, (np.sqrt(n + 1), 2.0), strict=True):
-            known += not np.isnan(error)
-            inside += abs(error) <= half
-    assert 0 < inside < known
-    assert interval.coverage(left) == pytest.approx(inside / known)
 
 
 def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:

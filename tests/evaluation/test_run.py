@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from splitband import GRU, Record, Single
+from splitband import Record
 from splitband.evaluation import candidates
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import forecast
-from splitband.evaluation.plan import BUDGET, plan
+from splitband.evaluation.plan import plan
 from splitband.evaluation.run import Run, compare, fit, run
-from splitband.forecasters.backtest import first_held_out
-from splitband.runtime.workers import Workers
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
@@ -27,10 +24,12 @@ RECORD = record(nu=1)
 SMALL = {"settings": {"warmup": 10}, "sizes": SETUP.sizes}
 
 
-@pytest.fixture(autouse=True)
-def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candidates, "FIRST_ROUND", 4)
-    monkeypatch.setattr(candidates, "FIRST_STEPS", 3)
+@pytest.fixture(autouse=True, scope="module")
+def short_rounds() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(candidates, "FIRST_ROUND", 4)
+        patch.setattr(candidates, "FIRST_STEPS", 3)
+        yield
 
 
 def compared(**options: object) -> Comparison:
@@ -39,11 +38,8 @@ def compared(**options: object) -> Comparison:
 
 
 @pytest.fixture(scope="module")
-def whole() -> Comparison:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "FIRST_ROUND", 4)
-        patch.setattr(candidates, "FIRST_STEPS", 3)
-        return compared()
+def whole(short_rounds: None) -> Comparison:
+    return compared()
 
 
 def same(one: Comparison, other: Comparison) -> None:
@@ -142,39 +138,6 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption() -> None:
         compare(RECORD, TRAIN, ["gru"], rounds=1, watch=interrupted_at("round"), **SMALL)  # type: ignore[arg-type]
 
 
-def test_the_model_so_far_is_there_after_every_round() -> None:
-    seen: list[tuple[str, int]] = []
-
-    def watch(run: Run) -> None:
-        if run.new_table:
-            fitted = run.model.require_fitted()
-            seen.append((run.doing, len(fitted.record)))
-            assert run.model.name == run.trial.recommended
-
-    compared(watch=watch)
-    assert [doing for doing, _ in seen] == ["baselines", "round 1", "round 2"]
-    assert all(first_held_out(TRAIN) <= samples <= TRAIN for _, samples in seen)
-
-
-def test_one_failure_takes_no_other_with_it_and_all_of_them_are_an_error() -> None:
-    wrong = Single(GRU(3), replace(QUICK, learning_rate=1e30), name="wrong")
-    result = compare(RECORD, TRAIN, ["mean", wrong, "gru"], rounds=1, **SMALL)  # type: ignore[arg-type]
-    assert "diverged" in result.table["note"]["wrong"]
-    assert {"mean", "gru"} == {*result.fits}
-    with pytest.raises(ValueError, match=r"no method could be fitted; wrong: .*diverged"):
-        compare(RECORD, TRAIN, [wrong])
-
-
-def test_settings_that_are_given_have_no_time_limit_and_are_not_altered() -> None:
-    planned = plan(RECORD, TRAIN, ["gru"], settings=QUICK)
-    assert planned.budget is None
-    assert not planned.searched
-    assert plan(RECORD, TRAIN, ["gru"]).budget == BUDGET
-    result = run(replace(planned, seeds=2))
-    assert [f.fitted.settings for f in result.fits["gru"]] == [QUICK, QUICK]
-    assert result.attempts == ()
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -190,11 +153,6 @@ def test_settings_that_are_given_have_no_time_limit_and_are_not_altered() -> Non
 def test_limits_are_checked_before_anything_runs(options: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         plan(RECORD, TRAIN, METHODS, **options)  # type: ignore[arg-type]
-
-
-def test_a_refit_goes_on_over_the_whole_record(whole: Comparison) -> None:
-    result = compare(RECORD, TRAIN, ["gru"], rounds=1, refit=True, **SMALL)  # type: ignore[arg-type]
-    assert len(result.model.require_fitted().record) == len(RECORD)
 
 
 def test_a_fit_searches_and_ends_with_one_training() -> None:
@@ -214,15 +172,6 @@ def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.Monke
         found = forecast(record()[:TRAIN], 10, ["gru", "mean"], budget=looks + clock.tick, **SMALL)  # type: ignore[arg-type]
         assert found.method in ("gru", "mean")
         assert found.prediction.y.shape == (10, 1)
-
-
-@pytest.mark.soak
-def test_two_worker_processes_give_the_numbers_of_one() -> None:
-    one = compare(RECORD, TRAIN, METHODS, rounds=1, **SMALL)  # type: ignore[arg-type]
-    two = compare(RECORD, TRAIN, METHODS, rounds=1, cores=2, **SMALL)  # type: ignore[arg-type]
-    same(one, two)
-    with Workers(2) as executor:
-        same(one, compare(RECORD, TRAIN, METHODS, rounds=1, executor=executor, **SMALL))  # type: ignore[arg-type]
 
 
 def test_a_network_on_the_best_baseline_is_tried_where_no_network_is_better() -> None:

@@ -162,6 +162,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
 
 def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
     found = plan(RECORD, TRAIN, ["gru"], settings=QUICK, seeds=3)
+    assert found.budget is None
     search, trainer = Search(found), Trainer(lambda job, n: 1 / n)
     trainer.run(search)
     (jobs,) = trainer.rounds

@@ -75,20 +75,6 @@ def test_gradients_are_those_of_finite_differences(model: sb.Forecaster) -> None
     np.testing.assert_allclose((slope * direction).sum(), (ends[0] - ends[1]) / 2e-5, rtol=1e-5)
 
 
-def test_inputs_are_found_that_lead_to_a_wanted_output() -> None:
-    simulate, wanted = fitted("state-space").as_torch(), torch.full((STEPS, 1), 0.5)
-    u = torch.zeros(STEPS, 2, requires_grad=True)
-    optimiser = torch.optim.Adam([u], 0.05)
-    losses = []
-    for _ in range(100):
-        optimiser.zero_grad()
-        loss = (simulate(u) - wanted).square().mean()
-        loss.backward()
-        optimiser.step()
-        losses.append(loss.item())
-    assert losses[-1] < 0.1 * losses[0]
-
-
 def test_what_cannot_be_differentiated_says_so() -> None:
     record = driven()[:TRAIN]
     with pytest.raises(ValueError, match=r"u must be \(steps, 2\) or \(batch, steps, 2\), got"):

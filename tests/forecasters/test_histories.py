@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,12 +54,10 @@ def test_so_it_is_for_a_network_on_a_linear_model() -> None:
     ("make", "at"),
     [(records.two_masses, 3), (records.two_masses, 600), (records.tanks, 10)],
 )
-def test_noise_does_not_move_the_state_of_the_training_record(make: object, at: int) -> None:
+def test_noise_does_not_move_the_state_of_the_training_record(make: Any, at: int) -> None:
     """From any origin in it the forecast is what the fit has found."""
-    assert callable(make)
     record = make(np.random.default_rng(0))
     model = sb.Linear().fit(record[:1200])
-    assert record.u is not None
     scale = spread(record.truth)
     expected = rmse((model.model.simulate(record.u) / scale)[at:], (record.truth / scale)[at:])
     y = np.asarray(model.predict(len(record) - at, record[:at]).y)

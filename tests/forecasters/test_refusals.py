@@ -55,23 +55,9 @@ def mean() -> Forecaster:
         (lambda: sb.Mean().fit(), "records must be one or several, got none"),
         (lambda: mean().predict(0), "steps must be at least 1, got 0"),
         (lambda: mean().predict(3, u=np.ones(3)), "u must be left out: the record has no inputs"),
-        (
-            lambda: mean().predict(3, two_channels()),
-            r"training record's 1 channel\(s\) and 0 input\(s\), got 2 and 0",
-        ),
-        (
-            lambda: mean().predict(3, replace(plain(), sampling_time=0.2)),
-            "sampled like the training record, every 0.1 s, got every 0.2 s",
-        ),
+        (lambda: mean().predict(3, two_channels()), r"1 channel\(s\) and 0 .*, got 2 and 0"),
         (lambda: fitted("linear").predict(LENGTH), r"u must hold the 100 samples to come in 1 ch"),
-        (
-            lambda: fitted("linear").predict(9, u=np.ones((8, 1))),
-            r"u must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
-        ),
-        (
-            lambda: fitted("simulator").predict(9, y_sim=np.ones(8)),
-            r"y_sim must hold the 9 samples to come in 1 channel\(s\), got \(8, 1\)",
-        ),
+        (lambda: fitted("simulator").predict(9, y_sim=np.ones(8)), r"y_sim must .* got \(8, 1\)"),
         (
             lambda: fitted("simulator").predict(9, y_sim=record().y_sim),
             f"y_sim must hold the 9 samples to come alone, got the {TRAIN} of the history first",
@@ -83,29 +69,14 @@ def mean() -> Forecaster:
             "history must bring a simulator's output",
         ),
         (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
-        (
-            lambda: SETUP.forecaster("filtered-gru").fit(plain()),
-            "filtered-gru needs a simulator, the record has none",
-        ),
+        (lambda: SETUP.forecaster("filtered-gru").fit(plain()), "filtered-gru needs a simulator, "),
         (
             lambda: fitted("residual-rnn").predict(5, interrupted()),
-            "history must have 8 measured samples in a row to warm up on, got 15 samples, of which "
-            "14",
+            "history must have 8 measured samples in a row .*, got 15 samples, of which 14",
         ),
-        (
-            lambda: fitted("mean").predict(5, untyped(record().y)),
-            "history must be a Record, got ndarray",
-        ),
+        (lambda: mean().predict(5, untyped(record().y)), "history must be a Record, got ndarray"),
         (lambda: sb.Linear().fit(untyped([record()])), "records must be a Record, got list"),
-        (lambda: sb.compare(untyped(record().y), TRAIN), "record must be a Record, got ndarray"),
-        (
-            lambda: fitted("mean").stream(untyped(record().y)),
-            "history must be a Record, got ndarray",
-        ),
-        (
-            lambda: sb.Single(untyped(GRU)),
-            r"must be an object, such as GRU\(...\), got the class GRU",
-        ),
+        (lambda: sb.Single(untyped(GRU)), r"an object, such as GRU\(...\), got the class GRU"),
         (lambda: sb.Filtered(sb.Mean(), GRU(3)), "base must say something about the whole record"),
         (lambda: sb.Ensemble(sb.Mean(), 0), "count must be at least 1, got 0"),
         *(
@@ -117,12 +88,7 @@ def mean() -> Forecaster:
         ),
         (lambda: mean().predict(5, level=0.0), "level must be"),
         (lambda: mean().predict(5, level=1.0), "level must be"),
-        (lambda: fitted("gru").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
         (lambda: fitted("linear").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
-        (
-            lambda: sb.Mean().fit(plain(), replace(two_channels(), name="other")),
-            r"other must have the training record's 1 channel\(s\)",
-        ),
         (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
     ],
 )

@@ -56,15 +56,19 @@ def test_the_frequency_response_is_that_of_the_transfer_function(linear: sb.Line
             np.testing.assert_allclose(gains[:, i, j], expected, atol=1e-9)
 
 
+def driven(linear: sb.Linear, seed: int) -> tuple[Any, Any]:
+    """Inputs beside the operating point, and what the model says from rest there."""
+    u0, y0 = linear.operating_point()
+    u = 0.1 * np.random.default_rng(seed).standard_normal((300, 2))
+    said = linear.predict(1100, u=np.vstack([np.tile(u0, (800, 1)), u + u0])).y[800:]
+    return u, said - y0
+
+
 def test_the_state_space_simulates_as_the_model_does(linear: sb.Linear) -> None:
     assert linear.delays == (LATE, 0)
     system: Any = linear.state_space()
-    u0, y0 = linear.operating_point()
-    u = 0.1 * np.random.default_rng(1).standard_normal((300, 2)) + u0
-    _, y, _ = scipy.signal.dlsim(system, u - u0)
-    held = np.tile(u0, (800, 1))
-    expected = linear.predict(1100, u=np.vstack([held, u])).y[800:]
-    np.testing.assert_allclose(y + y0, expected, atol=1e-9)
+    u, expected = driven(linear, 1)
+    np.testing.assert_allclose(scipy.signal.dlsim(system, u)[1], expected, atol=1e-9)
     assert system.dt == DT
     poles = linear.poles()
     for pole in (*np.roots(A1), 0.9):
@@ -73,13 +77,10 @@ def test_the_state_space_simulates_as_the_model_does(linear: sb.Linear) -> None:
 
 def test_python_control_simulates_as_the_model_does(linear: sb.Linear) -> None:
     control: Any = pytest.importorskip("control", reason="pip install 'splitband[control]'")
-    u0, y0 = linear.operating_point()
-    u = 0.1 * np.random.default_rng(2).standard_normal((300, 2)) + u0
-    held = np.tile(u0, (800, 1))
-    expected = linear.predict(1100, u=np.vstack([held, u])).y[800:]
     system: Any = linear.to_control()
-    found = control.forced_response(system, inputs=(u - u0).T)
-    np.testing.assert_allclose(found.outputs.T + y0, expected, atol=1e-9)
+    u, expected = driven(linear, 2)
+    found = control.forced_response(system, inputs=u.T)
+    np.testing.assert_allclose(found.outputs.T, expected, atol=1e-9)
     np.testing.assert_allclose(system.dcgain(), GAINS, atol=0.02)
     assert system.dt == DT
     assert (system.input_labels, system.output_labels) == (["flow", "heat"], ["t", "p"])

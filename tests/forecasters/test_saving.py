@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -357,10 +356,3 @@ def test_a_full_disk_leaves_the_old_forecaster(
         with pytest.raises(OSError, match="disk full"):
             small(seed=5).save(folder)
     assert contents(folder) == before
-
-
-@pytest.mark.skipif(os.name != "posix", reason="file modes are POSIX")
-def test_saved_files_have_the_usual_mode(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "plain").write_text("")
-    usual = (tmp_path / "plain").stat().st_mode
-    assert {path.stat().st_mode for path in folder.iterdir()} == {usual}

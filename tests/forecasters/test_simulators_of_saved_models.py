@@ -157,18 +157,3 @@ def test_a_description_of_a_simulator_is_checked(change: dict[str, Any], tmp_pat
     )
     with pytest.raises(ValueError, match="a simulator must"):
         sb.load(tmp_path)
-
-
-def test_no_fmu_is_made_of_what_a_file_says(
-    van_der_pol_fmu: Path, tmp_path: Path, opened: list[Any]
-) -> None:
-    sb.Simulation(sb.Function(sine)).fit(RECORD).save(tmp_path)
-    for word in ("class", "cell"):
-        fmu = {word: "Fmu", "fields": {"path": str(van_der_pol_fmu), "outputs": ["x"]}}
-        edit(
-            tmp_path,
-            lambda d, fmu=fmu: d["forecaster"]["fields"].update(simulator=fmu),  # type: ignore[misc]
-        )
-        with pytest.raises(ValueError, match="Fmu is not known"):
-            sb.load(tmp_path)
-    assert not opened

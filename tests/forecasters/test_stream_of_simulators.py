@@ -83,8 +83,7 @@ def from_origin(model: sb.Forecaster, record: sb.Record, **options: Any) -> tupl
 
 @pytest.mark.parametrize(("kind", "memory"), [*((kind, 30) for kind in MODELS), ("grey box", 0)])
 def test_a_grey_box_is_integrated_sample_by_sample(kind: str, memory: int) -> None:
-    record = shaken(start=3.0)
-    assert record.u is not None
+    record: Any = shaken(start=3.0)
     model = fitted(kind, 3.0)
     for each in (model, *getattr(model, "members", [])):
         if isinstance(each, sb.GreyBox):
@@ -99,24 +98,22 @@ def test_a_grey_box_is_integrated_sample_by_sample(kind: str, memory: int) -> No
 def test_the_state_of_another_record_is_told_by_its_last_samples() -> None:
     model = copy(fitted("grey box"))
     model.memory = 30
-    record = shaken(start=7.0)
+    record: Any = shaken(start=7.0)
     found, wanted = from_origin(model, record, other_record=True)
     np.testing.assert_allclose(found, wanted, atol=1e-9)
     # Where all samples tell it, each forecast asks for all of them.
     model.memory = 0
     stream = model.stream(record[:SEEN], other_record=True)
-    assert record.u is not None
     found = stream.step(record.u[SEEN])
     np.testing.assert_allclose(found, model.predict(1, record[:SEEN], other_record=True).y[0])
 
 
 def test_a_gap_begins_a_forecast_anew() -> None:
-    record = shaken()
+    record: Any = shaken()
     model = copy(fitted("grey box"))
     model.memory = 30
     y = record.y.copy()
     y[170:180] = np.nan
-    assert record.u is not None
     stream = model.stream(record[:160])
     for n in range(160, SEEN):
         stream.observe(y[n], record.u[n])
@@ -180,10 +177,9 @@ def test_samples_are_those_that_are_measured(
     order: int, start: float | None, make: Callable[[], sb.Forecaster]
 ) -> None:
     """Where a record was detrended and clipped, a stream does that, and undoes it."""
-    made = driven()
-    assert made.u is not None
+    made: Any = driven()
     slope = np.linspace(0, 9, len(made))[:, None]
-    raw = sb.Record(made.y + 5 + slope, 0.1, u=made.u - 3, start=start)
+    raw: Any = sb.Record(made.y + 5 + slope, 0.1, u=made.u - 3, start=start)
     record = raw.detrend(order).clip_outliers(2.0)
     model = make().fit(record[:TRAIN], seed=1)
     in_double(model)
@@ -193,8 +189,6 @@ def test_samples_are_those_that_are_measured(
     found, wanted = from_origin(model, record)
     np.testing.assert_allclose(found, wanted, atol=1e-9)
     # Without a history it goes on from the training record, in the units of what is measured.
-    assert raw.u is not None
-    assert record.u is not None
     stream = model.stream()
     found = np.stack([stream.step(u) for u in raw.u[TRAIN:END]])
     own = model.predict(END - TRAIN, u=record.u[TRAIN:END])

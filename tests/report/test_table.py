@@ -17,7 +17,6 @@ from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words
 from splitband.report.environment import environment
-from splitband.report.numbers import number
 from splitband.report.table import Column, Table, columns, of_comparison
 from tests.report import comparisons
 
@@ -143,16 +142,6 @@ def test_what_is_recommended_has_the_lowest_score(scales: Comparison) -> None:
     expected = trial.scores[scales.recommended]
     found = column(dearer, "score").values[scales.recommended]
     assert found == pytest.approx(expected * (1 + WORTH_TRAINING))
-
-
-def test_the_text_names_the_scores_that_were_compared() -> None:
-    r = comparisons.record()
-    alone = comparisons.compared(r, ["mean"]).require_trial()
-    (said,) = words.why(alone, comparisons.TRAIN)
-    assert said.startswith("No other method was tried.")
-    both = comparisons.compared(r, ["mean", "seasonal-naive"]).require_trial()
-    said = " ".join(words.why(both, comparisons.TRAIN))
-    assert all(number(both.penalized_score(name)) in said for name in ("seasonal-naive", "mean"))
 
 
 def test_a_channel_that_was_never_measured_after_training_has_no_number() -> None:

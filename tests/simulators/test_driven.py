@@ -27,8 +27,6 @@ WAVE = np.sin(TIME) + 0.3 * np.cos(2.7 * TIME)
 GATE = np.repeat(RNG.integers(0, 2, SAMPLES // 4), 4).astype(float)
 LEVEL = np.repeat(RNG.integers(0, 5, SAMPLES // 3), 3).astype(float)
 ONE = np.ones(SAMPLES)
-BOTH = "CoSimulation", "ModelExchange"
-EXCHANGE = ("ModelExchange",)
 
 
 def lag(u: Array, held: bool = True) -> Array:
@@ -68,78 +66,72 @@ def robertson() -> Array:
     return np.asarray(solved.y[0])
 
 
+def fmu(*kinds: str, held: bool = False, **how: Any) -> Callable[[Path], sb.Fmu]:
+    """An FMU of these kinds, by default for co-simulation, see `built`."""
+    return lambda at: sb.Fmu(built(at, kinds or ("CoSimulation",), **how), held=held)
+
+
+def ode(**how: Any) -> Callable[[Path], sb.Ode]:
+    return lambda _: sb.Ode(lagging, [0.0], parameters={"k": 1.0}, **how)
+
+
+EXCHANGE = "ModelExchange"
+THROUGH = "r[X] + 2 * r[U]"  # an output that depends on the input at once
+DISCRETE: dict[str, Any] = {
+    "slope": "r[U] * r[V] - r[X]", "types": ("Boolean", "Integer"), "inputs": ("gate", "level"),
+}  # fmt: skip
+
 # What runs, the record's inputs by name, the independent answer, and how near it comes.
 Row = tuple[Callable[[Path], Any], dict[str, Array], Callable[[], Array], float]
 TABLE: dict[str, Row] = {
-    "co-simulation": (lambda at: sb.Fmu(built(at)), {"u": STEPS}, lambda: lag(STEPS), 1e-6),
+    "co-simulation": (fmu(), {"u": STEPS}, lambda: lag(STEPS), 1e-6),
     "co-simulation, feedthrough that is read at once": (
-        lambda at: sb.Fmu(built(at, out="r[X] + 2 * r[U]")),
-        {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
+        fmu(out=THROUGH), {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
     ),
     "co-simulation, a gain that is computed in the step": (
-        lambda at: sb.Fmu(built(at, out="3 * r[U]", mode=1)),
-        {"u": STEPS}, lambda: 3 * STEPS, 1e-12,
+        fmu(out="3 * r[U]", mode=1), {"u": STEPS}, lambda: 3 * STEPS, 1e-12,
     ),
     "co-simulation, inputs permuted": (
-        lambda at: sb.Fmu(built(at, slope="r[U] - r[X] - 2 * r[V]", inputs=("valve", "heater"))),
+        fmu(slope="r[U] - r[X] - 2 * r[V]", inputs=("valve", "heater")),
         {"heater": WAVE, "valve": STEPS}, lambda: lag(STEPS - 2 * WAVE), 1e-6,
     ),
     "co-simulation, a Boolean and an integer": (
-        lambda at: sb.Fmu(built(at, slope="r[U] * r[V] - r[X]", types=("Boolean", "Integer"),
-                                inputs=("gate", "level"))),
-        {"level": LEVEL, "gate": GATE}, lambda: lag(GATE * LEVEL), 1e-6,
+        fmu(**DISCRETE), {"level": LEVEL, "gate": GATE}, lambda: lag(GATE * LEVEL), 1e-6,
     ),
-    "model exchange": (
-        lambda at: sb.Fmu(built(at, EXCHANGE)), {"u": WAVE}, lambda: lag(WAVE, False), 2e-6,
-    ),
+    "model exchange": (fmu(EXCHANGE), {"u": WAVE}, lambda: lag(WAVE, False), 2e-6),
     "model exchange, inputs held": (
-        lambda at: sb.Fmu(built(at, EXCHANGE), held=True), {"u": STEPS}, lambda: lag(STEPS), 1e-6,
+        fmu(EXCHANGE, held=True), {"u": STEPS}, lambda: lag(STEPS), 1e-6,
     ),
     "both kinds, with feedthrough": (
-        lambda at: sb.Fmu(built(at, BOTH, out="r[X] + 2 * r[U]", mode=1)),
+        fmu("CoSimulation", EXCHANGE, out=THROUGH, mode=1),
         {"u": WAVE}, lambda: lag(WAVE, False) + 2 * WAVE, 2e-6,
     ),
     "model exchange, a Boolean and an integer": (
-        lambda at: sb.Fmu(built(at, EXCHANGE, slope="r[U] * r[V] - r[X]",
-                                types=("Boolean", "Integer"), inputs=("gate", "level"))),
-        {"gate": GATE, "level": LEVEL}, lambda: lag(GATE * LEVEL), 1e-6,
+        fmu(EXCHANGE, **DISCRETE), {"gate": GATE, "level": LEVEL}, lambda: lag(GATE * LEVEL), 1e-6,
     ),
     "model exchange, an event between samples": (
-        lambda at: sb.Fmu(built(at, EXCHANGE, next_event=1.03)),
-        {"u": ONE}, lambda: jumping(1.03), 1e-6,
+        fmu(EXCHANGE, next_event=1.03), {"u": ONE}, lambda: jumping(1.03), 1e-6,
     ),
     "model exchange, an event at a sample": (
-        lambda at: sb.Fmu(built(at, EXCHANGE, next_event=2.0)),
-        {"u": ONE}, lambda: jumping(2.0), 1e-6,
+        fmu(EXCHANGE, next_event=2.0), {"u": ONE}, lambda: jumping(2.0), 1e-6,
     ),
     "model exchange, an event of the state": (
-        lambda at: sb.Fmu(built(at, EXCHANGE, slope="(r[V] ? 0 : r[U]) - r[X]", limit=0.5)),
-        {"u": ONE}, switched, 1e-6,
+        fmu(EXCHANGE, slope="(r[V] ? 0 : r[U]) - r[X]", limit=0.5), {"u": ONE}, switched, 1e-6,
     ),
-    "FMI 1, co-simulation": (
-        lambda at: sb.Fmu(built(at, version=1, out="r[X] + 2 * r[U]")),
-        {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
-    ),
-    "FMI 1, model exchange": (
-        lambda at: sb.Fmu(built(at, EXCHANGE, version=1)), {"u": WAVE}, lambda: lag(WAVE, False),
-        2e-6,
-    ),
-    "FMI 3, co-simulation": (
-        lambda at: sb.Fmu(built(at, version=3, out="r[X] + 2 * r[U]")),
-        {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
-    ),
-    "FMI 3, model exchange": (
-        lambda at: sb.Fmu(built(at, EXCHANGE, version=3)), {"u": WAVE}, lambda: lag(WAVE, False),
-        2e-6,
-    ),
-    "equation": (
-        lambda _: sb.Ode(lagging, [0.0], parameters={"k": 1.0}), {"u": WAVE},
-        lambda: lag(WAVE, False), 1e-6,
-    ),
-    "equation, inputs held": (
-        lambda _: sb.Ode(lagging, [0.0], parameters={"k": 1.0}, held=True), {"u": STEPS},
-        lambda: lag(STEPS), 1e-6,
-    ),
+    **{
+        f"FMI {version}, co-simulation": (
+            fmu(version=version, out=THROUGH), {"u": STEPS}, lambda: lag(STEPS) + 2 * STEPS, 1e-6,
+        )
+        for version in (1, 3)
+    },
+    **{
+        f"FMI {version}, model exchange": (
+            fmu(EXCHANGE, version=version), {"u": WAVE}, lambda: lag(WAVE, False), 2e-6,
+        )
+        for version in (1, 3)
+    },
+    "equation": (ode(), {"u": WAVE}, lambda: lag(WAVE, False), 1e-6),
+    "equation, inputs held": (ode(held=True), {"u": STEPS}, lambda: lag(STEPS), 1e-6),
     "stiff equation": (
         lambda _: sb.Ode(stiff, [1.0, 0.0, 0.0], method="BDF"), {"u": 0.1 + 0.1 * GATE},
         robertson, 1e-4,

@@ -38,10 +38,6 @@ def raising(time):
 def leaving_threads(time):
     threading.Thread(target=clock.sleep, args=(600,)).start()
     return time
-
-
-def words(time):
-    return np.array(["a"] * len(time))
 """
 
 
@@ -53,7 +49,11 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(folder / "mine.py")
 
 
-def test_a_function_finds_the_modules_beside_it(file: str) -> None:
+def test_a_function_finds_the_modules_beside_it_and_none_in_the_working_directory(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "json.py").write_text("raise SystemExit('taken')\n")
+    monkeypatch.chdir(tmp_path)
     found = run(Isolated(file, "good"), 5, 0.5)
     np.testing.assert_array_equal(found[:, 0], 2.0 * 0.5 * np.arange(5))
 
@@ -65,7 +65,6 @@ def test_a_function_finds_the_modules_beside_it(file: str) -> None:
         ("exiting", r"ended its process \(exit status 3\)"),
         ("raising", "LookupError: no such parameter"),
         ("absent", "must define a function absent"),
-        ("words", "NameError"),
     ],
 )
 def test_what_goes_wrong_is_named_with_the_simulator(
@@ -94,14 +93,6 @@ def test_what_hangs_is_ended_with_all_that_it_has_started(file: str, tmp_path: P
 
 def test_threads_that_it_leaves_running_keep_nobody_waiting(file: str) -> None:
     assert len(run(Isolated(file, "leaving_threads"), 5, 0.5)) == 5
-
-
-def test_nothing_in_the_working_directory_is_taken_for_a_module(
-    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "json.py").write_text("raise SystemExit('taken')\n")
-    monkeypatch.chdir(tmp_path)
-    assert len(run(Isolated(file, "good"), 5, 0.5)) == 5
 
 
 @pytest.mark.parametrize("name", ["metrics", "models", "data", "filters", "simulators"])

@@ -1,4 +1,4 @@
-"""Trainings that are cut off and go on, and trainings that go wrong and are gone back from."""
+"""Trainings that are cut off and go on, or end in time; those that go wrong are gone back from."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +10,12 @@ import torch
 
 from splitband import Record, Settings
 from splitband.models import Model
-from splitband.runtime.caching import key_of
+from splitband.runtime.deadlines import Deadline, within
 from splitband.training import History, Progress, fit
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.network import MOST_RESTARTS, NetworkTraining
 from tests.records import QUICK, SETUP, TRAIN, Setup, record
-from tests.support import untrained
+from tests.support import slowed, untrained
 
 RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)
 
@@ -97,15 +97,6 @@ def test_the_checkpoint_of_another_training_is_none(tmp_path: Path) -> None:
         assert len(seen) == epochs
 
 
-def test_a_damaged_checkpoint_is_none(tmp_path: Path) -> None:
-    file = tmp_path / "training.safetensors"
-    trained(Checkpoint(file))
-    whole, noise = file.read_bytes(), np.random.default_rng(0).bytes(2000)
-    for damaged in (b"", whole[: len(whole) // 2], noise, b'{"a": 1}' * 100):
-        file.write_bytes(damaged)
-        assert len(trained(Checkpoint(file))[2]) == 8
-
-
 def test_where_no_checkpoint_can_be_written_training_goes_on(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="no checkpoint could be written"):
         model, _, _ = trained(Checkpoint(tmp_path / "gone" / "training.safetensors"))
@@ -147,14 +138,6 @@ def test_checkpoints_take_a_small_share_of_the_time(
     assert len(written) == pytest.approx(1000 / 20, rel=0.1)
 
 
-def test_keys_differ_where_anything_does() -> None:
-    x = torch.arange(4.0)
-    keys = {key_of(1, "a", x), key_of(2, "a", x), key_of(1, "b", x), key_of(1, "a", x.double()),
-            key_of(1, "a", x.reshape(2, 2)), key_of(1, "a", x + 1e-7)}  # fmt: skip
-    assert len(keys) == 6
-    assert key_of(1, "a", x) == key_of(1, "a", x.clone())
-
-
 def test_a_diverging_epoch_is_repeated_with_half_the_learning_rate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -192,3 +175,43 @@ def test_a_training_that_always_diverges_is_given_up(monkeypatch: pytest.MonkeyP
     with pytest.raises(FloatingPointError, match=r"diverged in epoch 1: the loss is 1e\+09"):
         trained()
     assert len(passes) == MOST_RESTARTS + 1
+
+
+LONG = replace(RECIPE, epochs=4, quasi_newton=60)
+
+
+def trained_until(
+    deadline: Deadline, checkpoint: Checkpoint | None = None
+) -> tuple[Model, History]:
+    model = untrained("split-gru", record()[:TRAIN], SETUP, 0)
+    with within(deadline):
+        return model, fit(model, record()[:TRAIN], LONG, 0, None, checkpoint)
+
+
+@pytest.mark.parametrize("looks", [0, 5, 80])
+def test_at_its_deadline_a_training_ends_soon_and_its_weights_are_finite(
+    looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    began = clock.at
+    model, history = trained_until(Deadline(began + looks))
+    assert clock.at - began <= looks + 20
+    assert history.cut
+    assert all(losses for losses in history.losses.values())
+    assert all("the time was over after" in note for note in history.notes if "time" in note)
+    assert all(torch.isfinite(weights).all() for weights in model.parameters())
+
+
+def test_a_training_that_a_deadline_cut_goes_on_as_if_it_had_not_been(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the deadline has ended early is not taken for the end of the training."""
+    whole, expected = trained_until(Deadline())
+    assert not expected.cut
+    assert not expected.notes
+    with monkeypatch.context() as patch:
+        clock = slowed(patch, 1.0)
+        assert trained_until(Deadline(clock.at + 10), Checkpoint(tmp_path / "run"))[1].cut
+    again, history = trained_until(Deadline(), Checkpoint(tmp_path / "run"))
+    assert history.losses == expected.losses
+    assert_same(again, whole)

@@ -10,12 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from splitband import Record, Settings, Single, StateSpace
+from splitband.runtime.deadlines import Deadline
 from splitband.training import fit, quasi_newton
 from splitband.training.checkpoints import Checkpoint
 from splitband.training.quasi_newton import QuasiNewton, end_to_end
 from tests.records import SETUP, TRAIN, holed, record, standing_in
 from tests.streams import Leaky
-from tests.support import untrained
+from tests.support import slowed, untrained
 from tests.training.test_checkpoints import RECIPE, Killed, assert_same, trained
 
 FINISHED = replace(RECIPE, epochs=1, quasi_newton=50)
@@ -167,3 +168,16 @@ def test_what_was_not_measured_counts_for_nothing() -> None:
         fit(model, training, FINISHED)
         models.append(model)
     assert_same(*models)
+
+
+def test_a_round_that_a_deadline_cuts_keeps_the_best_weights(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = slowed(monkeypatch, 1.0)
+    at = nn.Parameter(torch.tensor([-1.2, 1.0], dtype=torch.float64))
+    before = float(rosenbrock(at).detach())
+    finish = QuasiNewton([at], lambda: rosenbrock(at), Deadline(clock.at + 12))
+    reached = finish.round()
+    assert finish.cut
+    assert reached == pytest.approx(float(rosenbrock(at).detach()) ** 0.5)
+    assert reached**2 < before

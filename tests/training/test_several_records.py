@@ -13,6 +13,7 @@ from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
 from splitband.training import fit
 from splitband.training.checkpoints import Checkpoint
+from splitband.training.windows import joined, select, windows, windows_in
 from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
 from tests.support import asked, compare, untrained
 from tests.training.support import GAPS, fitted, parameters
@@ -78,3 +79,23 @@ def test_a_checkpoint_knows_all_records_and_their_gaps(tmp_path: Path) -> None:
         seen: list[Progress] = []
         fit(untrained("gru", a, SETUP, 0), records, plain, 0, seen.append, checkpoint)
         assert len(seen) == epochs
+
+
+@pytest.mark.parametrize("method", ["gru", "split-gru", "filtered-gru-conditioned"])
+def test_two_records_have_the_windows_of_both(method: str) -> None:
+    whole = record(nu=1)
+    halves = [whole[:65], whole[65:]]
+    model = untrained(method, whole, SETUP, 0)
+    model.adapt_to(halves)
+    window, warmup = QUICK.window, QUICK.warmup
+    together = zip(*(model.tasks(model.normalised(half)) for half in halves), strict=True)
+    starts = windows_in(halves, window, warmup).starts
+    assert len(starts) == sum(len(half) - window + 1 for half in halves)
+    for tasks in together:
+        known, target = windows(joined(tasks), window, warmup)
+        alone = [windows(task, window, warmup) for task in tasks]
+        found = select(known, starts)
+        assert torch.equal(target[starts], torch.cat([of_one for _, of_one in alone]))
+        for name in ("y", "u", "y_sim"):
+            signals = [getattr(known_of_one, name) for known_of_one, _ in alone]
+            assert torch.equal(getattr(found, name), torch.cat(signals))

@@ -66,7 +66,7 @@ def _inputs(context: Any) -> dict[Path, str]:
         is_option = parameter.param_type_name == "option"
         said = parameter.opts[0] if is_option else parameter.metavar
         for each in value if isinstance(value, list | tuple) else [value]:
-            if isinstance(each, str | Path):
+            if isinstance(each, str | Path) and str(each):
                 found |= dict.fromkeys(_files(str(each)), said)
     return found
 
