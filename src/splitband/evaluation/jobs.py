@@ -125,7 +125,7 @@ def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
         return job.run()
 
 
-def _compile(rows: int, cell: Any) -> None:
+def compile_kernels(rows: int, cell: Any) -> None:
     """Run a cell forward and back on a batch of so many rows, which compiles its kernels."""
     import torch  # noqa: PLC0415  in a worker
 
@@ -133,6 +133,13 @@ def _compile(rows: int, cell: Any) -> None:
 
     y, u = torch.zeros(rows, 4, 1), torch.zeros(rows, 12, 2)
     rollout(cell.sized(1, 2, 4), y, 8, u).sum().backward()
+
+
+def kernels_of(forecasters: Sequence[Forecaster]) -> list[tuple[int, Any]]:
+    """Return the arguments of `compile_kernels` for trainings and forecasts of these methods."""
+    cells = [cell for each in forecasters for cell in cells_of(each).values()]
+    distinct = {label_of(cell): cell for cell in cells}.values()
+    return [(rows, cell) for cell in distinct for rows in (BATCH, 1)]
 
 
 class Runner:
@@ -164,12 +171,9 @@ class Runner:
         """
         if self.executor is None:
             return
-        cells = [cell for each in forecasters for cell in cells_of(each).values()]
-        for cell in {label_of(cell): cell for cell in cells}.values():
-            # Trainings, and forecasts, some of which have kernels of their own. A user's cell may
-            # fail here; its training says why.
-            for rows in (BATCH, 1):
-                self.executor.submit(_compile, rows, cell)
+        for rows, cell in kernels_of(forecasters):
+            # A user's cell may fail here; its training says why.
+            self.executor.submit(compile_kernels, rows, cell)
 
     def run(
         self,
