@@ -174,7 +174,7 @@ def test_nobody_waits_for_workers_to_load_and_compile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     done = Event()
-    monkeypatch.setattr("splitband.evaluation.jobs._compile", lambda *_: done.wait())
+    monkeypatch.setattr("splitband.evaluation.jobs.compile_kernels", lambda *_: done.wait())
     with ThreadPoolExecutor(1) as executor:
         Runner(2, executor).start([SETUP.forecaster("gru")])
         done.set()
