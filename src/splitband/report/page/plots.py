@@ -274,7 +274,7 @@ def orders(model: LinearModel) -> list[Chart]:
     tried = np.array(model.orders, float)
     curves = {
         "Singular values": ("singular value", np.arange(1.0, most + 1), model.values[:most]),
-        "Held-out simulation error": ("RMSE (% of the deviation)", tried, 100 * model.held_out),
+        "Held-out simulation error": ("RMSE (% of std)", tried, 100 * model.held_out),
     }
     plots = []
     for title, (label, x, y) in curves.items():
