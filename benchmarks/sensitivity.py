@@ -1,6 +1,6 @@
 """What becomes of the results where a constant of the package is halved or doubled.
 
-    python -m benchmarks.sensitivity [--groups linear time ...] [--jobs 2] [--names DELAY ...]
+    python -m benchmarks.sensitivity [--groups linear time ...] [--jobs 2] [--names _PAST ...]
 
 Development seeds only. A constant that changes no result in either direction needs no better value;
 one that never decides anything should go. A share above one half is moved towards 1 or away from
@@ -67,7 +67,7 @@ def linear() -> Results:
 
 
 def time() -> Results:
-    """Errors of the functions of time on records without inputs, and their intervals' scores."""
+    """Errors of the functions of time on records without inputs, as shares of the deviation."""
     found = {}
     for kind in kinds.KINDS:
         for seed, (samples, train) in zip(SEEDS, [(1000, 400), (2000, 1000)], strict=False):

@@ -174,6 +174,13 @@ def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.Monke
         assert found.prediction.y.shape == (10, 1)
 
 
+@pytest.mark.soak
+def test_two_worker_processes_give_the_numbers_of_one() -> None:
+    one = compare(RECORD, TRAIN, METHODS, rounds=1, **SMALL)  # type: ignore[arg-type]
+    two = compare(RECORD, TRAIN, METHODS, rounds=1, cores=2, **SMALL)  # type: ignore[arg-type]
+    same(one, two)
+
+
 def test_a_network_on_the_best_baseline_is_tried_where_no_network_is_better() -> None:
     sine = Record(np.sin(0.3 * np.arange(160)) + 0.3 * np.sin(0.93 * np.arange(160)), 0.1)
     result = compare(sine, 120, rounds=2, **SMALL)  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ EXTRAS = {"fmu": "fmpy", "onnx": "onnx", "control": "control", "cluster": "distr
 def doctor() -> None:
     """Show versions, cores, accelerators, the public records, compiled kernels and extras.
 
-    The first call after an installation compiles the kernels, half a minute of work that the
+    The first call after an installation compiles the kernels, up to a minute of work that the
     first comparison then need not do. Records are looked for where `splitband data fetch` puts
     them; nothing is downloaded.
     """

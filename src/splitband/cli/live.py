@@ -65,14 +65,14 @@ class Display:
         """Write the whole result of the baselines, or the best model so far."""
         if self._facts is None:
             return
-        began = state.clock.used
+        began, loading = state.clock.used, state.clock.writing
         try:
             if state.finals and not self._written:
                 self._written = True
                 facts = self._facts | {"unfinished": state.doing}
                 results.save(state.comparison(), self._out, facts)
                 # The last one has more methods in it, and loads what runs the model.
-                state.clock.writing += state.clock.used - began
+                state.clock.writing = loading + state.clock.used - began
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there

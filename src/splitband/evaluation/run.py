@@ -282,7 +282,7 @@ class Run:
             # After Ctrl-C, nothing that may take long begins.
             if not method.random and not (method._fits_simulator and self.clock.interrupted):
                 self._fit_whole(method)
-            if self._open(name) or (method.random and name not in self.finals):
+            if self._awaits_final(name) or (method.random and name not in self.finals):
                 self._predict_by_trials(method, held)
         for name in [*self.failed]:
             if name in self.finals:
@@ -370,7 +370,7 @@ class Run:
     def _fit_quick_methods(self) -> None:
         """Fit the quick methods to the whole training part, while workers train networks."""
         for forecaster in sorted(self._ready, key=lambda f: f._fits_simulator):
-            if not forecaster.random and self._open(forecaster.name):
+            if not forecaster.random and self._awaits_final(forecaster.name):
                 records = [self.plan.training, *self.plan.others]
                 prepare([forecaster], records, self._runner, self._half())
                 self._fit_whole(forecaster)
@@ -378,14 +378,14 @@ class Run:
     def _fit_whole(self, forecaster: Forecaster) -> None:
         """Fit a method to the whole training part, in this process, once."""
         name = forecaster.name
-        if self._open(name):
+        if self._awaits_final(name):
             fit = self._at_once(Job(forecaster, self.plan.spec(forecaster)))
             if fit.model is not None:
                 self.finals[name] = [fit]
             else:
                 self.failed[name] = fit.failure
 
-    def _open(self, name: str) -> bool:
+    def _awaits_final(self, name: str) -> bool:
         """Return whether a method has no final fit yet, and none that failed."""
         done = name in self.finals or self.failed.get(name, LATE) != LATE
         return name in self.trials and not done
