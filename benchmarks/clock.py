@@ -89,6 +89,7 @@ def main() -> None:
     parser.add_argument("--beside", type=int, default=0, metavar="N")
     parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / FILE
     there = {(row["record"], row["asked"], row["seed"], row["beside"]) for row in read(path)}
     for name, budget, seed in product(given.records, given.budgets, range(given.seeds)):

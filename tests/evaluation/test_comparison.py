@@ -85,6 +85,15 @@ def test_the_plan_looks_at_nothing_after_the_training_part(simulated: bool) -> N
     assert found.names == expected.names
 
 
+@pytest.mark.parametrize("base", ["periodic", None])
+def test_bands_that_are_given_hold_on_every_base(base: str | None) -> None:
+    """Also where the fit of a base chooses what is not given."""
+    method: Any
+    r = record() if base is None else replace(record(), y_sim=None)
+    (method,) = plan(r, TRAIN, "filtered-gru", bands=Bands(1.5), simulator=base).methods
+    assert method.bands.cutoff == 1.5
+
+
 def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
     useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
     r = replace(record(), y_sim=useless)

@@ -74,10 +74,10 @@ def rig(delay: int, scale: float = 1.0, samples: int = 300) -> Record:
     [
         sb.Single(sb.GRU(4), SHORT),
         sb.Single(sb.StateSpace(2, 3), SHORT),
-        sb.Split(sb.GRU(3), sb.GRU(3), settings=SHORT),
+        sb.Split(sb.GRU(3), sb.GRU(3), conditioned=True, settings=SHORT),
         sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT),
     ],
-    ids=["gru", "state-space", "split-gru", "residual-linear-gru"],
+    ids=["gru", "state-space", "split-gru-conditioned", "residual-linear-gru"],
 )
 def test_it_begins_with_weights_scaling_delays_and_bands(network: sb.Forecaster) -> None:
     """They mean the same after steps of no size on a record of another delay, level and scale."""

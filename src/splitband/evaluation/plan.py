@@ -254,7 +254,7 @@ def plan(  # noqa: PLR0913
         tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
         seeds=seeds, refit=refit,
     )  # fmt: skip
-    found = _completed(found, asked, searched, sizes is None, device)
+    found = _completed(found, asked, bands or Bands(), searched, sizes is None, device)
     check_limits(budget, rounds, seed, seeds, bool(found.searched))
     limit = BUDGET if budget is None and rounds is None and found.searched else budget
     found = replace(
@@ -318,13 +318,18 @@ def _with_output(
 
 
 def _completed(
-    plan: Plan, asked: Sequence[Forecaster | str], searched: bool, sized: bool, device: str
+    plan: Plan,
+    asked: Sequence[Forecaster | str],
+    given: Bands,
+    searched: bool,
+    sized: bool,
+    device: str,
 ) -> Plan:
     """Return the plan with these methods, complete but for what is searched."""
     made, names = list[Forecaster](), dict[str, bool]()
     for each in asked:
         method = _known(each, plan.sizes)
-        complete = with_defaults(method, plan.settings, plan.bands)
+        complete = with_defaults(method, plan.settings, plan.bands, given)
         if isinstance(each, str) and plan.simulator is not None:
             complete = with_parts_changed(complete, partial(_with_simulator, plan.simulator))
         if searched and isinstance(complete, Network) and method.settings is None:

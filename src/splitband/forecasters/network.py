@@ -457,16 +457,21 @@ class Network(Forecaster):
         return y[begin:start], None if u is None else u[begin:], slow, since
 
 
-def with_defaults(forecaster: Forecaster, settings: Settings, bands: Bands) -> Forecaster:
-    """Return a forecaster with a comparison's settings and bands, where its own are not set."""
+def with_defaults(
+    forecaster: Forecaster, settings: Settings, bands: Bands, given: Bands = OPEN
+) -> Forecaster:
+    """Return a forecaster with a comparison's settings and bands, where its own are not set.
+
+    What is `given` of the bands also holds for a hybrid whose fit chooses the rest.
+    """
 
     def changed(part: Forecaster) -> Forecaster:
         if not isinstance(part, Network):
             return part
         shared: dict[str, Any] = {} if part.settings is not None else {"settings": settings}
         # Bands that are given in part are completed later, to suit the given cut-off or order.
-        if part._takes_bands:
-            shared["bands"] = bands
+        if part.bands == OPEN:
+            shared["bands"] = bands if part._takes_bands else given
         return part.clone().set_params(**shared) if shared else part
 
     return with_parts_changed(forecaster, changed)

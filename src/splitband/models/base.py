@@ -75,7 +75,7 @@ class Model(nn.Module, ABC):
     steps: ClassVar[type[Stepped] | None] = None
     """Class that runs the model sample by sample."""
     units_kept = False
-    """Whether `adapt_to` keeps mean and standard deviation, for which the weights were trained."""
+    """Whether `adapt_to` keeps the scaling, for which the weights were trained."""
 
     def __init__(self, ny: int, nu: int) -> None:
         super().__init__()

@@ -58,8 +58,9 @@ class Hybrid(Model):
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Set the scaling from the training records, that of the simulator's slope included."""
         super().adapt_to(records, normalize)
-        simulated = [_required(self.normalised(record)) for record in records]
-        self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
+        if not self.units_kept:
+            simulated = [_required(self.normalised(record)) for record in records]
+            self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
 
     def _conditioned(self, known: Signals) -> Signals:
         """Return the signals with the network's inputs, including the simulator if conditioned."""

@@ -239,8 +239,9 @@ class Split(Model):
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
         """Set the scaling from the training records, that of the slopes included."""
         super().adapt_to(records, normalize)
-        low = [self.pair.lowpass(self.normalised(record).y) for record in records]
-        self.slope_scale[0].copy_(slope_scale(low, driven=self.nu > 0))
+        if not self.units_kept:
+            low = [self.pair.lowpass(self.normalised(record).y) for record in records]
+            self.slope_scale[0].copy_(slope_scale(low, driven=self.nu > 0))
 
     def slow_run(self, known: Signals, steps: int) -> Tensor:
         """Return `steps` samples of the low band at its rate, the first right after the warm-up."""

@@ -44,7 +44,22 @@ class SimulatorTimeoutError(TimeoutError):
 
 
 class Simulator(Protocol):
-    """Define what `run` calls on a simulator: `simulate(time)` or `simulate(time, u)`."""
+    """Define what `run` calls on a simulator: `simulate(time)` or `simulate(time, u)`.
+
+    Nothing else is needed. Of a simulator with some of these attributes more is known:
+
+    - `name`, for messages; `start`, see `simulate`; `path`, of the file that a saved model names.
+    - `driven`: whether it takes the record's inputs, if the arguments of `simulate` do not tell;
+      `needs_inputs`: whether it cannot run without; `matched(columns, inputs)`: the simulator for a
+      record with these names; `code`: functions whose open arguments might be meant for inputs.
+    - `fingerprint()`: a text that changes with everything on which the output depends; with it a
+      folder `cache` keeps outputs, and a saved model knows its simulator again. `files`: names of
+      files that were read in a run.
+    - `own_times`: whether its output has times of its own, and is interpolated to the record's.
+    - `adjustable`, with `digest()` and `known`: whether it has parameters to fit, what it is
+      without their values, and their ranges (see `splitband.simulators.parameters`).
+    - `advances`: whether it can be stepped from any state.
+    """
 
     @property
     def simulate(self) -> Callable[..., npt.ArrayLike]:
