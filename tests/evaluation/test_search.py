@@ -121,6 +121,25 @@ def test_what_does_not_improve_stops_and_other_seeds_follow_until_all_is_settled
     assert search.ask() == []
 
 
+def test_what_was_left_behind_goes_on_when_all_seeds_are_done() -> None:
+    """The worst training after one round is the best one after three."""
+    search = searching(["gru"])
+    longest = max(settings_of(job).window for job in _firsts(searching(["gru"])))
+
+    def error(job: Job, n: int) -> float:
+        return 1.5 * 0.5 ** min(n - 1, 2) if settings_of(job).window == longest else 1.0
+
+    Trainer(error).run(search)
+    assert search.trials["gru"][0].fitted.settings.window == longest  # type: ignore[union-attr]
+    assert search.converged
+
+
+def _firsts(search: Search) -> list[Job]:
+    trainer = Trainer(lambda job, n: 1.0)
+    trainer.run(search, 3)
+    return [job for jobs in trainer.rounds for job in jobs]
+
+
 def test_a_search_that_was_cut_is_not_settled() -> None:
     search, trainer = searching(["gru"]), Trainer(lambda job, n: 1.0)
     jobs = search.ask(10.0)
@@ -133,14 +152,15 @@ def test_a_search_that_was_cut_is_not_settled() -> None:
 
 
 def test_a_late_or_failed_training_is_left_out_and_said() -> None:
-    search, trainer = searching(["state-space", "gru"]), Trainer(lambda job, n: 1.0)
+    search = searching(["state-space", "gru"])
     jobs = search.ask()
     search.tell([jobs[0].late(), Fit("gru", failure="diverged")])
     assert not search.trials
     assert search.failed == {"state-space": jobs[0].late().failure, "gru": "diverged"}
     assert [attempt.score for attempt in search.attempts] == [None]
-    trainer.run(search, 3)
     assert search.finals() == []
+    Trainer(lambda job, n: 1.0).run(search, 2)  # other choices may do better
+    assert {*search.trials} == {"state-space", "gru"}
 
 
 def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> None:

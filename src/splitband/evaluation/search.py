@@ -5,8 +5,8 @@ seed. Each is trained for one round on the first three quarters of the training 
 the rest of it. The better half goes on from its weights for four times as long, and so on (Jamieson
 and Talwalkar, 2016). All methods get their first round before any gets another one. When no
 candidate is left that further training improves, the better half of the choices begins again with
-another seed. A search can be stopped after any round; the best candidates are then trained to the
-end, on all samples of the training part.
+another seed; when all seeds are done, what was left behind goes on. A search can be stopped after
+any round; the best candidates are then trained to the end, on all samples of the training part.
 """
 
 from __future__ import annotations
@@ -221,6 +221,8 @@ class Search:
             found = self._with_new_seeds()
             if found:
                 yield found
+        while found := self._left_behind():
+            yield found
 
     def _further_choices(self, firsts: Sequence[Candidate]) -> list[Candidate]:
         """Return further choices of the better half of the methods, as time allows."""
@@ -255,6 +257,12 @@ class Search:
         newest = {c.network for c in self._tried if c.seed == max(seeds)}
         latest = [c for c in choices.values() if len(seeds) == 1 or c.network in newest]
         return [Candidate(c.network, max(seeds) + 1) for c in _better(latest, self._cores)]
+
+    def _left_behind(self) -> list[Candidate]:
+        """Return choices that were not tried yet, then the better half of what still improves."""
+        every = [candidate for own in self._choices.values() for candidate in own]
+        untried = [c for c in every if c not in self._tried]
+        return untried or _better([c for c in self._tried if c.progressed], self._cores)
 
     def _job(self, candidate: Candidate) -> Job:
         start = candidate.fits[-1].model if candidate.fits else None
