@@ -35,7 +35,7 @@ format: .venv/.ready
 figures: .venv/.ready
 	$(BIN)/python -m reproduction table all --no-run --out docs/results
 	$(BIN)/python -m reproduction horizons --out docs/results
-	$(BIN)/python -m docs.figures_in_text
+	$(BIN)/python -m docs.tables
 
 docs: .venv/.ready
 	$(BIN)/python -m sphinx -b html --fresh-env --fail-on-warning --keep-going docs docs/_build/html

@@ -5,8 +5,8 @@
 Each run is the plain command in a process of its own. A run is a line of JSON, appended to OUT as
 it ends; what is there is not run again. Errors are those of the recommended method, in the record's
 unit, on the test records, or else of the forecast. `--beside N` has N processes compute meanwhile.
-The public records are read from SPLITBAND_DATA_DIR. `python -m benchmarks.page` makes the page
-docs/results/benchmarks.md of the runs that are there.
+The public records are read from SPLITBAND_DATA_DIR. `python -m benchmarks.page` makes the tables
+of docs/results/benchmarks.md of the runs that are there.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Make the page docs/results/benchmarks.md and its picture of the results that are there.
+"""Make the tables and the picture of docs/results/benchmarks.md of the results that are there.
 
     python -m benchmarks.page
 
@@ -20,11 +20,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from benchmarks import against, clock
-from benchmarks.jax_settings import SETTINGS
 from benchmarks.sets import SETS, Benchmark
 from splitband.runtime.files import replacing
 
 AGAINST = "against.png"
+OUT = Path(__file__).parents[1] / "docs/results/benchmarks"
+TABLES = {
+    "benchmark-tanks5": "tanks5",
+    "benchmark-tanks": "tanks",
+    "benchmark-silverbox": "silverbox",
+    "benchmark-time": None,
+}
+"""Files of docs/tables, and their records; None for all records."""
 
 Array = npt.NDArray[np.float64]
 Points = dict[str, list[against.Point]]
@@ -32,37 +39,28 @@ Points = dict[str, list[against.Point]]
 
 
 def main() -> None:
-    """Draw the picture and write the page beside the folder of results."""
+    """Draw the picture and write the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
+    parser.add_argument("--out", type=Path, default=OUT)
     out = parser.parse_args().out
     points = _points(out)
     if points:
         _save(_over_time(points), out / AGAINST)
-    with replacing(out.with_suffix(".md")) as temporary:
-        temporary.write_text(made(out), encoding="utf-8")
+    for name in TABLES:
+        with replacing(Path("docs/tables", f"{name}.md")) as temporary:
+            temporary.write_text(table_of(name, out), encoding="utf-8")
 
 
-def made(out: Path) -> str:
-    """The page as Markdown."""
+def table_of(name: str, out: Path = OUT) -> str:
+    """Return one of `TABLES` in Markdown: of a public benchmark, or of what becomes of the time."""
     rows = clock.read(out / clock.FILE)
-    parts = [
-        "# Public benchmarks",
-        "Each row is the plain command `splitband compare RECORD --budget TIME`, as many seeds as "
-        "its last column says "
-        "(`python -m benchmarks.clock`, then `python -m benchmarks.page`): median over seeds and "
-        "range. A budget is wall time of the whole command on two cores.",
-        "Free runs over test files that nothing was fitted to or chosen by: fitted and chosen on "
-        "the training file, warmed up on the first samples of each test file (50 unless said "
-        "otherwise), simulated to its end. Other scores are those that their authors published.",
-    ]
-    for name, benchmark in SETS.items():
-        parts += _benchmark(benchmark, [row for row in rows if row["record"] == name])
-    parts += _side_by_side(_points(out), out) + _all(rows)
-    return "\n\n".join(parts) + "\n"
+    record = TABLES[name]
+    if record is None:
+        return _all(rows)
+    return _benchmark(SETS[record], [row for row in rows if row["record"] == record])
 
 
-def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> list[str]:
+def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> str:
     """What the command came to, beside what others have published."""
     ours = [
         [
@@ -74,18 +72,12 @@ def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> list[str]:
         for (_, asked, beside), of in clock.groups(rows).items()
     ]
     others = [[method, "", *errors, ""] for method, errors in benchmark.published.items()]
-    return [
-        f"## {benchmark.title}",
-        f"{benchmark.source[0].upper()}{benchmark.source[1:]}.",
-        _lines(["", "recommended", *_heads(benchmark), "seeds"], ours + others),
-    ]
+    return table(["", "recommended", *_heads(benchmark), "seeds"], ours + others)
 
 
-def _all(rows: Sequence[clock.Row]) -> list[str]:
+def _all(rows: Sequence[clock.Row]) -> str:
     """What the command makes of its time, on all records."""
-    if not rows:
-        return []
-    table = [
+    lines = [
         [
             name,
             f"{asked:g} s{_beside(beside)}",
@@ -97,15 +89,7 @@ def _all(rows: Sequence[clock.Row]) -> list[str]:
         ]
         for (name, asked, beside), of in clock.groups(rows).items()
     ]
-    commits = ", ".join(sorted({row["commit"] for row in rows}))
-    return [
-        "## What becomes of the time",
-        "Seconds asked for and used, the share of the cores' time that went into trainings, and "
-        "the error of the recommended method, in the record's unit, on its test records or else "
-        "of its forecast of the last quarter. A command ends early where further rounds change no "
-        f"held-out error. Commits: {commits}.",
-        _lines(["record", "asked", "used", "trains", "recommended", "error", "seeds"], table),
-    ]
+    return table(["record", "asked", "used", "trains", "recommended", "error", "seeds"], lines)
 
 
 def _beside(count: int) -> str:
@@ -123,51 +107,12 @@ def _spread(values: Iterable[float], scale: float = 1.0) -> str:
     return text if len(of) == 1 else f"{text} ({min(of):.3g} to {max(of):.3g})"
 
 
-def _side_by_side(points: Points, out: Path) -> list[str]:
-    """Return how the error falls inside one command, beside other libraries."""
-    if not points:
-        return []
-    said = {point["library"]: point["version"] for of in points.values() for point in of}
-    sizes = "; ".join(
-        f"on {_title(name)}: {s.states} states, {s.units} + {s.units} tanh units, `rho_th` "
-        f"{s.penalty:g}, {s.adam:,} iterations of Adam, then L-BFGS"
-        for name, s in SETTINGS.items()
-        if name in points
-    )
-    described = {
-        against.SPLITBAND: "the plain command, Python's start and everything else included: a "
-        "point is the model that lies in OUT then.",
-        against.JAX_SYSID: "a state-space network that begins as its own linear model, trained on "
-        f"the whole record in one piece in float64: {sizes}. The state at the beginning of a test "
-        "file is estimated from its first samples by `learn_x0`. One training, looked at on its "
-        "way; its linear model and compilation are included.",
-        against.TSFAST: "`RNNLearner(dls, n_skip=50).fit_flat_cos(epochs)` with its own defaults, "
-        "which are a GRU of 100 units that is told the input alone, and with the windows and "
-        "batches that it has for the benchmark. Its rate falls to 0 at the end, so that it is "
-        "trained anew for each time; the training alone counts.",
-    }
-    listed = "\n".join(f"- {name} {said[name]}: {described[name]}" for name in said)
-    return [
-        "## Inside one command",
-        "Error on the test files over time, median and range over seeds (`python -m "
-        "benchmarks.against` with the extra `bench`). Of splitband it is wall time on two quiet "
-        "cores, of the others CPU time of one thread. All train on the whole training file, the "
-        "first 50 samples of a test file do not count, and nothing is chosen by it.",
-        listed,
-        f"![Error over time inside one command]({out.name}/{AGAINST})",
-    ]
-
-
 def _title(name: str) -> str:
     return SETS[name].title if name in SETS else f"{name}, 20,000 samples, drawn"
 
 
 def _heads(benchmark: Benchmark) -> list[str]:
     return [f"{column}, {benchmark.unit}" for column in benchmark.columns]
-
-
-def _lines(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return "\n".join(table(heads, rows))
 
 
 def _over_time(points: Points) -> Figure:
@@ -228,13 +173,13 @@ def _points(out: Path) -> Points:
     return {name: of for name, of in found.items() if of}
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table in Markdown, line by line; words to the left, numbers to the right."""
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown; words to the left, numbers to the right."""
     rows = [*rows]
     columns = zip(*rows, strict=True) if rows else [[]] * len(header)
     number = re.compile(r"(-?\d+(\.\d+)?( \(.*\))?)?")
     ruled = ["---:" if all(map(number.fullmatch, column)) else "---" for column in columns]
-    return ["| " + " | ".join(line) + " |" for line in (header, ruled, *rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in (header, ruled, *rows))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ by its clock, on one core each: networks, whose training is searched, and baseli
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
 records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once:
-stop it, go on. The tables of baselines and of `default` go to docs/results/coverage.md.
+stop it, go on. The tables of baselines and of `default` go to docs/tables.
 """
 
 from __future__ import annotations
@@ -51,8 +51,7 @@ FILES = {
     BASELINES: Path("docs/benchmarks/recommendation.json"),
     DEFAULT: Path("docs/benchmarks/recommendation-default.json"),
 }
-"""Of which methods there is a table in docs/results/coverage.md, and where its facts are."""
-PAGE = Path("docs/results/coverage.md")
+"""Of which methods there is a table in docs/howto/intervals.md, and where its facts are."""
 
 
 @dataclass(frozen=True)
@@ -208,18 +207,6 @@ def table(facts: Facts) -> str:
     return "\n".join(lines) + "\n"
 
 
-def on_page(text: str, facts: Facts) -> str:
-    """The page with the table of these methods made again."""
-    begin, end = marks(facts["methods"])
-    before, rest = text.split(begin)
-    return before + begin + table(facts) + end + rest.split(end)[1]
-
-
-def marks(methods: str) -> tuple[str, str]:
-    """Between which the table of such methods stands on the page."""
-    return f"<!-- intervals, {methods} -->\n", f"<!-- end of intervals, {methods} -->"
-
-
 def main() -> None:
     """Measure all records and write what was found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -250,7 +237,8 @@ def main() -> None:
     print(table(facts))
     if arguments.methods in FILES and not arguments.development:
         write_json(FILES[arguments.methods], facts)
-        PAGE.write_text(on_page(PAGE.read_text(encoding="utf-8"), facts), encoding="utf-8")
+        page = Path("docs/tables", f"intervals-{arguments.methods}.md")
+        page.write_text(table(facts), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 Development seeds only. A constant that changes no result in either direction needs no better value;
 one that never decides anything should go. A share above one half is moved towards 1 or away from
 it. Figures are appended to docs/benchmarks/constants.jsonl as they come, and what is there is not
-computed again; the table of docs/results/constants.md is made of them.
+computed again; the table of docs/tables/constants.md is made of them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from splitband.runtime.caching import KEPT
 from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, run_jobs
 
-FILE, PAGE = Path("docs/benchmarks/constants.jsonl"), Path("docs/results/constants.md")
+FILE, PAGE = Path("docs/benchmarks/constants.jsonl"), Path("docs/tables/constants.md")
 FACTORS = 0.5, 2.0
 CHANGED = 0.01
 """A result that differs by less than this share of it has not changed."""

@@ -23,7 +23,7 @@ extensions = [
     "mathml",
     "repository",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "tables"]
 nitpicky = True
 
 smartquotes = False  # it takes the two hyphens of an option for a dash

@@ -90,7 +90,7 @@ class Hybrid:
 
     Attributes
     ----------
-    train : Samples trained on; not in the paper (docs/deviations.md).
+    train : Samples trained on; not in the paper (reproduction/REPORT.md).
     cutoff : w, in the table's unit; the filters have order 1.
     warmup : Recognition steps of the MLP and warm-up phase of the GRU.
     gru_window, gru_epochs, gru_hidden : Of the GRU.

@@ -1,20 +1,20 @@
-"""What the tables of the paper's experiments say, in words: for pages, out of docs/results/tables.
+"""What the tables of the paper's experiments say: for REPORT.md, out of docs/results/tables.
 
-Each function without an argument is a figure of `docs.figures_in_text`, by its name.
+`docs.tables` writes what the functions of `FIGURES` return.
 """
 
 from __future__ import annotations
 
 import json
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from reproduction.tables import SETTLED_SHARE, full_seconds, spread
+from reproduction.tables import full_seconds, spread
 
-TABLES = Path(__file__).parents[1] / "docs" / "results" / "tables"
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
 Row = Mapping[str, Any]
 ERRORS = ("learning-based", "hybrid-gru", "hybrid-rnn", "pendulum")
 """Tables whose rows have one system and one method each."""
@@ -25,7 +25,7 @@ APART = 2.0
 
 @cache
 def _files() -> dict[str, dict[str, Any]]:
-    paths = sorted(TABLES.glob("*.json"))
+    paths = sorted((RESULTS / "tables").glob("*.json"))
     return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in paths}
 
 
@@ -40,64 +40,82 @@ def tables() -> dict[str, str]:
 
 
 def row() -> dict[str, dict[str, dict[str, str]]]:
-    """Return texts of each row by system and method: its error, the paper's, each seed's."""
+    """Return ranges over seeds of the error and of each network's loss, by system and method."""
     found: dict[str, dict[str, dict[str, str]]] = {}
     for (system, method), facts in _rows().items():
         if not facts["total_rmse"]:
             continue
         found.setdefault(system, {})[method] = {
-            "error": spread(facts["total_rmse"]),
-            "whole": spread(facts["whole_rmse"]),
-            "sliced": spread(facts["sliced_rmse"]) if facts["sliced_rmse"] else "",
-            "paper": facts["paper_text"],
-            "each": _listed(f"{value:.2f}" for value in sorted(facts["total_rmse"])),
+            "seeds": _range(facts["total_rmse"]),
             **{f"loss of {name}": _range(of) for name, of in facts["losses"].items()},
-            **{f"{part} alone": f"{value:.3f}" for part, value in facts["parts_rmse"].items()},
         }
     return found
 
 
-def against() -> dict[str, dict[str, dict[str, str]]]:
-    """Return on which systems a method is better than another: by both names and a group."""
-    groups = {
-        "two networks": ("i", "ii", "iii", "iv"),
-        "simulated": ("ii-simulated", "iii-simulated", "iv-simulated"),
-        "hybrid": ("v", "vi"),
-    }
-    rows, found = _rows(), dict[str, dict[str, dict[str, str]]]()
-    methods = dict.fromkeys(method for _, method in rows)
-    for ours in methods:
-        for theirs in methods:
-            for group, systems in groups.items():
-                pairs = [
-                    (system, rows[system, ours], rows[system, theirs])
-                    for system in systems
-                    if (system, ours) in rows and (system, theirs) in rows
-                ]
-                found.setdefault(ours, {}).setdefault(theirs, {})[group] = _tally(pairs)
-    return found
+def comparisons() -> str:
+    """Return on which systems a method is better than another, level, or worse."""
+    records, simulated = ("i", "ii", "iii", "iv"), ("ii-simulated", "iii-simulated", "iv-simulated")
+    hybrids = ("v", "vi")
+    rows, lines = _rows(), ["| methods | better | level | worse |", "|---|---|---|---|"]
+    for ours, theirs, systems in (
+        ("split-gru", "gru", records),
+        ("split-gru", "gru", simulated),
+        ("split-gru-hp", "split-gru", records),
+        ("split-gru-hp", "split-gru", simulated),
+        *((f"filtered-{n}", other, hybrids)
+          for n in ("gru", "rnn") for other in (n, f"residual-{n}", "simulator")),
+    ):  # fmt: skip
+        found: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
+        for system in systems:
+            a, b = rows[system, ours], rows[system, theirs]
+            values = f"({system.removesuffix('-simulated')}) {_mean(a):.3f} / {_mean(b):.3f}"
+            found[_verdict(a["total_rmse"], b["total_rmse"])].append(values)
+        first = f"{_short(ours)}, {_short(theirs)}"
+        first = "the same, simulated pendulum" if systems is simulated else first
+        lines.append(f"| {first} | {' | '.join(map(', '.join, found.values()))} |")
+    return "\n".join(lines)
 
 
-def _tally(pairs: Iterable[tuple[str, Row, Row]]) -> str:
-    found: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
-    for system, a, b in pairs:
-        values = f"({system}) {_mean(a):.3f} against {_mean(b):.3f}"
-        found[_verdict(a["total_rmse"], b["total_rmse"])].append(values)
-    return "; ".join(f"{name} on {_listed(of)}" for name, of in found.items() if of)
+def _short(method: str) -> str:
+    words = method.replace("gru", "GRU").replace("rnn", "RNN").replace("-hp", " + HP")
+    return words.replace("-", " ")
 
 
-def naive() -> str:
-    """Return where the best network at the paper's settings beats the best naive baseline."""
-    rows, won, lost = _rows(), list[str](), list[str]()
+def against_naive() -> str:
+    """Return the best network at the paper's settings beside the best naive baseline."""
+    rows = _rows()
+    lines = ["| system | best network | best naive baseline |", "|---|---|---|"]
     for system in dict.fromkeys(system for system, _ in rows):
         of = [row for (each, _), row in rows.items() if each == system]
         baseline = min((r for r in of if r["method"] in NAIVE), key=_mean)
         network = min((r for r in of if r["epochs"] and r["total_rmse"]), key=_mean)
-        text = f"({system}) {network['method']} {_mean(network):.3f} against " + (
-            f"{baseline['method']} {_mean(baseline):.3f}"
-        )
-        (won if _mean(network) < _mean(baseline) else lost).append(text)
-    return f"On {_listed(won or ['no record'])}. Not on {_listed(lost or ['any other'])}."
+        better = network if _mean(network) < _mean(baseline) else baseline
+        cells = [
+            f"**{text}**" if each is better else text
+            for each in (network, baseline)
+            for text in [f"{each['method']} {_mean(each):.3f}"]
+        ]
+        name, _, kind = system.partition("-")
+        lines.append(f"| ({name}){kind and f', {kind}'} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def horizons() -> str:
+    """Return the errors of free runs in the short and in the long term."""
+    found = json.loads((RESULTS / "horizons.json").read_text(encoding="utf-8"))
+    lines = ["| system | method | first 100 | last quarter |", "|---|---|---:|---:|"]
+    rows = [
+        *(
+            (s, name, of)
+            for s, methods in found["horizons"].items()
+            for name, of in methods.items()
+        ),
+        *((s, "low band of split-gru, seed 0", of) for s, of in found["low band"].items()),
+    ]
+    for system, name, of in rows:
+        soon, late = of["soon"]["mean"], of["late"]["mean"]
+        lines.append(f"| ({system}) | {name} | {soon:.3f} | {late:.3f} |")
+    return "\n".join(lines)
 
 
 def noise_draws() -> dict[str, dict[str, str]]:
@@ -107,43 +125,22 @@ def noise_draws() -> dict[str, dict[str, str]]:
     for form, name in (("eq_10", "noise-draws"), ("own_warmup", "noise-draws-own-warmup")):
         rows = every | {row["method"]: row["total_rmse"] for row in _files()[name]["rows"]}
         better = sum(a < b for a, b in zip(rows["split-gru"], rows["gru"], strict=True))
-        found[form] = {
-            "better": f"{better} of {len(rows['gru'])}",
-            **{method: f"{statistics.median(of):.3f}" for method, of in rows.items()},
-        }
+        found[form] = {"better": f"{better} of {len(rows['gru'])}"}
     paper = _rows()["i", "split-gru"]["paper"]["mean"]
     below = sum(value < paper for value in every["oracle"])
     found["oracle"] = {"below": f"{below} of {len(every['oracle'])}"}
     return found
 
 
-def ablations() -> dict[str, dict[str, str]]:
-    """Return the errors of an ablation by its table and method, and how far they are apart."""
-    found: dict[str, dict[str, str]] = {}
-    for name in ("cutoff", "cutoff-own-warmup", "downsampling", "downsampling-own-warmup"):
-        for method in ("split-gru", "split-gru-hp"):
-            rows = [row for row in _files()[name]["rows"] if row["method"] == method]
-            values = _listed(f"{spread(r['total_rmse'])} at {r['value']:g}" for r in rows)
-            means = [_mean(row) for row in rows]
-            deviation = statistics.mean(statistics.stdev(row["total_rmse"]) for row in rows)
-            apart = (max(means) - min(means)) / deviation
-            found.setdefault(name, {})[method] = (
-                f"{values}; the best and the worst are {apart:.1f} standard deviations over seeds "
-                "apart"
-            )
-    return found
-
-
-def time_shares() -> str:
-    """Return the run time of split GRU against the GRU's, ours and the paper's, by system."""
+def time_shares() -> dict[str, dict[str, float]]:
+    """Return the run time of split GRU over the GRU's, ours and the paper's, by system."""
     rows = {(r["system"], r["method"]): r for r in _files()["runtime-learning-based"]["rows"]}
-    found = []
+    found: dict[str, dict[str, float]] = {"ours": {}, "paper": {}}
     for system in ("i", "ii", "iii", "iv"):
         a, b = (rows[system, method] for method in ("split-gru", "gru"))
-        share = full_seconds(a) / full_seconds(b)
-        papers = a["paper"]["mean"] / b["paper"]["mean"]
-        found.append(f"({system}) {share:.2f}, in the paper {papers:.2f}")
-    return _listed(found)
+        found["ours"][system] = full_seconds(a) / full_seconds(b)
+        found["paper"][system] = a["paper"]["mean"] / b["paper"]["mean"]
+    return found
 
 
 def differing_table() -> str:
@@ -163,20 +160,14 @@ def differing_table() -> str:
     return "\n".join(lines)
 
 
-def unversioned() -> str:
-    """Return the rows with runs that do not say their commit, or had changes on top of it."""
-    rows = {
-        (row["system"], row["method"]): row["unversioned"]
-        for facts in _files().values()
-        for row in facts["rows"]
-        if row["unversioned"]
-    }
-    return _listed(f"({system}) {method} {count}" for (system, method), count in rows.items())
-
-
-def settled_share() -> float:
-    """Return what twice the epochs must leave of a loss that has settled."""
-    return SETTLED_SHARE
+def unversioned() -> dict[str, dict[str, int]]:
+    """Return how many runs do not say their commit, or had changes on top of it, by row."""
+    found: dict[str, dict[str, int]] = {}
+    for facts in _files().values():
+        for row in facts["rows"]:
+            if row["unversioned"]:
+                found.setdefault(row["system"], {})[row["method"]] = row["unversioned"]
+    return found
 
 
 def _mean(row: Row) -> float:
@@ -197,12 +188,7 @@ def _range(values: Sequence[float]) -> str:
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
-def _listed(texts: Iterable[str]) -> str:
-    *others, last = texts
-    return f"{', '.join(others)} and {last}" if others else last
-
-
 FIGURES = (
-    tables, row, against, naive, noise_draws, ablations, time_shares, differing_table,
-    settled_share, unversioned,
+    tables, row, comparisons, against_naive, horizons, noise_draws, time_shares, differing_table,
+    unversioned,
 )  # fmt: skip

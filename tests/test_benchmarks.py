@@ -51,10 +51,8 @@ def test_every_script_of_the_benchmarks_has_a_help() -> None:
 
 
 @pytest.mark.parametrize("methods", ["baselines", "default"])
-def test_the_table_of_intervals_is_that_of_its_file(recommendation: Any, methods: str) -> None:
+def test_the_table_of_intervals_is_of_all_records(recommendation: Any, methods: str) -> None:
     facts = json.loads((ROOT / recommendation.FILES[methods]).read_text(encoding="utf-8"))
-    page = (ROOT / recommendation.PAGE).read_text(encoding="utf-8")
-    assert recommendation.on_page(page, facts) == page
     assert facts["methods"] == methods
     assert facts["kinds"] == recommendation.by_kind(facts["found"])
 
@@ -91,13 +89,3 @@ def test_the_facts_of_a_record_are_made_once(recommendation: Any, tmp_path: Path
     assert facts["over_baselines"] == 1.0
     job.path.write_text(json.dumps(facts | {"regret": 7.0}), encoding="utf-8")
     assert recommendation._measured(job)["regret"] == 7.0
-
-
-def test_the_page_of_public_benchmarks_is_made_of_their_files(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Where it is not: `python -m benchmarks.page`."""
-    monkeypatch.syspath_prepend(str(ROOT))
-    page = importlib.import_module("benchmarks.page")
-    folder = ROOT / "docs/results/benchmarks"
-    assert folder.with_suffix(".md").read_text(encoding="utf-8") == page.made(folder)

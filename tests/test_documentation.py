@@ -124,15 +124,26 @@ def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
         assert not [a for a in page.addresses if re.match(r"\w+:|//", a) and "data:" not in a]
 
 
-def test_links_lead_to_files_in_a_viewer_of_the_repository_too() -> None:
+def test_links_lead_to_files_and_headings_in_a_viewer_of_the_repository_too() -> None:
     pages = [path for path in DOCS.rglob("*.md") if "_build" not in path.parts]
+    names = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "reproduction/REPORT.md")
     broken = [
         (path.name, link)
-        for path in (*pages, DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md")
-        for link in re.findall(r"\]\(([^)#`\s]+)[^)]*\)", path.read_text(encoding="utf-8"))
-        if not re.match(r"\w+:", link) and not (path.parent / link).exists()
+        for path in (*pages, *(DOCS.parent / name for name in names))
+        for link in re.findall(r"\]\(([^)`\s]+)\)", path.read_text(encoding="utf-8"))
+        if not re.match(r"\w+:", link) and not _leads(path, link)
     ]
     assert broken == []
+
+
+def _leads(page: Path, link: str) -> bool:
+    """Return whether a relative link leads to a file, and to the heading that it names."""
+    name, _, anchor = link.partition("#")
+    path = page.parent / name if name else page
+    if not path.exists() or not anchor:
+        return path.exists()
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return anchor in {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in headings}
 
 
 def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def double_mass_spring(samples: int = 1000, noise_variance: float = 0.1, seed: i
 def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Record:
     """Return the paper's system (v), a driven Van der Pol oscillator, with an unforced simulator.
 
-    Paper, supplement, Sec. C.2; omega and the initial states are not in it (docs/deviations.md).
+    Paper, supplement, Sec. C.2; it lacks omega and the initial states (reproduction/REPORT.md).
 
     Parameters
     ----------

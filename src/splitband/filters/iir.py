@@ -38,7 +38,7 @@ def lfilter(
 
     That is the paper's Eq. 4, recurrence.
 
-    The sign of the feedback is SciPy's, not the paper's (docs/deviations.md).
+    The sign of the feedback is SciPy's, not the paper's (reproduction/REPORT.md).
 
     Raises ValueError for `start="odd"`, which needs both directions, and for a `first` that does
     not have P samples.

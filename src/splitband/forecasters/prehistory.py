@@ -3,8 +3,8 @@
 Not in the paper. Networks are trained with warm-ups of one length. Where fewer samples are known,
 the samples before them are estimated: the warm-up has to be probable in the training records, and
 the network has to simulate the known samples well after it. This is regularised least squares for
-the initial state, on signals in place of states, which works for every model; docs/howto/warmup.md
-has what it is worth.
+the initial state, on signals in place of states, which works for every model;
+docs/howto/validation.md has what it is worth.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class Filtered(Hybrid):
 
     H(network) + L(simulator) through the joint recurrence, trained end to end. The paper starts
     the filter with the first P samples of the training signal; here these are the last P of the
-    warm-up, so that a simulation needs no sample after it (docs/deviations.md).
+    warm-up, so that a simulation needs no sample after it (reproduction/REPORT.md).
 
     Parameters
     ----------

@@ -1,0 +1,608 @@
+"""Write the tables and numbers of the documents from result files: `python -m docs.tables`.
+
+A table of the site is a file of docs/tables, which pages include. In README.md and in
+reproduction/REPORT.md, which no site builds, a table stands between two comments:
+
+    <!--={tables[learning-based]}-->
+    | ... |
+    <!--/-->
+
+A number in a sentence is a line of `NUMBERS`: the page, and the words around it. Templates are
+format strings of Python. A name in them is a JSON file below docs, without its suffix, or a
+function of `COMPUTED`; the keys that lead to the number follow in brackets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import statistics
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks import clock, page, recommendation
+from benchmarks.sets import SETS
+from reproduction import statements
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+FOLDER = DOCS / "tables"
+PAGES = ROOT / "README.md", ROOT / "reproduction/REPORT.md"
+"""Documents that have tables between comments."""
+FIGURE = re.compile(r"^<!--=([^\n]+)-->\n(.*?)^<!--/-->$", re.DOTALL | re.MULTILINE)
+FIELD = re.compile(r"\{[^{}]+\}")
+NUMBER = r"(-?\d(?:[\d,]*\d)?(?:\.\d+)?(?:\s+(?:to|of)\s+[\d.]*\d)?%?)"
+Rows = Iterable[Iterable[object]]
+
+NUMBERS: tuple[tuple[str, str], ...] = (
+    (
+        "README.md",
+        "the swing (fit {results/demo[table][0][values][simulator]:.0f} %), a linear model reaches "
+        "{results/demo[table][0][values][linear]:.0f} %",
+    ),
+    (
+        "README.md",
+        "Simulator and network combined: "
+        "{results/demo[table][0][values][residual-gru-conditioned]:.0f} %",
+    ),
+    (
+        "docs/why.md",
+        "all periods has an error of "
+        "{results/double-torsion[methods][periodic][total_rmse_mean]:.3f}, a GRU "
+        "{results/double-torsion[methods][gru][total_rmse_mean]:.3f}",
+    ),
+    (
+        "docs/why.md",
+        "harmonic regression has "
+        "{results/beyond/pendulum-iv[methods][harmonic][total_rmse_mean]:.3f}, a GRU "
+        "{results/beyond/pendulum-iv[methods][gru][total_rmse_mean]:.3f}",
+    ),
+    (
+        "docs/why.md",
+        "`linear` has a forecast error of "
+        "{benchmarks/inputs[two masses][methods][linear][forecast_rmse_mean]:.4f}, a GRU "
+        "{benchmarks/inputs[two masses][methods][gru][forecast_rmse_mean]:.4f}",
+    ),
+    (
+        "docs/why.md",
+        "a GRU has a forecast error of "
+        "{benchmarks/inputs[tanks][methods][gru][forecast_rmse_mean]:.3f}, `linear` "
+        "{benchmarks/inputs[tanks][methods][linear][forecast_rmse_mean]:.2f}",
+    ),
+    (
+        "docs/why.md",
+        "the simulator has a forecast error of "
+        "{results/drill-string[methods][simulator][forecast_rmse][0]:.2f} standard deviations",
+    ),
+    (
+        "docs/why.md",
+        "black boxes have {published[lowest]:.2f} to {published[highest]:.2f} V and the command "
+        "about {usual[tanks5][median]:.2f} V",
+    ),
+    ("docs/why.md", "on {over_best[records]} records {over_best[mean]:.2f} times on average"),
+    ("docs/howto/intervals.md", "Networks: {benchmarks/recommendation-default[all][inside]:.0%}"),
+    *(
+        (
+            "docs/results/beyond.md",
+            before.format(*(f"{{results/beyond/{row}[methods][{name}][total_rmse_mean]:.3f}}" for
+                            name in ("filtered-gru", "filtered-gru-calibrated",
+                                     "filtered-gru-conditioned",
+                                     "filtered-gru-calibrated-conditioned"))),
+        )
+        for row, before in (
+            ("v", "Filtered GRU on (v): {}, calibrated {}, conditioned {}, both {}"),
+            ("vi", "On (vi): {}, {}, {}, {}"),
+        )
+    ),
+    (
+        "docs/results/beyond.md",
+        "a GRU on the torsion record from "
+        "{results/beyond/double-torsion-record[methods][gru][total_rmse_mean]:.3f} to "
+        "{results/beyond/double-torsion-record[methods][gru][mean_of_seeds][total_rmse]:.3f}, of a "
+        "split GRU from "
+        "{results/beyond/double-torsion-record[methods][split-gru][total_rmse_mean]:.3f} to "
+        "{results/beyond/double-torsion-record[methods][split-gru][mean_of_seeds][total_rmse]:.3f}",
+    ),
+    ("docs/howto/validation.md", "{few_samples[lowest]:.2f} to {few_samples[highest]:.2f} times"),
+    (
+        "docs/theory/simulators.md",
+        "a delay of {calibration[delay]:.2f} s and a clock of {calibration[clock]:.4f} are found, "
+        "and the error falls from {results/beyond/v[methods][simulator][total_rmse_mean]:.3f} to "
+        "{results/beyond/v[methods][simulator-calibrated][total_rmse_mean]:.3f}",
+    ),
+    (
+        "docs/theory/parameters.md",
+        "the largest relative error is {parameters[largest]:.2f} %, and the 95 % confidence "
+        "intervals hold the true value in {parameters[covered]:.0f} %",
+    ),
+    (
+        "reproduction/REPORT.md",
+        "the filtered hybrid reaches "
+        "{results/beyond/v[methods][filtered-gru-calibrated-conditioned][total_rmse_mean]:.3f} on "
+        "(v) and "
+        "{results/beyond/vi[methods][filtered-gru-calibrated-conditioned][total_rmse_mean]:.3f} on "
+        "(vi)",
+    ),
+    (
+        "reproduction/REPORT.md",
+        "(v) rnn {unversioned[v][rnn]}, residual-rnn {unversioned[v][residual-rnn]}, filtered-rnn "
+        "{unversioned[v][filtered-rnn]}; (vi) rnn {unversioned[vi][rnn]}, residual-rnn "
+        "{unversioned[vi][residual-rnn]}, filtered-rnn {unversioned[vi][filtered-rnn]}.",
+    ),
+    (
+        "reproduction/REPORT.md",
+        "Split GRU takes {time_shares[ours][i]:.2f}, {time_shares[ours][ii]:.2f}, "
+        "{time_shares[ours][iii]:.2f} and {time_shares[ours][iv]:.2f} times the GRU's time on (i) "
+        "to (iv); in the paper {time_shares[paper][i]:.2f}, {time_shares[paper][ii]:.2f}, "
+        "{time_shares[paper][iii]:.2f} and {time_shares[paper][iv]:.2f}",
+    ),
+    (
+        "reproduction/REPORT.md",
+        "Split GRU is better than the GRU on {noise_draws[eq_10][better]} draws",
+    ),
+    ("reproduction/REPORT.md", "filtered alone on {noise_draws[own_warmup][better]}"),
+    (
+        "reproduction/REPORT.md",
+        "{results/beyond/v[methods][simulator][total_rmse_mean]:.3f} becomes "
+        "{results/beyond/v[methods][simulator-calibrated][total_rmse_mean]:.3f}",
+    ),
+    ("reproduction/REPORT.md", "then have {own_warmup:.2f} times the error"),
+    (
+        "reproduction/REPORT.md",
+        "{conditioning[double-torsion record][measurement]:.3f} against "
+        "{conditioning[double-torsion record][prediction]:.3f} on the torsion record, "
+        "{conditioning[i, draw 0][measurement]:.3f} and "
+        "{conditioning[i, draw 1][measurement]:.3f} against "
+        "{conditioning[i, draw 0][prediction]:.3f} and {conditioning[i, draw 1][prediction]:.3f}",
+    ),
+    ("reproduction/REPORT.md", "below it on {noise_draws[oracle][below]} draws"),
+    ("reproduction/REPORT.md", "The GRU's training loss, {row[i][gru][loss of network]}, is"),
+    ("reproduction/REPORT.md", "its seeds end at {row[i][gru][seeds]}:"),
+    ("reproduction/REPORT.md", "holds for split GRU, {row[i][split-gru][seeds]}."),
+    ("reproduction/REPORT.md", "the seeds end at {row[v][residual-rnn][seeds]}."),
+    (
+        "reproduction/REPORT.md",
+        "The seeds of the GRU end at {row[v][gru][seeds]}, those of the RNN at "
+        "{row[v][rnn][seeds]}:",
+    ),
+    (
+        "reproduction/REPORT.md",
+        "The low band is learned in every seed of (iii), with a loss of "
+        "{row[iii][split-gru][loss of low band]}",
+    ),
+    ("reproduction/REPORT.md", "its loss is {row[v][residual-rnn][loss of network]}"),
+    (
+        "reproduction/REPORT.md",
+        "its training loss is {row[ii][split-gru-hp][loss of high band]} on (ii), against "
+        "{row[ii][split-gru][loss of high band]} without",
+    ),
+)  # fmt: skip
+"""Pages, and sentences of them whose numbers come from result files."""
+
+
+class Figures(Mapping[str, Any]):
+    """Result files and what is computed from them, by the names that templates use."""
+
+    def __getitem__(self, name: str) -> Any:
+        return COMPUTED[name]() if name in COMPUTED else _read(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMPUTED)
+
+    def __len__(self) -> int:
+        return len(COMPUTED)
+
+
+def filled(template: str) -> str:
+    """Return a template with its fields as the result files have them.
+
+    Raises
+    ------
+    ValueError : A file or a key is unknown.
+    """
+    try:
+        return template.format_map(Figures())
+    except (AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{template}: {error!r}") from error
+
+
+def with_tables(text: str) -> str:
+    """Return a page with the tables between its comments made again.
+
+    Raises
+    ------
+    ValueError : The comments do not come in pairs, each on a line of its own, or see `filled`.
+    """
+    if not len(FIGURE.findall(text)) == text.count("<!--=") == text.count("<!--/-->"):
+        raise ValueError(
+            "a table must stand between <!--=...--> and <!--/-->, each alone on its line"
+        )
+    return FIGURE.sub(lambda found: f"<!--={found[1]}-->\n{filled(found[1])}\n<!--/-->", text)
+
+
+def numbers_of(text: str, template: str) -> list[tuple[int, int]]:
+    """Return where a page has the numbers of a sentence, whatever they are.
+
+    Raises
+    ------
+    ValueError : The sentence does not stand on the page once.
+    """
+    words = (re.sub(r"(\\\s)+", r"\\s+", re.escape(part)) for part in FIELD.split(template))
+    found = [*re.finditer(NUMBER.join(words), text)]
+    if len(found) != 1:
+        raise ValueError(f"{template!r} must stand once on the page, got {len(found)} times")
+    return [*found[0].regs[1:]]
+
+
+def with_numbers(text: str, template: str) -> str:
+    """Return a page with the numbers of one sentence as the result files have them.
+
+    Raises
+    ------
+    ValueError : See `numbers_of` and `filled`.
+    """
+    places = zip(numbers_of(text, template), FIELD.findall(template), strict=True)
+    for (start, end), field in reversed([*places]):
+        if filled(field) != " ".join(text[start:end].split()):
+            text = text[:start] + filled(field) + text[end:]
+    return text
+
+
+@cache
+def _read(name: str) -> Any:
+    return json.loads((DOCS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def _table(heads: Iterable[str], rows: Rows, words: int = 1) -> str:
+    """Return a table in Markdown; all but the first columns are numbers, to the right."""
+    heads = [*heads]
+    rule = "|---" * words + "|---:" * (len(heads) - words)
+    lines = [heads, *rows]
+    texts = [f"| {' | '.join(str(cell) for cell in line)} |" for line in lines]
+    return "\n".join([texts[0], f"{rule}|", *texts[1:]]) + "\n"
+
+
+def usual() -> dict[str, dict[str, float]]:
+    """Return number, median and range of the errors after two minutes, by record."""
+    found = {}
+    for (name, asked, beside), rows in clock.groups(
+        clock.read(DOCS / "results/benchmarks" / clock.FILE)
+    ).items():
+        of = [row["errors"][0] for row in rows]
+        if asked == 120 and not beside:
+            found[name] = {"seeds": len(of), "lowest": min(of), "highest": max(of)}
+            found[name]["median"] = statistics.median(of)
+    return found
+
+
+def published(name: str = "tanks5") -> dict[str, float]:
+    """Return the lowest and the highest published error of networks, on the first test record."""
+    scores = [
+        float(scores[0])
+        for method, scores in SETS[name].published.items()
+        if re.fullmatch(r"[\d.]+", scores[0])
+        and not re.search("box|second-hand|measured by us|linear", method)
+    ]
+    return {"lowest": min(scores), "highest": max(scores)}
+
+
+def over_best() -> dict[str, float]:
+    """Return on how many drawn records, and how far, the recommended method misses the best."""
+    facts = [
+        each
+        for name in ("", "-default")
+        for each in _read(f"benchmarks/recommendation{name}")["found"]
+    ]
+    mean = statistics.geometric_mean(each["regret"] for each in facts)
+    return {"records": len(facts), "mean": mean}
+
+
+def parameters() -> dict[str, float]:
+    """Return how well the parameters of the crane are found, in per cent."""
+    crane = _read("benchmarks/physics")["crane"]
+    return {
+        "largest": 100 * max(crane["largest_relative_error"].values()),
+        "covered": 100 * crane["covered_together"],
+    }
+
+
+def few_samples() -> dict[str, float]:
+    """Return the range over networks of the error from few initial samples over that from all."""
+    ratios = [
+        statistics.geometric_mean(each["few"] / each["all"] for each in found.values())
+        for found in _read("benchmarks/warmup").values()
+    ]
+    return {"lowest": min(ratios), "highest": max(ratios)}
+
+
+def calibration() -> dict[str, float]:
+    """Return what calibrates the simulator of the Van der Pol oscillator."""
+    said = _read("results/beyond/v")["methods"]["simulator-calibrated"]["description"]
+    terms = re.findall(r"(\w+) (-?[\d.]+\d)", said)
+    return {term: float(value) for term, value in terms}
+
+
+def conditioning() -> dict[str, dict[str, float]]:
+    """Return the mean held-out error by record and by what the fast network was trained on."""
+    return {
+        record: {told: statistics.mean(run["held_out"] for run in of) for told, of in runs.items()}
+        for record, runs in _read("benchmarks/conditioning").items()
+    }
+
+
+def own_warmup() -> float:
+    """Return forecast errors with own warm-ups over those with windows of the filtered record."""
+    return statistics.geometric_mean(
+        statistics.geometric_mean(
+            own / cut
+            for forms in methods.values()
+            for own, cut in zip(forms["own warm-up"], forms["filtered record"], strict=True)
+        )
+        for methods in _read("benchmarks/split_training").values()
+    )
+
+
+def readme_benchmarks() -> str:
+    """Return what two minutes of the plain command come to, beside published errors."""
+    found = usual()
+    simulator = _read("results/drill-string")["methods"]["simulator"]["forecast_rmse"][0]
+    black = {
+        name: "black boxes {lowest:.2f} to {highest:.2f}".format_map(published(name))
+        for name in ("tanks5", "silverbox")
+    }
+    lines = []
+    for name, title, scale, unit, beside in (
+        ("tanks5", "cascaded tanks, from 5 samples", 1, " V", black["tanks5"]),
+        ("silverbox", "Silverbox, multisine", 1000, " mV", black["silverbox"]),
+        ("drill string", "drill string", 1, "", f"its simulator {simulator:.3f}"),
+    ):
+        lowest, median, highest = (
+            f"{scale * found[name][key]:.3f}" for key in ("lowest", "median", "highest")
+        )
+        lines.append([title, f"{median}{unit}", f"{lowest} to {highest}", beside])
+    (seeds,) = {found[line]["seeds"] for line in ("tanks5", "silverbox", "drill string")}
+    return _table(
+        ["record", f"median of {seeds:.0f} seeds", "range", "for comparison"], lines
+    ).strip()
+
+
+def filtered_residual() -> str:
+    """Return errors of a simulator and a network with a filter between them, and without."""
+    kinds = ("filtered-gru-calibrated-conditioned", "residual-gru-calibrated-conditioned")
+    rows = []
+    for title, name in (
+        ("Van der Pol oscillator", "results/beyond/v"),
+        ("drill string, default training", "results/beyond/vi"),
+        ("drill string, training searched", "results/drill-string"),
+    ):
+        methods = _read(name)["methods"]
+        rows.append([title, *(f"{methods[kind]['total_rmse_mean']:.3f}" for kind in kinds)])
+    demo = _read("results/demo")["methods"]
+    errors = (demo[kind.replace("-calibrated", "")]["forecast_rmse_mean"] for kind in kinds)
+    rows.append(["demo (forecast)", *(f"{error:.2f}" for error in errors)])
+    return _table(["record", "filtered", "residual"], rows)
+
+
+def physics_wrong() -> str:
+    """Return errors of incomplete equations, networks and hybrids, and what was recommended."""
+    kinds = {
+        "as given": "simulator-as-given",
+        "fitted": "grey-box",
+        "network alone": "state-space",
+        "residual hybrid": "residual-grey-box-state-space-conditioned",
+        "filtered hybrid": "filtered-grey-box-state-space-conditioned",
+    }
+    shown = {name: kind for kind, name in kinds.items()}
+    rows = []
+    for case, records in _read("benchmarks/physics")["wrong"].items():
+        for found in records:
+            errors = [f"{found['forecast_rmse'][name]:.3f}" for name in kinds.values()]
+            best = shown.get(found["recommended"], found["recommended"])
+            rows.append([case, *errors, best])
+    return _table(["equation", *kinds, "recommended"], rows)
+
+
+def beyond() -> str:
+    """Return what the default command recommended on the paper's systems."""
+    papers = {
+        system: min(
+            row["paper"]["mean"]
+            for table in ("hybrid-gru", "hybrid-rnn")
+            for row in _read(f"results/tables/{table}")["rows"]
+            if row["system"] == system and row["paper"]
+        )
+        for system in ("v", "vi")
+    }
+    titles = {
+        "double-torsion-record": "double-torsion record",
+        "pendulum-ii": "pendulum (ii)",
+        "pendulum-iii": "pendulum (iii)",
+        "pendulum-iv": "pendulum (iv)",
+        "v": "(v) Van der Pol",
+        "vi": "(vi) drill string",
+    }
+    rows = []
+    for name, title in titles.items():
+        found = _read(f"results/beyond/{name}-default")
+        recommended, methods = found["recommended"], found["methods"]
+        best = methods[recommended]
+        together = (best.get("median_of_seeds") or best.get("mean_of_seeds") or {}).get(
+            "total_rmse", best["total_rmse_mean"]
+        )
+        errors = {method: facts["total_rmse_mean"] for method, facts in methods.items()}
+        errors[recommended] = together
+        first = min(errors, key=errors.__getitem__)
+        rows.append([
+            title, f"`{recommended}`", f"{best['total_rmse_mean']:.3f}",
+            f"{best['forecast_rmse_mean']:.3f}", f"{together:.3f}", papers.get(name, ""),
+            f"`{first}` {errors[first]:.3f}", f"{together / errors[first]:.2f}",
+            f"{best['interval']['covers']:.0%}",
+        ])  # fmt: skip
+    heads = ["system", "recommended", "from the start", "forecast", "seeds together",
+             "the paper's best", "best row", "ratio", "in interval"]  # fmt: skip
+    return _table(heads, rows, 2)
+
+
+def speed_training() -> str:
+    """Return the time of a training step, as multiples of ours, on one thread and on two."""
+    rows = []
+    rollout = _read("benchmarks/rollout")
+    for network, title, digits, peers in (
+        ("GRU", "GRU of 64 units, batch 50, window 150: ours", 1, {
+            "a loop over `torch.nn.GRU`, step by step": ["nn.GRU, step by step"],
+            "tsfast, autoregressive GRU": ["tsfast AR_Model"],
+            "JAX `scan`, compiled whole, always on two threads": ["JAX scan"],
+        }),
+        ("EulerMLP", "EulerMLP 4-500-500-4, batch 50, window 200: ours", 0, {
+            "the loop in torch": ["plain loop"],
+            "tsfast, neural state space, its faster backend": [
+                "tsfast NeuralStateSpace, eager", "tsfast NeuralStateSpace, C",
+            ],
+        }),
+    ):  # fmt: skip
+        found = [rollout[f"{network}, {threads} threads"] for threads in (1, 2)]
+        rows.append([title, *(f"{each['kernel, ms']:.{digits}f} ms" for each in found)])
+        for peer, names in peers.items():
+            times = [min(each[f"{name} / kernel"] for name in names) for each in found]
+            rows.append([peer, *(f"{value:.1f}" for value in times)])
+    return _table(["", "one thread", "two threads"], rows)
+
+
+def speed_state_space() -> str:
+    """Return the time of a gradient of a state-space network, and of others as multiples of it."""
+    peers = ("products", "JAX scan", "GRU of as many units")
+    rows = []
+    for batch, window in ((25, 400), (50, 180), (128, 250), (650, 100), (1, 1050), (1, 65050)):
+        for states, units in ((4, 8), (16, 32)):
+            found = _read("benchmarks/state_space")[
+                f"{states} states, {units} units, batch {batch}, window {window}"
+            ]
+            times = [f"{found[f'{peer} / kernel']:.1f}" for peer in peers]
+            rows.append([f"{states}, {units}", f"{batch}, {window:,}",
+                         f"{found['kernel, ms']:.1f} ms", *times])  # fmt: skip
+    heads = ["states, units", "batch, window", "ours", "products by `torch.mm`", "JAX `scan`",
+             "GRU of as many units"]  # fmt: skip
+    return _table(heads, rows, 2)
+
+
+_EXPORTED = {
+    "GRU of 64 units": "GRU",
+    "split GRU, 64 units each": "split GRU",
+    "filtered hybrid, conditioned, 64 units": "filtered hybrid, conditioned",
+    "ensemble of 3 GRUs of 64 units": "ensemble of 3 GRUs",
+    "linear": "linear",
+}
+
+
+def speed_steps() -> str:
+    """Return the microseconds of a step, by model and by where it runs."""
+    formats = {
+        "stream": ".0f", "C, double": ".2g", "C, float": ".2g",
+        "onnxruntime, step by step": ".0f", "onnxruntime, a simulation": ".0f",
+    }  # fmt: skip
+    rows = []
+    for title, name in _EXPORTED.items():
+        found = _read("benchmarks/export")[name]["microseconds a step"]
+        rows.append([title, *(format(found[key], how) for key, how in formats.items())])
+    heads = ["stream, Python", *list(formats)[1:4], "a simulation"]
+    return _table(["", *heads], rows)
+
+
+def speed_accuracy() -> str:
+    """Return the largest differences of exported models, as shares of the signal's deviation."""
+    columns = {
+        "stream": ("predict, 10,000", "stream"),
+        "C, FMU": ("stream, 10,000", "C, double"),
+        "ONNX": ("stream, 10,000", "ONNX, double"),
+        "C, float": ("stream, 1,000", "C, float"),
+        "ONNX, float": ("stream, 1,000", "ONNX, float"),
+    }
+    rows = []
+    for title, name in _EXPORTED.items():
+        found = _read("benchmarks/export")[name]
+        cells = (found[f"difference from {of} steps"][key] for of, key in columns.values())
+        rows.append([title, *(f"{value:.0e}" for value in cells)])
+    return _table(["", *columns], rows)
+
+
+def fuzz() -> str:
+    """Return how many damaged files and command lines were tried, and what became of them."""
+    rows = []
+    for target, facts in _read("benchmarks/fuzz")["targets"].items():
+        read = facts["inputs"] - facts["refused"] if "refused" in facts else facts["loaded"]
+        counts = [f"{value:,}" for value in (facts["inputs"], read, facts["inputs"] - read)]
+        rows.append([target.replace("_", " "), *counts, f"{facts['seconds']:.0f}"])
+    total = _read("benchmarks/fuzz")["inputs"]
+    said = f"\n{total:,} inputs: no traceback, no hang, no file beside the output touched.\n"
+    return _table(["target", "inputs", "with a result", "refused", "time (s)"], rows) + said
+
+
+def memory() -> str:
+    """Return the most memory that a command on a million samples holds, and its time."""
+    rows = [
+        [command, f"{facts['bytes'] / 2**30:.2f}", f"{facts['seconds']:.0f}"]
+        for command, facts in _read("benchmarks/memory")["commands"].items()
+    ]
+    return _table(["command", "GiB", "time (s)"], rows)
+
+
+def _intervals(methods: str) -> str:
+    path = ROOT / recommendation.FILES[methods]
+    return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    **{
+        function.__name__.replace("_", "-"): function
+        for function in (
+            beyond, filtered_residual, fuzz, memory, physics_wrong, speed_accuracy,
+            speed_state_space, speed_steps, speed_training,
+        )
+    },
+    **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
+    **{name: partial(page.table_of, name) for name in page.TABLES},
+}  # fmt: skip
+"""The files of docs/tables, without their suffix."""
+COMPUTED: dict[str, Callable[[], Any]] = {
+    function.__name__: cache(function)
+    for function in (
+        calibration, conditioning, few_samples, over_best, own_warmup, parameters, published,
+        readme_benchmarks, usual, *statements.FIGURES,
+    )
+}  # fmt: skip
+
+
+def written() -> Iterator[tuple[Path, str]]:
+    """Yield each file that is made here or that has numbers, and its text as it should be.
+
+    Raises
+    ------
+    ValueError : A table or a number cannot be written; the message begins with its page.
+    """
+    for name, table in TABLES.items():
+        yield FOLDER / f"{name}.md", table()
+    for path in dict.fromkeys([*PAGES, *(ROOT / name for name, _ in NUMBERS)]):
+        text = path.read_text(encoding="utf-8")
+        try:
+            text = with_tables(text) if path in PAGES else text
+            for name, template in NUMBERS:
+                text = with_numbers(text, template) if ROOT / name == path else text
+        except ValueError as error:
+            raise ValueError(f"{path.relative_to(ROOT)}: {error}") from error
+        yield path, text
+
+
+def main() -> None:
+    """Write the tables, and the numbers of every page, and say which files changed."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    for path, text in written():
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+            print(path.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Tables and numbers in the documents are those of the result files."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from pathlib import Path
+
+import pytest
+
+from docs.tables import FOLDER, NUMBERS, PAGES, ROOT, filled, numbers_of, with_numbers, with_tables
+from docs.tables import written as made
+
+GRU = "{results/demo[methods][gru][forecast_rmse][0]:.2f}"
+GIVEN: dict[str, dict[str, str]] = {
+    "README.md": {"version of Python": "3.11"},
+    "reproduction/REPORT.md": {"finished study, commit 2909be7": "0.141 0.205 0.556"},
+    "docs/howto/experiment.md": {
+        "properties of what is simulated": "0.45 0.75 1.05",
+        "printed by benchmarks.linear": "0.900 0.014 0.889 0.020",
+    },
+    "docs/results/benchmarks.md": {"sampling rate": "610.35"},
+    "docs/results/beyond.md": {"finished study, commit c5ae2c0": "0.182"},
+}
+"""Numbers of two or more decimals in prose that no result file has, by page and by source."""
+
+
+def test_tables_and_numbers_are_those_of_the_result_files() -> None:
+    """Where they are not: `make figures`."""
+    for path, text in made():
+        there = path.read_text(encoding="utf-8") if path.exists() else ""
+        changes = difflib.ndiff(there.splitlines(), text.splitlines())
+        assert [line for line in changes if line[0] in "+-"] == [], path
+    made_here = {path for path, _ in made() if path.parent == FOLDER}
+    assert {*FOLDER.glob("*.md")} == made_here
+
+
+def test_each_number_in_prose_has_a_source() -> None:
+    """Of those with two or more decimals: a table of its page, `NUMBERS`, or `GIVEN`."""
+    found = {}
+    for path in [*PAGES, *sorted((ROOT / "docs").rglob("*.md"))]:
+        page = str(path.relative_to(ROOT))
+        if path.parent == FOLDER or "_build" in path.parts:
+            continue
+        numbers = _decimals(path, [words for of, words in NUMBERS if of == page])
+        if numbers:
+            found[page] = sorted(numbers)
+    given = {page: sorted({*" ".join(of.values()).split()}) for page, of in GIVEN.items()}
+    assert found == given
+
+
+def _decimals(path: Path, templates: list[str]) -> set[str]:
+    """Return the numbers in a page's sentences that no template covers."""
+    text = path.read_text(encoding="utf-8")
+    for template in templates:
+        for start, end in reversed(numbers_of(text, template)):
+            text = text[:start] + text[end:]
+    tables = "".join(re.findall(r"^\|.*$", text, re.MULTILINE))
+    for left_out in (
+        r"^```.*?^```",
+        r"^\|.*?$",
+        r"^    .*?$",
+        r"`[^`]*`",
+        r"\]\(.*?\)",
+        r"\$.*?\$",
+    ):
+        text = re.sub(left_out, "", text, flags=re.DOTALL | re.MULTILINE)
+    number = r"(?<![\d.])\d+\.\d{2,}(?!\.?\d)"
+    return {*re.findall(number, text)} - {*re.findall(number, tables)}
+
+
+def test_a_stale_number_is_written_again_and_the_text_around_it_stays() -> None:
+    template = f"A GRU has {GRU} m, or {GRU}"
+    text = "A GRU\nhas 9.99 m, or 1,009. At 1.5 Hz.\n"
+    assert with_numbers(text, template) == text.replace("9.99", "2.05").replace("1,009", "2.05")
+    table = f"<!--={GRU}-->\n| 1 |\n<!--/-->\n"
+    assert with_tables(table) == table.replace("| 1 |", "2.05")
+
+
+def test_a_sentence_must_stand_on_the_page_once() -> None:
+    for text in ("none", "has 1 m, has 2 m"):
+        with pytest.raises(ValueError, match="must stand once"):
+            with_numbers(text, f"has {GRU} m")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"<!--={GRU}-->\n1",
+        "1\n<!--/-->",
+        f"a <!--={GRU}-->\n1\n<!--/-->",
+        f"<!--={GRU}-->1<!--/-->",
+    ],
+)
+def test_comments_stand_alone_and_in_pairs(text: str) -> None:
+    with pytest.raises(ValueError, match="must stand between"):
+        with_tables(text)
+
+
+@pytest.mark.parametrize(
+    ("template", "said"),
+    [
+        ("{results/none[x]}", "results/none"),
+        ("{results/demo[nothing]}", "nothing"),
+        ("{results/demo[methods].gru}", "gru"),
+    ],
+)
+def test_what_cannot_be_looked_up_is_refused(template: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        filled(template)
