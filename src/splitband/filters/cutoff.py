@@ -1,7 +1,6 @@
 """Choose the filter pair from the training samples: cut-off, order and down-sampling.
 
-Not in the paper, which sets them by eye. No network is trained; docs/results/rules.md lists the
-records on which the rules were tested.
+Not in the paper, which sets them by eye. No network is trained.
 """
 
 from __future__ import annotations
