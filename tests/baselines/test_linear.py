@@ -209,18 +209,28 @@ def test_errors_of_a_nonlinear_system_are_not_taken_for_a_controller() -> None:
     assert identified([(record.y, record.u)]).by == "output error"
 
 
-def test_an_unstable_plant_behind_a_controller_is_unstable() -> None:
-    rng = np.random.default_rng(0)
+def closed_loop(seed: int) -> tuple[sb.Record, sb.Record]:
+    """One run, with the controller's output and with the set-point as the input."""
+    rng = np.random.default_rng(seed)
     setpoint, e = rng.choice([-1.0, 1.0], 150).repeat(20), rng.standard_normal(3000)
     y, u, x = np.zeros(3000), np.zeros(3000), 0.0
     for n in range(3000):
         y[n] = x + 0.1 * e[n]
         u[n] = 3.0 * (setpoint[n] - y[n])
         x = 1.05 * x + 0.1 * u[n] + 0.05 * e[n]
-    record = sb.Record(y, 0.1, u=u)
-    found = sb.Linear(order=1).fit(record)
-    assert found.poles()[0].real == pytest.approx(1.05, abs=0.02)
-    assert not found.require_fitted().report.stable
+    return sb.Record(y, 0.1, u=u), sb.Record(y, 0.1, u=setpoint)
+
+
+def test_an_unstable_plant_behind_a_controller_is_unstable_and_its_loop_is_not() -> None:
+    plant, loop = closed_loop(0)
+    direct, whole = sb.Linear(order=1).fit(plant), sb.Linear().fit(loop)
+    assert direct.poles()[0].real == pytest.approx(1.05, abs=0.02)
+    assert not direct.require_fitted().report.stable
+    assert whole.poles().real == pytest.approx([0.75], abs=0.02)
+    plant, loop = closed_loop(1)
+    for model, record in ((direct, plant), (whole, loop)):
+        assert model.check_residuals(record[:400]).fits["1 step ahead"][0] > 85
+    assert whole.check_residuals(loop[:400]).fits["simulation"][0] > 85
 
 
 def test_order_delay_and_integrators_can_be_given() -> None:

@@ -52,6 +52,9 @@ _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. Rounding."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. Rounding."""
+_GROWTH = 100.0
+"""An unstable model is simulated over parts of a record, in which its errors grow at most by this
+factor: over the whole record they leave the range of numbers. By eye."""
 _LAGS = 16
 """Past samples from which an input is predicted. By eye."""
 _ROWS = 20_000
@@ -231,6 +234,7 @@ def _by_prediction(model: LinearModel, at: Solution, runs: Sequence[Run]) -> Lin
     a, b, c, d, gain = matrices()
     blocks = blocks_of(a, c, [True] * nu, b=b, d=d)
     # Its simulation, from the best initial states with the best offset.
+    runs = _parts(runs, a)
     at = evaluated(blocks, runs, [np.zeros((len(blocks.a), 2)) for _ in runs])
     free = np.zeros(len(blocks.values), bool)
     free[-ny:] = True
@@ -241,6 +245,20 @@ def _by_prediction(model: LinearModel, at: Solution, runs: Sequence[Run]) -> Lin
     errors = accuracy_of(found, both, lambda step: matrices(step)[:4])
     simple = errors if model.accuracy is None else model.accuracy
     return replace(new, accuracy=replace(errors, delay_errors=simple.delay_errors))
+
+
+def _parts(runs: Sequence[Run], a: Array) -> Sequence[Run]:
+    """Return the runs, of an unstable model in parts over which it grows at most by `_GROWTH`."""
+    size = abs(np.linalg.eigvals(a)).max(initial=0.0)
+    if size <= 1:
+        return runs
+    length = max(int(np.log(_GROWTH) / np.log(size)), 4 * len(a))
+    found = []
+    for run in runs:
+        count = max(run.u.shape[1] // length, 1)
+        cut = [np.array_split(signal, count, axis=1) for signal in run]
+        found += [Run(*part) for part in zip(*cut, strict=True)]
+    return found
 
 
 def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
