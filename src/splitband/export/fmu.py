@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import shlex
-import shutil
-import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
 from splitband import __version__
 from splitband.data.signals import unit_of
 from splitband.export import c
+from splitband.export.compiling import libraries
 from splitband.export.program import Program
 from splitband.runtime.errors import InputError
 from splitband.simulators.fmu_unit import OPTIONAL
 
-COMPILERS = "cc", "gcc", "clang"
-"""Compilers to look for if the environment variable CC names none."""
+HEADERS = "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"
 
 
 @dataclass(frozen=True)
@@ -49,13 +44,33 @@ FLAGS = (
 
 
 def render(program: Program) -> bytes:
-    """Return the FMU: a binary for this platform, and the sources for others."""
+    """Return the FMU: binaries, see `compiling.libraries`, and the sources for other platforms."""
+    numbers = _numbers(program)
+    sources, guid = _sources(program, numbers)
+    code = tuple(name for name in sources if name.endswith(".c"))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in sources.items():
+            Path(folder, name).write_bytes(content)
+        built = libraries(Path(folder), code, program.name)
+    files = {"modelDescription.xml": _description(program, numbers, guid, code)}
+    files |= {f"sources/{name}": content for name, content in sources.items()}
+    files |= {f"binaries/{path}": content for path, content in built.items()}
+    return _packed(files)
+
+
+def platforms(path: Path) -> list[str]:
+    """Return FMI's names of the platforms for which an FMU holds a binary, such as "win64"."""
+    with ZipFile(path) as archive:
+        parts = [name.split("/") for name in archive.namelist()]
+    return sorted({part[1] for part in parts if part[0] == "binaries" and len(part) > 2})
+
+
+def _sources(program: Program, numbers: Sequence[Variable]) -> tuple[dict[str, bytes], str]:
+    """Return the files of the source code by their names, and the identifier of the model."""
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise InputError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
-    headers = Path(fmpy.__file__).parent / "c-code"
-    numbers = _numbers(program)
+        raise InputError('an FMU needs FMPy: pip install "splitband[fmu]"') from None
     # Its own names, which no file of the FMU and no header of FMI can have.
     model = f"{program.name}_model"
     header, source = c.render(replace(program, name=model), "double")
@@ -71,45 +86,22 @@ def render(program: Program) -> bytes:
         "GIVEN": _given(program),
     }.items():
         wrapper = wrapper.replace(f"@{word}@", value)
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        sources = folder / "sources"
-        sources.mkdir()
-        for name in ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"):
-            shutil.copy(headers / name, sources)
-        (sources / f"{model}.h").write_text(header, encoding="ascii")
-        (sources / f"{model}.c").write_text(source, encoding="ascii")
-        (sources / "fmu.c").write_text(wrapper, encoding="ascii")
-        described = _description(program, numbers, guid, (f"{model}.c", "fmu.c"))
-        described.write(folder / "modelDescription.xml", encoding="utf-8", xml_declaration=True)
-        binary = folder / "binaries" / fmpy.platform
-        binary.mkdir(parents=True)
-        _compile(sources, model, binary / f"{program.name}{fmpy.sharedLibraryExtension}")
-        packed = BytesIO()
-        with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
-            for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-                archive.write(file, file.relative_to(folder))
-        return packed.getvalue()
+    texts = {f"{model}.c": source, "fmu.c": wrapper, f"{model}.h": header}
+    headers = Path(fmpy.__file__).parent / "c-code"
+    files = {name: text.encode("ascii") for name, text in texts.items()}
+    return files | {name: (headers / name).read_bytes() for name in HEADERS}, guid
 
 
-def _compile(sources: Path, model: str, library: Path) -> None:
-    options = ["-std=c99", "-O2", "-fPIC", "-shared", "-o", str(library)]
-    command = [*_compiler(), *options, f"{model}.c", "fmu.c", "-lm"]
-    done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise InputError(f"the FMU could not be compiled by {command[0]}: {done.stderr[-300:]}")
-
-
-def _compiler() -> list[str]:
-    """Return the C compiler with its options: those of the environment variable CC, if set."""
-    given = os.environ.get("CC", "").strip()
-    whole = shutil.which(given) if given else None
-    parts = shlex.split(given, posix=os.name != "nt")  # such as "ccache gcc -m64"
-    commands = [[whole]] if whole else [parts] if parts else [[word] for word in COMPILERS]
-    for compiler, *options in commands:
-        if found := shutil.which(compiler):
-            return [found, *options]
-    raise InputError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
+def _packed(files: Mapping[str, bytes]) -> bytes:
+    """Return files as a ZIP archive, which depends on nothing but their names and contents."""
+    packed = BytesIO()
+    with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
+        for name in sorted(files):
+            member = ZipInfo(name)  # dated 1980
+            member.compress_type = ZIP_DEFLATED
+            member.create_system, member.external_attr = 3, 0o644 << 16  # Unix, on Windows too
+            archive.writestr(member, files[name])
+    return packed.getvalue()
 
 
 def _numbers(program: Program) -> list[Variable]:
@@ -162,7 +154,7 @@ def _given(program: Program) -> str:
 
 def _description(
     program: Program, numbers: Sequence[Variable], guid: str, files: Sequence[str]
-) -> ElementTree.ElementTree[Any]:
+) -> bytes:
     record, add = program.record, ElementTree.SubElement
     root = ElementTree.Element(
         "fmiModelDescription", fmiVersion="2.0", modelName=program.name, guid=guid,
@@ -204,6 +196,6 @@ def _description(
         unknowns = add(structure, part)
         for index in range(1, record.ny + 1):
             add(unknowns, "Unknown", index=str(index))
-    tree = ElementTree.ElementTree(root)
-    ElementTree.indent(tree)
-    return tree
+    ElementTree.indent(root)
+    described: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return described
