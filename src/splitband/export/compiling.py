@@ -44,8 +44,8 @@ PLATFORMS = (
 COMPILERS = "cc", "gcc", "clang"
 """Compilers to look for if the environment variable CC names none."""
 OPTIONS = "-std=c99", "-O2", "-ffp-contract=off", "-shared"
-"""Options of all compilers. A product and the sum that it goes into are rounded one after the other,
-as NumPy does: fused into one operation, which ARM has, they would give other results."""
+"""Options of all compilers. A product and the sum that it goes into are rounded one after the
+other, as NumPy does: fused into one operation, which ARM has, they would give other results."""
 OTHERS = 'pip install "splitband[everywhere]"'
 _FAT = 0xCAFEBABE
 """First word of a universal file. A convention."""

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import tempfile
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from io import BytesIO
+from itertools import count
 from pathlib import Path
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
@@ -20,9 +23,21 @@ from splitband.export import c
 from splitband.export.compiling import libraries
 from splitband.export.program import Program
 from splitband.runtime.errors import InputError
-from splitband.simulators.fmu_unit import OPTIONAL
+from splitband.simulators.fmu_unit import SIGNALS
 
 HEADERS = "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"
+LONGEST_NAME = 63
+"""Most characters of a name in MATLAB. A convention."""
+_OF_C = (
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while"
+)
+_OF_MATLAB = "catch classdef elseif end function global otherwise parfor persistent spmd try"
+KEYWORDS = frozenset(f"{_OF_C} {_OF_MATLAB}".split())
+"""Words that are no names of variables, in C or in MATLAB."""
+_SIGNS = str.maketrans({"\u00b0": "deg", "\u03bc": "u", "\u03a9": "Ohm", "%": "percent"})
+"""Signs of units, and how they are written in letters: degree, micro, ohm, per cent."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +49,7 @@ class Variable:
     description: str
     start: float | bool | None = None  # value before it is set; None for a computed variable
     unit: str = ""  # unit of a number; empty if unknown
+    label: str = ""  # the record's column that it stands for; empty if it stands for none
 
 
 FLAGS = (
@@ -104,42 +120,63 @@ def _packed(files: Mapping[str, bytes]) -> bytes:
     return packed.getvalue()
 
 
+class PortNames:
+    """Give signals names of their own that C and MATLAB, and so Simulink, take."""
+
+    def __init__(self) -> None:
+        self.taken = {flag.name for flag in FLAGS}
+
+    def new(self, label: str, ending: str = "") -> str:
+        """Return a name for a label, with an ending; a number tells equal ones apart."""
+        tails = (f"_{number}{ending}" if number > 1 else ending for number in count(1))
+        names = (port_name(label)[: LONGEST_NAME - len(tail)] + tail for tail in tails)
+        name = next(name for name in names if name not in self.taken)
+        self.taken.add(name)
+        return name
+
+
+def port_name(label: str) -> str:
+    """Return a label as a name that C and MATLAB take: "level (cm)" is `level_cm`."""
+    word = label
+    if not re.fullmatch(r"[A-Za-z]\w*", label, re.ASCII):
+        letters = unicodedata.normalize("NFKD", label).translate(_SIGNS)
+        plain = "".join(each for each in letters if not unicodedata.combining(each))
+        word = re.sub(r"\W+", "_", plain, flags=re.ASCII).strip("_")
+    if not word[:1].isalpha() or word in KEYWORDS:
+        word = f"x_{word}".rstrip("_")
+    return word
+
+
 def _numbers(program: Program) -> list[Variable]:
     """Return the real variables: outputs, inputs, the simulator's output, measured samples."""
-    record = program.record
+    record, names = program.record, PortNames()
     y, u = program.usual()
 
     def channels(ending: str, description: str) -> list[Variable]:
         return [
-            Variable(f"{name}{ending}", "input", description, float(start), unit)
-            for name, start, unit in zip(record.columns, y, record.units, strict=True)
+            Variable(names.new(each, ending), "input", f"{each}: {description}", float(start), unit)
+            for each, start, unit in zip(record.columns, y, record.units, strict=True)
         ]
 
     found = [
-        Variable(name, "output", "predicted, or as observed", None, unit)
-        for name, unit in zip(record.columns, record.units, strict=True)
+        Variable(names.new(each), "output", f"{each}: predicted, or as observed", None, unit, each)
+        for each, unit in zip(record.columns, record.units, strict=True)
     ]
     if "u" in program.given:
         found += [
-            Variable(name, "input", "known input", float(start), unit_of(name))
-            for name, start in zip(record.inputs, u, strict=True)
+            Variable(
+                names.new(each), "input", f"{each}: known input", float(start), unit_of(each), each
+            )
+            for each, start in zip(record.inputs, u, strict=True)
         ]
     if "y_sim" in program.given:
-        for ending in ["_simulated", "_simulated_next"][: program.given["y_sim"][0]]:
-            found += channels(ending, "output of the simulator")
-    return _unique([*found, *channels("_measured", "what is observed")])
-
-
-def _unique(variables: Sequence[Variable]) -> list[Variable]:
-    taken = {flag.name for flag in FLAGS}
-    unique = []
-    for variable in variables:
-        name = variable.name
-        while name in taken:
-            name += "_"
-        taken.add(name)
-        unique.append(replace(variable, name=name))
-    return unique
+        said = {
+            "_simulated": "output of the simulator",
+            "_simulated_next": "output of the simulator at the next sample",
+        }
+        for ending in [*said][: program.given["y_sim"][0]]:
+            found += channels(ending, said[ending])
+    return [*found, *channels("_measured", "what is observed")]
 
 
 def _given(program: Program) -> str:
@@ -174,10 +211,7 @@ def _description(
         for unit in units:
             add(defined, "Unit", name=unit)
     add(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
-    ours = add(add(root, "VendorAnnotations"), "Tool", name="splitband")
-    optional = add(ours, OPTIONAL)
-    for variable in (*numbers[-record.ny :], FLAGS[0]):  # unless something is observed
-        add(optional, "Input", name=variable.name)
+    _annotate(root, numbers, record.ny)
     variables = add(root, "ModelVariables")
     for kind, listed in (("Real", numbers), ("Boolean", FLAGS)):
         for reference, variable in enumerate(listed):
@@ -199,3 +233,16 @@ def _description(
     ElementTree.indent(root)
     described: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return described
+
+
+def _annotate(root: ElementTree.Element, numbers: Sequence[Variable], measured: int) -> None:
+    """Add what `simulators.fmu_unit` reads: labels, and inputs that need not be driven."""
+    add = ElementTree.SubElement
+    ours = add(add(root, "VendorAnnotations"), "Tool", name="splitband")
+    signals = add(ours, SIGNALS)  # FMI 2.0 allows one element of a tool
+    free = {v.name for v in (*numbers[-measured:], FLAGS[0])}  # unless something is observed
+    for variable in (*numbers, FLAGS[0]):
+        facts = {"label": variable.label} if variable.label else {}
+        facts |= {"optional": "true"} if variable.name in free else {}
+        if facts:
+            add(signals, "Signal", {"name": variable.name} | facts)
