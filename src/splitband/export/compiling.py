@@ -39,7 +39,8 @@ PLATFORMS = (
     Platform("win64", "Windows", ".dll", ("x86_64-windows-gnu",)),
     # A library that is linked with an old GNU C library runs with every newer one.
     Platform("linux64", "Linux", ".so", ("x86_64-linux-gnu.2.17",)),
-    Platform("darwin64", "macOS", ".dylib", ("x86_64-macos", "aarch64-macos")),
+    # The first version for Apple's own processors; the one that ziglang takes itself is of 2024.
+    Platform("darwin64", "macOS", ".dylib", ("x86_64-macos.11.0", "aarch64-macos.11.0")),
 )
 COMPILERS = "cc", "gcc", "clang"
 """Compilers to look for if the environment variable CC names none."""
