@@ -2,6 +2,7 @@
 # `make figures` writes the figures of the documents from the result files.
 # `make paper` lists what is there of the paper's tables and figures, and what the rest would take.
 # `make docs` builds the documentation site, whose tutorials it executes: docs/_build/html/index.html.
+# `make desks` runs exported FMUs as Windows (under wine) and Linux do; it needs wine, and ziglang.
 # `make fuzz` looks for failures at random, `make soak` repeats what takes long: both for minutes.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -10,7 +11,7 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: axe demo test check kernels-float32 kernels-float64 format figures docs paper bench fuzz soak memory clean
+.PHONY: axe demo test check kernels-float32 kernels-float64 format figures docs paper bench fuzz soak memory desks clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
@@ -60,6 +61,10 @@ soak: .venv/.ready
 
 memory: .venv/.ready
 	$(BIN)/python -m benchmarks.memory --out docs/benchmarks/memory.json
+
+desks: .venv/.ready
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[everywhere]'
+	$(BIN)/python -m benchmarks.desks --out docs/benchmarks/desks.json
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

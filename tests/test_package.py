@@ -60,7 +60,7 @@ def test_the_installed_wheel_runs_from_an_environment_of_its_own(
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("extras", ["", "[fmu]", "[docs]", "[cluster]"])
+@pytest.mark.parametrize("extras", ["", "[fmu]", "[everywhere]", "[docs]", "[cluster]"])
 def test_the_wheel_and_its_extras_are_installed_into_an_empty_environment(
     extras: str, built: Path, tmp_path: Path
 ) -> None:

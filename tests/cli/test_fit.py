@@ -1,7 +1,9 @@
 """`splitband fit` and `splitband export`: the model and the program that they write."""
 
+import json
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pandas as pd
 import pytest
@@ -84,6 +86,17 @@ def test_a_model_of_a_file_of_one_nameless_column_simulates_such_a_file(
     assert list(found) == ["time", "y"]
     expected = simulated(load(Path("model"))[0], A[-WARMUP:, None], 5)
     np.testing.assert_allclose(found[["y"]], expected, atol=1e-6)
+
+
+def test_export_says_where_an_fmu_runs(
+    driven_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"export {driven_model} {tmp_path}/rig.fmu")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the FMU runs on" in said
+    assert 'pip install "splitband[everywhere]"' in said
+    call(f"export {driven_model} {tmp_path}/rig.fmu --json")
+    assert json.loads(capsys.readouterr().out)["platforms"] == [fmpy.platform]
 
 
 def test_export_says_what_it_writes(

@@ -1,6 +1,8 @@
 """An exported FMU is valid, and says what a stream says, as FMPy runs it."""
 
+import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,11 @@ import numpy as np
 import pytest
 from fmpy.simulation import instantiate_fmu
 from fmpy.validation import validate_fmu
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 import splitband as sb
+from splitband.export.fmu import PortNames, port_name
 from tests.export.test_c import STRICT
 from tests.streams import driven, fitted, free, rows
 
@@ -117,7 +122,7 @@ def test_an_fmu_is_a_simulator_again_with_the_names_and_units_of_the_record(
     assert said == pytest.approx(forecaster.predict(60).y, abs=1e-9)
     variables = fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables
     assert [(v.name, v.unit) for v in variables[:2]] == [
-        ("way [mm]", "mm"), ("way [mm]_measured", "mm"),
+        ("way_mm", "mm"), ("way_mm_measured", "mm"),
     ]  # fmt: skip
 
 
@@ -160,3 +165,54 @@ def test_an_exported_fmu_with_inputs_is_exact_as_a_simulator(name: str, tmp_path
     wanted = forecaster.predict(60, record[:150], ahead.u).y
     assert said is not None
     np.testing.assert_allclose(said, wanted, atol=1e-9 * float(np.std(record.y)))
+
+
+@pytest.mark.parametrize(
+    ("label", "name"),
+    [
+        ("level (cm)", "level_cm"), ("T_in [\u00b0C]", "T_in_degC"), ("valve (%)", "valve_percent"),
+        ("H\u00f6he", "Hohe"), ("gap (\u00b5m)", "gap_um"), ("\u0394p [bar]", "p_bar"),
+        ("1st", "x_1st"), ("end", "x_end"), ("double", "x_double"), ("\u6e29\u5ea6", "x"),
+        ("a__b_", "a__b_"), ("x", "x"),
+    ],
+)  # fmt: skip
+def test_a_port_has_a_name_that_simulink_takes(label: str, name: str) -> None:
+    assert port_name(label) == name
+
+
+@given(st.lists(st.text(max_size=80), min_size=1, max_size=6))
+@example(["level (cm)", "level_cm", "level [cm]", "observe", "begin empty", "a" * 80, "a" * 79])
+def test_ports_have_names_of_their_own(labels: list[str]) -> None:
+    names = PortNames()
+    found = [names.new(each, ending) for ending in ("", "_measured") for each in labels]
+    assert len({*found}) == len(found)
+    assert all(re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,62}", each) for each in found)
+    assert not {*found} & {"observe", "begin_empty", "end", "for"}
+
+
+def test_an_exported_fmu_is_matched_by_the_columns_that_it_was_trained_on(tmp_path: Path) -> None:
+    """Their names are labels of its ports, whatever the order of the columns."""
+    record = replace(
+        driven(),
+        columns=("level (cm)", "level_cm"),
+        inputs=("valve (%)", "\u0394p [bar]"),
+        y_sim=None,
+    )
+    model = sb.Linear().fit(record[:150])
+    model.export(tmp_path / "rig.fmu")
+    assert validate_fmu(str(tmp_path / "rig.fmu")) == []
+    variables = fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables
+    said = {v.name: v.description for v in variables}
+    assert [*said][:4] == ["level_cm", "level_cm_2", "valve_percent", "p_bar"]
+    assert said["level_cm_2_measured"] == "level_cm: what is observed"
+    ahead = record[150:210]
+    assert ahead.u is not None
+    other = sb.Record(
+        ahead.y[:, ::-1], 0.1, u=ahead.u[:, ::-1],
+        columns=ahead.columns[::-1], inputs=ahead.inputs[::-1],
+    )  # fmt: skip
+    simulation = sb.Simulation(sb.Fmu(tmp_path / "rig.fmu"))
+    found = simulation.fit(other).on(other).y_sim
+    assert found is not None
+    wanted = model.predict(60, record[:150], ahead.u).y
+    np.testing.assert_allclose(found[:, ::-1], wanted, atol=1e-9 * float(np.std(record.y)))

@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import shlex
-import shutil
-import subprocess
+import re
 import tempfile
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from io import BytesIO
+from itertools import count
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
-from zipfile import ZIP_DEFLATED, ZipFile
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
 from splitband import __version__
 from splitband.data.signals import unit_of
 from splitband.export import c
+from splitband.export.compiling import libraries
 from splitband.export.program import Program
 from splitband.runtime.errors import InputError
-from splitband.simulators.fmu_unit import OPTIONAL
+from splitband.simulators.fmu_unit import SIGNALS
 
-COMPILERS = "cc", "gcc", "clang"
-"""Compilers to look for if the environment variable CC names none."""
+HEADERS = "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"
+LONGEST_NAME = 63
+"""Most characters of a name in MATLAB. A convention."""
+_OF_C = (
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while"
+)
+_OF_MATLAB = "catch classdef elseif end function global otherwise parfor persistent spmd try"
+KEYWORDS = frozenset(f"{_OF_C} {_OF_MATLAB}".split())
+"""Words that are no names of variables, in C or in MATLAB."""
+_SIGNS = str.maketrans({"\u00b0": "deg", "\u03bc": "u", "\u03a9": "Ohm", "%": "percent"})
+"""Signs of units, and how they are written in letters: degree, micro, ohm, per cent."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,7 @@ class Variable:
     description: str
     start: float | bool | None = None  # value before it is set; None for a computed variable
     unit: str = ""  # unit of a number; empty if unknown
+    label: str = ""  # the record's column that it stands for; empty if it stands for none
 
 
 FLAGS = (
@@ -49,13 +60,33 @@ FLAGS = (
 
 
 def render(program: Program) -> bytes:
-    """Return the FMU: a binary for this platform, and the sources for others."""
+    """Return the FMU: binaries, see `compiling.libraries`, and the sources for other platforms."""
+    numbers = _numbers(program)
+    sources, guid = _sources(program, numbers)
+    code = tuple(name for name in sources if name.endswith(".c"))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in sources.items():
+            Path(folder, name).write_bytes(content)
+        built = libraries(Path(folder), code, program.name)
+    files = {"modelDescription.xml": _description(program, numbers, guid, code)}
+    files |= {f"sources/{name}": content for name, content in sources.items()}
+    files |= {f"binaries/{path}": content for path, content in built.items()}
+    return _packed(files)
+
+
+def platforms(path: Path) -> list[str]:
+    """Return FMI's names of the platforms for which an FMU holds a binary, such as "win64"."""
+    with ZipFile(path) as archive:
+        parts = [name.split("/") for name in archive.namelist()]
+    return sorted({part[1] for part in parts if part[0] == "binaries" and len(part) > 2})
+
+
+def _sources(program: Program, numbers: Sequence[Variable]) -> tuple[dict[str, bytes], str]:
+    """Return the files of the source code by their names, and the identifier of the model."""
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise InputError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
-    headers = Path(fmpy.__file__).parent / "c-code"
-    numbers = _numbers(program)
+        raise InputError('an FMU needs FMPy: pip install "splitband[fmu]"') from None
     # Its own names, which no file of the FMU and no header of FMI can have.
     model = f"{program.name}_model"
     header, source = c.render(replace(program, name=model), "double")
@@ -71,83 +102,81 @@ def render(program: Program) -> bytes:
         "GIVEN": _given(program),
     }.items():
         wrapper = wrapper.replace(f"@{word}@", value)
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        sources = folder / "sources"
-        sources.mkdir()
-        for name in ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"):
-            shutil.copy(headers / name, sources)
-        (sources / f"{model}.h").write_text(header, encoding="ascii")
-        (sources / f"{model}.c").write_text(source, encoding="ascii")
-        (sources / "fmu.c").write_text(wrapper, encoding="ascii")
-        described = _description(program, numbers, guid, (f"{model}.c", "fmu.c"))
-        described.write(folder / "modelDescription.xml", encoding="utf-8", xml_declaration=True)
-        binary = folder / "binaries" / fmpy.platform
-        binary.mkdir(parents=True)
-        _compile(sources, model, binary / f"{program.name}{fmpy.sharedLibraryExtension}")
-        packed = BytesIO()
-        with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
-            for file in sorted(p for p in folder.rglob("*") if p.is_file()):
-                archive.write(file, file.relative_to(folder))
-        return packed.getvalue()
+    texts = {f"{model}.c": source, "fmu.c": wrapper, f"{model}.h": header}
+    headers = Path(fmpy.__file__).parent / "c-code"
+    files = {name: text.encode("ascii") for name, text in texts.items()}
+    return files | {name: (headers / name).read_bytes() for name in HEADERS}, guid
 
 
-def _compile(sources: Path, model: str, library: Path) -> None:
-    options = ["-std=c99", "-O2", "-fPIC", "-shared", "-o", str(library)]
-    command = [*_compiler(), *options, f"{model}.c", "fmu.c", "-lm"]
-    done = subprocess.run(command, cwd=sources, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise InputError(f"the FMU could not be compiled by {command[0]}: {done.stderr[-300:]}")
+def _packed(files: Mapping[str, bytes]) -> bytes:
+    """Return files as a ZIP archive, which depends on nothing but their names and contents."""
+    packed = BytesIO()
+    with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
+        for name in sorted(files):
+            member = ZipInfo(name)  # dated 1980
+            member.compress_type = ZIP_DEFLATED
+            member.create_system, member.external_attr = 3, 0o644 << 16  # Unix, on Windows too
+            archive.writestr(member, files[name])
+    return packed.getvalue()
 
 
-def _compiler() -> list[str]:
-    """Return the C compiler with its options: those of the environment variable CC, if set."""
-    given = os.environ.get("CC", "").strip()
-    whole = shutil.which(given) if given else None
-    parts = shlex.split(given, posix=os.name != "nt")  # such as "ccache gcc -m64"
-    commands = [[whole]] if whole else [parts] if parts else [[word] for word in COMPILERS]
-    for compiler, *options in commands:
-        if found := shutil.which(compiler):
-            return [found, *options]
-    raise InputError(f"an FMU needs a C compiler: none of {given or ', '.join(COMPILERS)}")
+class PortNames:
+    """Give signals names of their own that C and MATLAB, and so Simulink, take."""
+
+    def __init__(self) -> None:
+        self.taken = {flag.name for flag in FLAGS}
+
+    def new(self, label: str, ending: str = "") -> str:
+        """Return a name for a label, with an ending; a number tells equal ones apart."""
+        tails = (f"_{number}{ending}" if number > 1 else ending for number in count(1))
+        names = (port_name(label)[: LONGEST_NAME - len(tail)] + tail for tail in tails)
+        name = next(name for name in names if name not in self.taken)
+        self.taken.add(name)
+        return name
+
+
+def port_name(label: str) -> str:
+    """Return a label as a name that C and MATLAB take: "level (cm)" is `level_cm`."""
+    word = label
+    if not re.fullmatch(r"[A-Za-z]\w*", label, re.ASCII):
+        letters = unicodedata.normalize("NFKD", label).translate(_SIGNS)
+        plain = "".join(each for each in letters if not unicodedata.combining(each))
+        word = re.sub(r"\W+", "_", plain, flags=re.ASCII).strip("_")
+    if not word[:1].isalpha() or word in KEYWORDS:
+        word = f"x_{word}".rstrip("_")
+    return word
 
 
 def _numbers(program: Program) -> list[Variable]:
     """Return the real variables: outputs, inputs, the simulator's output, measured samples."""
-    record = program.record
+    record, names = program.record, PortNames()
     y, u = program.usual()
 
     def channels(ending: str, description: str) -> list[Variable]:
         return [
-            Variable(f"{name}{ending}", "input", description, float(start), unit)
-            for name, start, unit in zip(record.columns, y, record.units, strict=True)
+            Variable(names.new(each, ending), "input", f"{each}: {description}", float(start), unit)
+            for each, start, unit in zip(record.columns, y, record.units, strict=True)
         ]
 
     found = [
-        Variable(name, "output", "predicted, or as observed", None, unit)
-        for name, unit in zip(record.columns, record.units, strict=True)
+        Variable(names.new(each), "output", f"{each}: predicted, or as observed", None, unit, each)
+        for each, unit in zip(record.columns, record.units, strict=True)
     ]
     if "u" in program.given:
         found += [
-            Variable(name, "input", "known input", float(start), unit_of(name))
-            for name, start in zip(record.inputs, u, strict=True)
+            Variable(
+                names.new(each), "input", f"{each}: known input", float(start), unit_of(each), each
+            )
+            for each, start in zip(record.inputs, u, strict=True)
         ]
     if "y_sim" in program.given:
-        for ending in ["_simulated", "_simulated_next"][: program.given["y_sim"][0]]:
-            found += channels(ending, "output of the simulator")
-    return _unique([*found, *channels("_measured", "what is observed")])
-
-
-def _unique(variables: Sequence[Variable]) -> list[Variable]:
-    taken = {flag.name for flag in FLAGS}
-    unique = []
-    for variable in variables:
-        name = variable.name
-        while name in taken:
-            name += "_"
-        taken.add(name)
-        unique.append(replace(variable, name=name))
-    return unique
+        said = {
+            "_simulated": "output of the simulator",
+            "_simulated_next": "output of the simulator at the next sample",
+        }
+        for ending in [*said][: program.given["y_sim"][0]]:
+            found += channels(ending, said[ending])
+    return [*found, *channels("_measured", "what is observed")]
 
 
 def _given(program: Program) -> str:
@@ -162,7 +191,7 @@ def _given(program: Program) -> str:
 
 def _description(
     program: Program, numbers: Sequence[Variable], guid: str, files: Sequence[str]
-) -> ElementTree.ElementTree[Any]:
+) -> bytes:
     record, add = program.record, ElementTree.SubElement
     root = ElementTree.Element(
         "fmiModelDescription", fmiVersion="2.0", modelName=program.name, guid=guid,
@@ -182,10 +211,7 @@ def _description(
         for unit in units:
             add(defined, "Unit", name=unit)
     add(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
-    ours = add(add(root, "VendorAnnotations"), "Tool", name="splitband")
-    optional = add(ours, OPTIONAL)
-    for variable in (*numbers[-record.ny :], FLAGS[0]):  # unless something is observed
-        add(optional, "Input", name=variable.name)
+    _annotate(root, numbers, record.ny)
     variables = add(root, "ModelVariables")
     for kind, listed in (("Real", numbers), ("Boolean", FLAGS)):
         for reference, variable in enumerate(listed):
@@ -204,6 +230,19 @@ def _description(
         unknowns = add(structure, part)
         for index in range(1, record.ny + 1):
             add(unknowns, "Unknown", index=str(index))
-    tree = ElementTree.ElementTree(root)
-    ElementTree.indent(tree)
-    return tree
+    ElementTree.indent(root)
+    described: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return described
+
+
+def _annotate(root: ElementTree.Element, numbers: Sequence[Variable], measured: int) -> None:
+    """Add what `simulators.fmu_unit` reads: labels, and inputs that need not be driven."""
+    add = ElementTree.SubElement
+    ours = add(add(root, "VendorAnnotations"), "Tool", name="splitband")
+    signals = add(ours, SIGNALS)  # FMI 2.0 allows one element of a tool
+    free = {v.name for v in (*numbers[-measured:], FLAGS[0])}  # unless something is observed
+    for variable in (*numbers, FLAGS[0]):
+        facts = {"label": variable.label} if variable.label else {}
+        facts |= {"optional": "true"} if variable.name in free else {}
+        if facts:
+            add(signals, "Signal", {"name": variable.name} | facts)

@@ -406,8 +406,9 @@ class Forecaster(WithRepr, ABC):
         Parameters
         ----------
         path : Output file, whose ending sets the format: `.c` is C99, with a header file; `.fmu` is
-            a functional mock-up unit for co-simulation (FMI 2.0); `.onnx` is the graph of a step,
-            with a second graph for a whole simulation.
+            a functional mock-up unit for co-simulation (FMI 2.0), for Windows, Linux and macOS with
+            the extra `everywhere`, else for this platform; `.onnx` is the graph of a step, with a
+            second graph for a whole simulation.
         precision : Of all numbers; an FMU computes in double precision.
         history : The program starts at its end; by default the training record.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -23,8 +23,9 @@ WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "
 REAL = "Real", "Float32", "Float64"
 NUMERIC = *REAL, "Boolean", *WHOLE
 """Types of variables that can be a channel or an input."""
-OPTIONAL = "OptionalInputs"
-"""Name of the element that lists inputs of our own exported FMUs that need not be driven."""
+SIGNALS = "Signals"
+"""Name of the element that lists signals of our own exported FMUs: their labels, which are the
+names of the record's columns, and whether an input need not be driven."""
 _MOST = 12
 """Most names in a message. Layout."""
 
@@ -33,12 +34,15 @@ class Variables:
     """Know the names of an FMU's variables; `description` by FMPy.
 
     `outputs` and `inputs` of an FMU are numbers; `inputs` must be driven, while the `optional` ones
-    of an FMU of this package, which take measured samples, may keep their start values.
+    of an FMU of this package, which take measured samples, may keep their start values. `labels`
+    has the column of the record that a variable stands for, or else the variable's own name.
     """
 
     def __init__(self, path: Path, description: Any) -> None:
-        every, optional = description.modelVariables, _optional(path)
+        every, signals = description.modelVariables, _signals(path)
         self.file, self.names = path, [v.name for v in every]
+        self.labels = {name: signals.get(name, {}).get("label", name) for name in self.names}
+        optional = {name for name, facts in signals.items() if facts.get("optional") == "true"}
         usable = [v for v in every if v.type in NUMERIC and not (v.shape or v.dimensions)]
         inputs = [v.name for v in usable if v.causality == "input"]
         self.outputs = [v.name for v in usable if v.causality == "output"]
@@ -65,13 +69,14 @@ class Variables:
                 )
 
     def outputs_for(self, columns: Sequence[str], given: Sequence[str] | None) -> list[str]:
-        """Return the variable of each channel: the given ones, or those of the same names.
+        """Return the variable of each channel: the given ones, or those of its name or label.
 
         Raises ValueError, with both lists, where they cannot be told.
         """
         if given is not None and len(given) == len(columns):
             return [*given]
-        found = [""] if given is not None else _by_name(columns, [*self.outputs, *self.others])
+        known = [*self.outputs, *self.others]
+        found = [""] if given is not None else _by_name(columns, known, self.labels)
         if not all(found) and given is None and len(columns) == len(self.outputs) == 1:
             return [*self.outputs]
         if not all(found):
@@ -83,7 +88,7 @@ class Variables:
         return found
 
     def inputs_for(self, inputs: Sequence[str], given: Sequence[str] | None) -> list[str]:
-        """Return the variable of each input: the given ones, or those of the same names.
+        """Return the variable of each input: the given ones, or those of its name or label.
 
         An input that the FMU does not take has "". Raises ValueError, with both lists, where they
         cannot be told, or where an input of the FMU would not be driven.
@@ -96,7 +101,7 @@ class Variables:
                 f"{_listed(self.arrays)} is an array, which cannot be; it keeps its start values"
             )
         if given is None:
-            found = _by_name(inputs, [*self.inputs, *self.optional])
+            found = _by_name(inputs, [*self.inputs, *self.optional], self.labels)
             if {*self.inputs} <= {*found}:
                 return found if any(found) else []
             if len(inputs) == len(self.inputs) == 1:
@@ -110,25 +115,27 @@ class Variables:
         )
 
 
-def _by_name(wanted: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Return the known names that equal the wanted ones, if need be without units; else ""."""
-    if {*wanted} <= {*known}:
-        return [*wanted]
-    found = [[k for k in known if bare_name(k) == bare_name(name)] for name in wanted]
-    names = [each[0] if len(each) == 1 else "" for each in found]
-    return [name if names.count(name) == 1 else "" for name in names]
+def _by_name(wanted: Sequence[str], known: Sequence[str], labels: Mapping[str, str]) -> list[str]:
+    """Return the known names with these labels or names, if need be without units; else ""."""
+    by_label = {labels[name]: name for name in known}
+    for names in (by_label, dict(zip(known, known, strict=True))):
+        if {*wanted} <= {*names}:
+            return [names[name] for name in wanted]
+    found = [[k for k in known if bare_name(labels[k]) == bare_name(name)] for name in wanted]
+    alone = [each[0] if len(each) == 1 else "" for each in found]
+    return [name if alone.count(name) == 1 else "" for name in alone]
 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST]) + (", ..." if len(names) > _MOST else "")
 
 
-def _optional(path: Path) -> list[str]:
-    """Return the inputs that our own annotation in a model description lists."""
+def _signals(path: Path) -> dict[str, dict[str, str]]:
+    """Return what our own annotation in a model description says of signals, by their names."""
     with ZipFile(path) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{OPTIONAL}/Input")
-    return [each.get("name", "") for each in listed]
+    listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{SIGNALS}/Signal")
+    return {each.get("name", ""): dict(each.attrib) for each in listed}
 
 
 class Unit:
@@ -215,7 +222,7 @@ def _fmpy() -> Any:
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise InputError("an FMU needs FMPy: pip install 'splitband[fmu]'") from None
+        raise InputError('an FMU needs FMPy: pip install "splitband[fmu]"') from None
     return fmpy
 
 
