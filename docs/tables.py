@@ -34,7 +34,7 @@ PAGES = ROOT / "README.md", ROOT / "reproduction/REPORT.md"
 """Documents that have tables between comments."""
 FIGURE = re.compile(r"^<!--=([^\n]+)-->\n(.*?)^<!--/-->$", re.DOTALL | re.MULTILINE)
 FIELD = re.compile(r"\{[^{}]+\}")
-NUMBER = r"(-?\d(?:[\d,]*\d)?(?:\.\d+)?(?:\s+(?:to|of)\s+[\d.]*\d)?%?)"
+NUMBER = r"(-?\d(?:[\d,]*\d)?(?:\.\d+)?(?:e-?\d+)?(?:\s+(?:to|of)\s+[\d.]*\d)?%?)"
 Rows = Iterable[Iterable[object]]
 
 NUMBERS: tuple[tuple[str, str], ...] = (
@@ -47,6 +47,12 @@ NUMBERS: tuple[tuple[str, str], ...] = (
         "README.md",
         "Simulator and network combined: "
         "{results/demo[table][0][values][residual-gru-conditioned]:.0f} %",
+    ),
+    (
+        "docs/howto/embed.md",
+        "Over {benchmarks/desks[steps]:,} steps of five kinds of models, the largest difference "
+        "from a stream is {benchmarks/desks[most][win64]:.0e} of the signal's deviation on Windows "
+        "(under wine) and {benchmarks/desks[most][linux64]:.0e} on Linux",
     ),
     (
         "docs/why.md",
