@@ -89,7 +89,7 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
         showing.warn(message)
     for predicted, said in words.headline(result):
         showing.console.print(f"{predicted}: {', '.join(said)}", style="bold")
-    for tested in result.residual_tests():
-        showing.console.print(f"residual tests: {tested.verdict()}")
+    for verdict in words.verdicts(result):
+        showing.console.print(f"residual tests: {verdict}")
     showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults: {out}/")
     showing.results_of(out, used)

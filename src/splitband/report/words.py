@@ -11,6 +11,7 @@ from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
 from splitband.report.table import columns, leaving_range
@@ -100,6 +101,15 @@ def afterwards(comparison: Comparison) -> list[str]:
         for c in better
     )
     return [f"In hindsight, a better fit: {said}."]
+
+
+def verdicts(comparison: Comparison) -> dict[str, Outcome]:
+    """Return what the residual tests say of the recommended method, each with its outcome."""
+    where = "the samples after the training part"
+    if comparison.medians[comparison.recommended].tests:
+        where = f"test record {comparison.tests[0].name or 1}"
+    tests = comparison.residual_tests()
+    return {f"{test.verdict()} (Tested on {where}.)": test.outcome for test in tests}
 
 
 def warnings(comparison: Comparison) -> list[str]:

@@ -44,7 +44,8 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
         *_next_steps(used),
         Section("methods", "All methods", [" ".join(words.why(trial, result.plan.train))],
                 tables=[table.of_comparison(result)]),
-        _residuals(result.residual_tests(), "Residuals", [p for s in shown for p in s.residuals()]),
+        _residuals([*words.verdicts(result)], result.residual_tests(), "Residuals",
+                   [p for s in shown for p in s.residuals()]),
         *_linear(result),
         Section("errors", "Error over horizon", [_HORIZON],
                 plots=[p for s in shown for p in s.errors()], folded=True),
@@ -77,10 +78,12 @@ def _shared(result: Comparison) -> dict[str, object]:
     return kept | {"warmup": plan.settings.warmup}
 
 
-def _residuals(tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]) -> Section:
-    """Return the section of the residual tests, with further plots."""
+def _residuals(
+    said: Sequence[str], tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]
+) -> Section:
+    """Return the section of the residual tests and what they `said`, with further plots."""
     text = [
-        " ".join(test.verdict() for test in tests),
+        " ".join(said),
         f"Shaded: the band that holds {100 * CONFIDENCE:.0f} % of the values by chance. Residuals "
         "that depend on an input show dynamics that the model misses; residuals that depend on "
         "their own past show a disturbance, or such dynamics.",
@@ -229,11 +232,12 @@ def of_check(result: ModelCheck, kind: str, responses: Responses | None, used: U
         (column, "\n".join(f"fit {of[i]:.1f} %, {horizon}" for horizon, of in result.fits.items()))
         for i, column in enumerate(record.columns)
     ]
-    title = f"{'Accepted' if result.accepted else 'Rejected'}: {kind or name}"
+    title = f"{result.outcome.capitalize()}: {kind or name}"
+    said = [test.verdict() for test in result.tests]
     sections = [
         Section("answer", title, result.in_words(), facts=facts,
                 plots=[*drawn.outputs(), *drawn.inputs()]),
-        _residuals(result.tests, "Is the model good? Residual tests", []),
+        _residuals(said, result.tests, "Is the model good? Residual tests", []),
     ]  # fmt: skip
     if responses is not None:
         pairs = zip(responses.inputs, responses.at, strict=True)
