@@ -103,6 +103,23 @@ def test_compare_prints_its_table_and_where_the_files_are(
     assert said.err == ""
 
 
+def test_the_answer_comes_first_and_reasons_only_where_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = "compare record.csv --columns a --inputs force --methods linear,mean"
+    call(line, tmp_path)
+    said = capsys.readouterr().out
+    parts = ["recommended: ", "fit ", "trained model: ", "┃ method", "time: "]
+    places = [said.index(part) for part in parts]
+    assert places == sorted(places)
+    assert "order" not in said[places[3] :]
+    call(f"--verbose {line}", tmp_path)
+    loud = capsys.readouterr().out
+    assert "linear: " in loud[loud.index("┃ method") :]
+    assert "Lowest score" in loud
+    assert "residual tests: " in loud
+
+
 def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
     call("compare record.csv --columns a --methods persistence --train 120 --horizon 30 "
          "--warmup 10", tmp_path)  # fmt: skip

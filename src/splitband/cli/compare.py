@@ -15,9 +15,9 @@ from splitband.cli.usage import command_of, usage
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
-from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.network import Network
 from splitband.report import results, words
+from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
 from splitband.report.table import in_words, of_comparison
@@ -35,7 +35,8 @@ def compare(
     """Compare models of a record, and recommend one.
 
     Every method is trained on the first --train samples and predicts the rest, and with --test
-    other records. The table shows fit % and RMSE. OUT gets a page to send on (report.html),
+    other records. The answer comes first, then a table of fit % and RMSE; --verbose adds why a
+    method is recommended and what each fit has chosen. OUT gets a page to send on (report.html),
     predictions and results.json.
 
     The recommended method is chosen on training samples only: trained on three quarters of them,
@@ -72,24 +73,30 @@ def compared(
 
 
 def _show(result: Comparison, out: Path, used: Usage) -> None:
-    """Print the table, the recommendation with its reason, warnings, and how to use the model."""
-    plan, trial, best = result.plan, result.require_trial(), result.recommended
-    showing.table(of_comparison(result))
-    showing.console.print(result.clock.in_words())
-    kind = in_words(best, result.methods)
-    why = " ".join(words.why(trial, plan.train))
-    showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
-    method = result.methods[best]
-    if isinstance(method, Network) and method.bands is not None:
-        showing.console.print(words.of_bands(plan.bands, plan.training))
-    choice = plan.bands.choice
-    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
-        showing.console.print("hybrid models are left out; --methods brings them back")
+    """Print the answer, then the table, then the time; with --verbose the reasons, too."""
+    best, say = result.recommended, showing.console.print
+    say(f"\nrecommended: {words.named(best, in_words(best, result.methods))}", style="bold")
+    for predicted, said in words.headline(result):
+        say(f"{predicted}: {', '.join(said)}", style="bold")
+    if result.model.parameters:
+        say(f"parameters: {result.fits[best][0].description}")
     for message in words.warnings(result):
         showing.warn(message)
-    for predicted, said in words.headline(result):
-        showing.console.print(f"{predicted}: {', '.join(said)}", style="bold")
+    say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
+    showing.table(of_comparison(result))
+    if showing.verbose():
+        _explain(result)
+    showing.use_of(used)
+    say(result.clock.in_words())
+    showing.facts_of(out)
+
+
+def _explain(result: Comparison) -> None:
+    """Print why the method is recommended, what its residuals say, and its bands."""
+    plan, say = result.plan, showing.console.print
+    say(" ".join(words.why(result.require_trial(), plan.train)))
     for verdict in words.verdicts(result):
-        showing.console.print(f"residual tests: {verdict}")
-    showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults: {out}/")
-    showing.results_of(out, used)
+        say(f"residual tests: {verdict}")
+    method = result.methods[result.recommended]
+    if isinstance(method, Network) and method.bands is not None:
+        say(words.of_bands(plan.bands, plan.training))

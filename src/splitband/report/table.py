@@ -116,10 +116,11 @@ class Table:
 
     title: str
     columns: Sequence[Column]  # a narrow terminal leaves out the last ones
-    rows: Mapping[str, str]  # remarks on each row, by its name; they may be empty
+    rows: Mapping[str, str]  # what must be said of each row, by its name; it may be empty
     head: str = "method"  # what the rows are
     recommended: str = ""  # the row that stands out
     minor: frozenset[str] = frozenset()  # rows that a page folds away at first
+    details: Mapping[str, str] = field(default_factory=dict)  # what each fit has chosen
 
     @property
     def notes(self) -> dict[str, str]:
@@ -209,20 +210,25 @@ def of_comparison(comparison: Comparison) -> Table:
         f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to train "
         f"on, {len(record) - train:,} after them; the best of each column is bold"
     )
-    said = {}
+    missing = {} if trial is None else trial.without_result
+    details = {}
     for name, note in remarks(comparison).items():
         kind = in_words(name, comparison.methods)
         # What a baseline has chosen says what it is; a network's sizes do not.
         trained = trial is not None and name in trial.trained
-        said[name] = f"{kind}; {note}" if trained and kind and note else note or kind
-    return _ranked(Table(title, columns(comparison), said), trial)
+        details[name] = f"{kind}; {note}" if trained and kind and note else note or kind
+    rows = {name: missing.get(name, "") for name in details}
+    details = {name: said for name, said in details.items() if name not in missing}
+    return _ranked(Table(title, columns(comparison), rows, details=details), trial)
 
 
 def of_trial(trial: Trial, record: Record, title: str = "") -> Table:
     """Return the table of a trial: a row for each method, the recommended one first."""
-    said = {name: in_words(name) for name in ordered(trial, trial.errors)} | trial.without_result
+    details = {name: in_words(name) for name in ordered(trial, trial.errors)}
+    rows = dict.fromkeys(details, "") | trial.without_result
     title = title or f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
-    return _ranked(Table(title, tried(trial, record, [*trial.errors]), said), trial)
+    listed = tried(trial, record, [*trial.errors])
+    return _ranked(Table(title, listed, rows, details=details), trial)
 
 
 def _ranked(table: Table, trial: Trial | None) -> Table:
@@ -251,8 +257,9 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
         "What was tried, in that order; the score is the RMSE on held-out samples, in standard "
         "deviations of each output"
     )
-    said = {name: each.training for name, each in of.items()}
-    return Table(title, listed, said, "training", listed[1].best)
+    details = {name: each.training for name, each in of.items()}
+    rows = dict.fromkeys(names, "")
+    return Table(title, listed, rows, "training", listed[1].best, details=details)
 
 
 def columns(comparison: Comparison, *headings: str) -> list[Column]:
@@ -321,10 +328,7 @@ def frame(result: Comparison) -> pd.DataFrame:
 
 def as_text(comparison: Comparison) -> str:
     """Return the table with as many columns as fit into 100 characters, fit % first."""
-    table = replace(of_comparison(comparison), title="")
-    missing = {} if comparison.trial is None else comparison.trial.without_result
-    short = replace(table, rows={name: missing.get(name, "") for name in table.rows})
-    return f"{comparison!r}\n\n{short.as_text()}"
+    return f"{comparison!r}\n\n{replace(of_comparison(comparison), title='').as_text()}"
 
 
 def as_html(comparison: Comparison) -> str:

@@ -11,6 +11,7 @@ from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
@@ -91,16 +92,24 @@ def afterwards(comparison: Comparison) -> list[str]:
     """Return which methods had a better fit than the recommended one on unseen samples."""
     best = comparison.recommended
     fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
-    if not fits or best not in fits[0].values:
+    if not fits or best not in fits[0].values or len(comparison.fits) == 1:
         return []
     better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
     if not better:
-        return ["No other method had a better fit."]
+        others = "method with a result" if without_result(comparison) else "method"
+        return [f"No other {others} had a better fit."]
     said = ", ".join(
         f"{c.best} {c.entry(c.best)} %" + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
     return [f"In hindsight, a better fit: {said}."]
+
+
+def without_result(comparison: Comparison) -> list[str]:
+    """Return the names of the methods that have no result, or none yet."""
+    failed = comparison.require_trial().failed
+    names = dict.fromkeys([*comparison.plan.names, *failed])
+    return [name for name in names if name not in comparison.fits]
 
 
 def verdicts(comparison: Comparison) -> dict[str, Outcome]:
@@ -113,54 +122,129 @@ def verdicts(comparison: Comparison) -> dict[str, Outcome]:
 
 
 def warnings(comparison: Comparison) -> list[str]:
-    """Return what readers should know before they rely on the numbers."""
-    best, record = comparison.recommended, comparison.record
-    left = leaving_range(comparison, best)
-    said = [f"{best}: {left}"] if left else []
-    train = comparison.plan.train
-    if (held_out := train - first_held_out(train)) < MIN_HELD_OUT:
-        said.append(
-            f"The method was chosen by {held_out} held-out samples, which are too few to tell "
-            "methods apart: a longer record may lead to another choice."
-        )
-    said += of_inputs(comparison.inputs_beyond_training, record)
-    doubts: dict[str, list[str]] = {}
-    for name, p in comparison.predictions.items():
-        for doubt in p.doubts:
-            doubts.setdefault(doubt, []).append(name)
-    said += [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()]
+    """Return what readers should know before they rely on the numbers, the gravest first."""
+    return [
+        *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
+        *_left_range(comparison),
+        *_wide_interval(comparison),
+        *_missed_interval(comparison),
+        *_missing(comparison),
+        *_few_held_out(comparison.plan.train),
+        *of_inputs(comparison.inputs_beyond_training, comparison.record),
+        *_notes(comparison),
+        *_left_out(comparison),
+        *map(sentence, comparison.clock.notes),
+    ]
+
+
+def _left_range(comparison: Comparison) -> list[str]:
+    """Return a sentence if the recommended method leaves the training range."""
+    left = leaving_range(comparison, comparison.recommended)
+    return [f"The recommended model {left}."] if left else []
+
+
+def _wide_interval(comparison: Comparison) -> list[str]:
+    """Return a sentence if the interval is as wide as one around the record's mean."""
+    best, trial, record = comparison.recommended, comparison.require_trial(), comparison.record
+    ahead = len(comparison.medians[best].ahead)
+    if not ahead or best not in trial.held_out:
+        return []
+    interval = trial.intervals[best]
+    half = interval.half_widths(ahead).mean(axis=0)
+    usual = trial.held_out[best].around_mean(interval.share)
+    said = [
+        f"± {number(float(width))} {unit}".rstrip() + (f" for {column}" if record.ny > 1 else "")
+        for width, most, unit, column in zip(half, usual, record.units, record.columns, strict=True)
+        if width >= most
+    ]
+    if not said:
+        return []
+    return [
+        f"The {percent(interval.share)} interval is as wide as the record itself "
+        f"({' and '.join(said)} on average): held-out errors do not tell how good the model is."
+    ]
+
+
+def _missed_interval(comparison: Comparison) -> list[str]:
+    """Return a sentence if the interval held too few samples."""
+    best = comparison.recommended
     share = comparison.require_trial().intervals[best].share
     missed = [
         c.entry(best) + (f" ({c.channel})" if c.channel else "")
         for c in columns(comparison, "in interval")
         if c.values[best] < share - POOR
     ]
-    if missed:
-        said.append(
-            f"The {percent(share)} interval of {best} held only {' and '.join(missed)} of the "
-            "samples after the training part. Either the system has changed, or the training part "
-            "does not show how errors grow."
-        )
-    for test, prediction in zip(comparison.tests, comparison.medians[best].tests, strict=False):
-        said += [f"{test.name}: {message}" for message in prediction.warnings]
-    said += [
-        f"{name}: {note}"
-        for name, runs in comparison.fits.items()
-        for note in dict.fromkeys(note for run in runs for note in run.report.notes)
+    if not missed:
+        return []
+    return [
+        f"The {percent(share)} interval held only {' and '.join(missed)} of the samples after the "
+        "training part. Either the system has changed, or the training part does not show how "
+        "errors grow."
     ]
+
+
+def _missing(comparison: Comparison) -> list[str]:
+    """Return sentences about the methods that have no result."""
+    failed, every = comparison.require_trial().failed, without_result(comparison)
+    said = []
+    if names := [name for name in every if name in failed]:
+        said.append(f"No result, for the reason beside the table: {', '.join(names)}.")
+    if names := [name for name in every if name not in failed]:
+        said.append(f"Not trained yet: {', '.join(names)}.")
+    return said
+
+
+def _few_held_out(train: int) -> list[str]:
+    """Return a sentence if methods were told apart by few samples."""
+    held_out = train - first_held_out(train)
+    if held_out >= MIN_HELD_OUT:
+        return []
+    return [
+        f"The method was chosen by {held_out} held-out samples, which are too few to tell methods "
+        "apart: a longer record may lead to another choice."
+    ]
+
+
+def _notes(comparison: Comparison) -> list[str]:
+    """Return the doubts of predictions and the notes of fits, with the methods they are of."""
+    doubts: dict[str, list[str]] = {}
+    for name, prediction in comparison.predictions.items():
+        for doubt in prediction.doubts:
+            doubts.setdefault(doubt, []).append(name)
+    best, tests = comparison.medians[comparison.recommended], comparison.tests
+    notes = {
+        name: dict.fromkeys(note for run in runs for note in run.report.notes)
+        for name, runs in comparison.fits.items()
+    }
+    return [
+        *(f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()),
+        *(f"{t.name}: {m}" for t, p in zip(tests, best.tests, strict=False) for m in p.warnings),
+        *(f"{name}: {note}" for name, of in notes.items() for note in of),
+    ]
+
+
+def _left_out(comparison: Comparison) -> list[str]:
+    """Return which methods were not tested, or not tried because the simulator does not help."""
+    plan, said = comparison.plan, list[str]()
     if comparison.left_out:
         said.append(
             f"Not tested: {', '.join(comparison.left_out)}; they go on from the training record, "
             "or need a simulator of the test record (--test-simulator)."
+        )
+    choice = plan.bands.choice
+    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
+        said.append(
+            "The simulator helps below no cut-off, so that hybrid models were left out; --methods "
+            "brings them back."
         )
     return said
 
 
 def of_forecast(result: Forecast) -> list[str]:
     """Return what readers should know before they rely on a forecast."""
-    said = [f"{result.method}: {leaving(result.leaves)}"] if result.leaves is not None else []
+    said = [f"The model {leaving(result.leaves)}."] if result.leaves is not None else []
     said += of_inputs(result.inputs_beyond_training, result.record)
-    return [*said, *result.prediction.warnings]
+    return [*said, *result.prediction.warnings, *map(sentence, result.clock.notes)]
 
 
 def of_bands(bands: Bands, training: Record) -> str:
