@@ -94,7 +94,7 @@ def test_compare_prints_its_table_and_where_the_files_are(
     line = "compare record.csv --columns a --methods persistence,seasonal-naive --horizon 20"
     call(line, tmp_path)
     said, found = capsys.readouterr(), results(tmp_path)
-    row = next(line for line in said.out.splitlines() if "persistence" in line)
+    row = next(line for line in said.out.splitlines() if "last value held  " in line)
     for key in ("total_rmse", "forecast_rmse"):
         assert f"{found['methods']['persistence'][key][0]:.2f}" in row
     (fit,) = (c["values"] for c in found["table"] if c["heading"] == "forecast fit %")
@@ -115,7 +115,7 @@ def test_the_answer_comes_first_and_reasons_only_where_asked_for(
     assert "order" not in said[places[3] :]
     call(f"--verbose {line}", tmp_path)
     loud = capsys.readouterr().out
-    assert "linear: " in loud[loud.index("┃ method") :]
+    assert "linear model: " in loud[loud.index("┃ method") :]
     assert "Lowest score" in loud
     assert "residual tests: " in loud
 

@@ -15,11 +15,12 @@ import splitband as sb
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import titled
 from splitband.report.numbers import number
 from splitband.report.page import document, pages
 from splitband.report.page.charts import MOST, Axis, compact
 from splitband.report.page.parts import Usage
-from splitband.report.table import Column, Table
+from splitband.report.table import Column, Table, labels_of
 from tests.report import comparisons
 
 
@@ -78,9 +79,10 @@ def test_the_page_says_what_it_must_and_names_are_escaped(
     tree = parsed(written["comparison"])
     assert comparisons.NASTY in tree.find(".//h1").text
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
-    said = words_of(tree)
+    said, best = words_of(tree), everything.recommended
     for words in (
-        f"({everything.recommended})", "samples have missing values", "a note", "Not tested: ",
+        titled(best, labels_of(everything)[best]), "samples have missing values", "a note",
+        "Not tested: ",
         "Error over horizon", "test RMSE later", "splitband compare 'a <b>'",
     ):  # fmt: skip
         assert words in said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from splitband.cli.usage import command_of, usage
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
+from splitband.forecasters.base import titled
 from splitband.forecasters.network import Network
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
-from splitband.report.table import in_words, of_comparison
+from splitband.report.table import of_comparison
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -74,8 +76,8 @@ def compared(
 
 def _show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the answer, then the table, then the time; with --verbose the reasons, too."""
-    best, say = result.recommended, showing.console.print
-    say(f"\nrecommended: {words.named(best, in_words(best, result.methods))}", style="bold")
+    listed, best, say = of_comparison(result), result.recommended, showing.console.print
+    say(f"\nrecommended: {titled(best, listed.label(best))}", style="bold")
     for predicted, said in words.headline(result):
         say(f"{predicted}: {', '.join(said)}", style="bold")
     if result.model.parameters:
@@ -83,18 +85,18 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
     for message in words.warnings(result):
         showing.warn(message)
     say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
-    showing.table(of_comparison(result))
+    showing.table(listed)
     if showing.verbose():
-        _explain(result)
+        _explain(result, listed.labels)
     showing.use_of(used)
     say(result.clock.in_words())
     showing.facts_of(out)
 
 
-def _explain(result: Comparison) -> None:
+def _explain(result: Comparison, called: Mapping[str, str]) -> None:
     """Print why the method is recommended, what its residuals say, and its bands."""
     plan, say = result.plan, showing.console.print
-    say(" ".join(words.why(result.require_trial(), plan.train)))
+    say(" ".join(words.why(result.require_trial(), plan.train, called)))
     for verdict in words.verdicts(result):
         say(f"residual tests: {verdict}")
     method = result.methods[result.recommended]

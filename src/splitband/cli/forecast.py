@@ -17,7 +17,7 @@ from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
-from splitband.report.table import of_trial
+from splitband.report.table import of_forecast as tried_for
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -76,12 +76,12 @@ def forecast(
 
 def _show(result: Forecast, out: Path, used: Usage) -> None:
     """Print the answer, then what was tried, then the time."""
-    say, title = showing.console.print, words.named(result.method, result.model.in_words())
+    say, title = showing.console.print, result.model._title
     say(f"\n{len(result.prediction)} samples ahead by {title}", style="bold")
     for message in words.of_forecast(result):
         showing.warn(message)
     say(f"forecast: {out}/forecast.csv, trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
-    showing.table(of_trial(result.trial, result.record))
+    showing.table(tried_for(result))
     showing.use_of(used)
     say(result.clock.in_words())
     showing.facts_of(out)

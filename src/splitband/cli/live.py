@@ -63,7 +63,8 @@ class Display:
         if self._in_place:
             if state.new_table:
                 record = state.plan.record
-                table = of_trial(state.trial, record, f"{record.name}: held-out errors so far")
+                title = f"{record.name}: held-out errors so far"
+                table = of_trial(state.trial, record, state.methods, title)
                 self._table, _ = table.fitting(showing.console.width)
             self._live.refresh()
         elif state.new_table:

@@ -149,7 +149,7 @@ def table(shown: Table) -> None:
     for name, words in shown.rows.items():
         details = shown.details.get(name, "") if verbose() else ""
         if said := "; ".join(filter(None, (words, details))):
-            console.print(f"{name}: {said}", style="dim")
+            console.print(f"{shown.label(name)}: {said}", style="dim")
 
 
 @contextmanager

@@ -171,11 +171,17 @@ class Run:
         trial = self.trial
         best = trial.recommended
         score = f"held-out score {trial.penalized_score(best):.3g}"
-        return f"{self.doing}; best so far: {best}, {score}"
+        return f"{self.doing}; best so far: {self.methods[best]._title}, {score}"
 
     def __str__(self) -> str:
         """Return the same with the time that is left."""
         return f"{self.in_words()}; {self.clock.left_in_words()}"
+
+    @property
+    def methods(self) -> dict[str, Forecaster]:
+        """Return the methods by name, fitted to three quarters where they have been tried."""
+        found = {method.name: method for method in self.plan.methods}
+        return found | {name: fits[0].fitted for name, fits in self.trials.items() if fits}
 
     def comparison(self) -> Comparison:
         """Return the comparison of the final fits so far."""

@@ -52,6 +52,7 @@ class ModelCheck:
         training record by far; None where it stays.
     unchecked : Why there is no such run; empty where there is one.
     beyond : Inputs outside their range in training.
+    title : What the forecaster is, in words, with its name.
     """
 
     method: str
@@ -62,6 +63,7 @@ class ModelCheck:
     leaves: int | None = None
     unchecked: str = ""
     beyond: Sequence[Extrapolation] = field(default_factory=tuple)
+    title: str = ""
 
     @property
     def outcome(self) -> Outcome:
@@ -97,7 +99,7 @@ class ModelCheck:
             for i, column in enumerate(self.record.columns)
             for horizon, of in self.fits.items()
         ]
-        begin = f"{self.method} on {self.record.name or 'the record'}: {self.outcome}"
+        begin = f"{self.title or self.method} on {self.record.name or 'the record'}: {self.outcome}"
         return "\n".join([begin, *fits, *self.in_words()])
 
     def as_json(self) -> dict[str, Any]:
@@ -145,7 +147,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free)
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked,
-                      tuple(fitted.inputs_beyond(record.u)))  # fmt: skip
+                      tuple(fitted.inputs_beyond(record.u)), forecaster._title)  # fmt: skip
 
 
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:

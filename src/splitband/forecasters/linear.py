@@ -59,7 +59,7 @@ class Linear(Forecaster):
     needs = frozenset({"inputs"})
 
     _slow_part = "linear model"
-    _words = "linear model of the inputs, in state space"
+    _words = "linear model"
 
     def __init__(
         self,

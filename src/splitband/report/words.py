@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
@@ -11,21 +11,18 @@ from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import titled
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
-from splitband.report.table import columns, leaving_range
+from splitband.report.predicted import run_of
+from splitband.report.table import columns, labels_of, leaving_range
 
 POOR = 0.15
 """Largest shortfall of an interval's coverage that causes no warning. By eye."""
 MIN_HELD_OUT = 20
 """Least number of held-out samples that causes no warning. By eye."""
-
-
-def named(name: str, kind: str) -> str:
-    """Return a method's kind in words, with its name."""
-    return f"{kind} ({name})" if kind else name
 
 
 def lead(record: Record) -> str:
@@ -37,7 +34,7 @@ def lead(record: Record) -> str:
 
 def sentence(text: str) -> str:
     """Return a text with a capital and a full stop."""
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", ".)")) else ".")
 
 
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
@@ -49,10 +46,10 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     side = "test" if comparison.medians[best].tests else "forecast"
     fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
     held = {c.channel: c for c in columns(comparison, "in interval")}
-    ahead = len(comparison.record) - comparison.plan.train
+    ahead, run = len(comparison.record) - comparison.plan.train, run_of(comparison.record)
     found = []
     for fit, error in zip(fits, errors, strict=True):
-        of = f"test record {fit.record}" if fit.record else f"forecast of {ahead:,} samples"
+        of = f"test record {fit.record}" if fit.record else f"{run} of {ahead:,} samples"
         unit = f" {error.measure}" if error.measure else ""
         said = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
         if fit.channel in held and side == "forecast":
@@ -62,8 +59,11 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     return found
 
 
-def why(trial: Trial, train: int) -> list[str]:
-    """Return sentences that say why a method is recommended, and by which criterion."""
+def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
+    """Return sentences that say why a method is recommended, and by which criterion.
+
+    The methods are `called` like this, by name.
+    """
     best = trial.recommended
     if len(trial.errors) == 1:
         return [
@@ -77,7 +77,9 @@ def why(trial: Trial, train: int) -> list[str]:
     if 1 < len(able) < len(ranked):
         words[0] += ", of the methods that could simulate the test records"
     if len(able) > 1:
-        words[0] += f"; next: {able[1]}, {number(trial.penalized_score(able[1]))}"
+        words[0] += (
+            f"; next: {called.get(able[1], able[1])}, {number(trial.penalized_score(able[1]))}"
+        )
     words[0] += "."
     words.append(
         f"The score uses the {train:,} training samples alone: every method was trained on the "
@@ -98,8 +100,10 @@ def afterwards(comparison: Comparison) -> list[str]:
     if not better:
         others = "method with a result" if without_result(comparison) else "method"
         return [f"No other {others} had a better fit."]
+    called = labels_of(comparison)
     said = ", ".join(
-        f"{c.best} {c.entry(c.best)} %" + (f" ({of})" if (of := c.record or c.channel) else "")
+        f"{called[c.best]} {c.entry(c.best)} %"
+        + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
     return [f"In hindsight, a better fit: {said}."]
@@ -185,12 +189,12 @@ def _missed_interval(comparison: Comparison) -> list[str]:
 
 def _missing(comparison: Comparison) -> list[str]:
     """Return sentences about the methods that have no result."""
-    failed, every = comparison.require_trial().failed, without_result(comparison)
-    said = []
-    if names := [name for name in every if name in failed]:
-        said.append(f"No result, for the reason beside the table: {', '.join(names)}.")
-    if names := [name for name in every if name not in failed]:
-        said.append(f"Not trained yet: {', '.join(names)}.")
+    failed, called, said = comparison.require_trial().failed, labels_of(comparison), list[str]()
+    every = {name: titled(name, called[name]) for name in without_result(comparison)}
+    if names := [title for name, title in every.items() if name in failed]:
+        said.append(f"No result, for the reason beside the table: {'; '.join(names)}.")
+    if names := [title for name, title in every.items() if name not in failed]:
+        said.append(f"Not trained so far: {'; '.join(names)}.")
     return said
 
 
@@ -207,10 +211,11 @@ def _few_held_out(train: int) -> list[str]:
 
 def _notes(comparison: Comparison) -> list[str]:
     """Return the doubts of predictions and the notes of fits, with the methods they are of."""
+    called = {name: titled(name, words) for name, words in labels_of(comparison).items()}
     doubts: dict[str, list[str]] = {}
     for name, prediction in comparison.predictions.items():
         for doubt in prediction.doubts:
-            doubts.setdefault(doubt, []).append(name)
+            doubts.setdefault(doubt, []).append(called[name])
     best, tests = comparison.medians[comparison.recommended], comparison.tests
     notes = {
         name: dict.fromkeys(note for run in runs for note in run.report.notes)
@@ -219,7 +224,7 @@ def _notes(comparison: Comparison) -> list[str]:
     return [
         *(f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()),
         *(f"{t.name}: {m}" for t, p in zip(tests, best.tests, strict=False) for m in p.warnings),
-        *(f"{name}: {note}" for name, of in notes.items() for note in of),
+        *(f"{called[name]}: {note}" for name, of in notes.items() for note in of),
     ]
 
 

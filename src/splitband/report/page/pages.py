@@ -10,7 +10,7 @@ from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import parts_of
+from splitband.forecasters.base import parts_of, titled
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
@@ -22,7 +22,7 @@ from splitband.report.page import plots
 from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
 from splitband.report.predicted import Predicted, predicted
-from splitband.report.table import Table, in_words, ordered, tried
+from splitband.report.table import Table, ordered, tried
 from splitband.runtime.arrays import Array
 
 
@@ -33,17 +33,17 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     every = [each for each in predicted(result) if each.predictions]
     first = [each for each in every if each.protocol == every[0].protocol]
     shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
-    kind = in_words(best, result.methods)
+    listed = table.of_comparison(result)
     sections = [
         Section(
-            "answer", f"Recommended: {words.named(best, kind)}", words.afterwards(result),
+            "answer", f"Recommended: {titled(best, listed.label(best))}", words.afterwards(result),
             [words.sentence(w) for w in (*words.warnings(result), *words.of_gaps(record))],
             facts=[(of, "\n".join(said)) for of, said in words.headline(result)],
             plots=[plot for each in shown for plot in (*each.outputs(), *each.inputs())],
         ),
         *_next_steps(used),
-        Section("methods", "All methods", [" ".join(words.why(trial, result.plan.train))],
-                tables=[table.of_comparison(result)]),
+        Section("methods", "All methods",
+                [" ".join(words.why(trial, result.plan.train, listed.labels))], tables=[listed]),
         _residuals([*words.verdicts(result)], result.residual_tests(), "Residuals",
                    [p for s in shown for p in s.residuals()]),
         *_linear(result),
@@ -207,14 +207,15 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
     ]
     shown = Predicted("forecast", "forecast", record, {method: result.prediction}, ahead=steps)
     ahead = plots.OverTime(shown, {method: Method(method)})
+    listed = table.of_forecast(result)
     sections = [
         Section(
-            "answer", f"Forecast by {words.named(method, result.model.in_words())}", text, items,
+            "answer", f"Forecast by {result.model._title}", text, items,
             plots=[*ahead.outputs(), *ahead.inputs()], facts=facts,
         ),
         *_next_steps(used),
-        Section("methods", "What was tried", [" ".join(words.why(trial, len(record)))],
-                tables=[table.of_trial(trial, record)]),
+        Section("methods", "What was tried",
+                [" ".join(words.why(trial, len(record), listed.labels))], tables=[listed]),
         Section("spectrum", "Spectrum of the record", plots=plots.spectrum(record, None, {}),
                 folded=True),
         _settings([("seeds", ", ".join(map(str, result.seeds)))], used),
@@ -232,7 +233,7 @@ def of_check(result: ModelCheck, kind: str, responses: Responses | None, used: U
         (column, "\n".join(f"fit {of[i]:.1f} %, {horizon}" for horizon, of in result.fits.items()))
         for i, column in enumerate(record.columns)
     ]
-    title = f"{result.outcome.capitalize()}: {kind or name}"
+    title = f"{result.outcome.capitalize()}: {result.title or kind or name}"
     said = [test.verdict() for test in result.tests]
     sections = [
         Section("answer", title, result.in_words(), facts=facts,
