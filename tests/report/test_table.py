@@ -110,6 +110,18 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
         assert f"{labels_of(found)[shown.best]} {shown.entry(shown.best)} %" in said
 
 
+def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: Path) -> None:
+    trial = seeds.require_trial()
+    held = {n: replace(each, deviation=0 * each.deviation) for n, each in trial.held_out.items()}
+    doubtful = replace(seeds, trial=replace(trial, held_out=held, failed={"gru": "it diverged"}))
+    said = " ".join(words.warnings(doubtful))
+    assert "as wide as the record itself" in said
+    assert "No result, for the reason beside the table: GRU (gru)" in said
+    page = page_text(doubtful, tmp_path)
+    assert page.index("as wide as the record") < page.index("Measured and predicted")
+    assert "no result: it diverged" in page
+
+
 def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:
     record, train = scales.record, scales.plan.train
     terminal, page = printed(scales), page_text(scales, tmp_path)

@@ -21,6 +21,7 @@ from splitband.evaluation.run import Run
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.prediction import time_header
 from splitband.report.environment import environment
@@ -157,21 +158,18 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
 
 
 def save_check(
-    check: ModelCheck, folder: Path, kind: str, responses: Responses | None, usage: Usage
+    check: ModelCheck, folder: Path, model: Forecaster, responses: Responses | None, usage: Usage
 ) -> None:
-    """Write results.json and the page of a check of a model in place of an earlier result.
-
-    `kind` describes the model in words.
-    """
+    """Write results.json and the page of a check of a model in place of an earlier result."""
     page = _page()
-    facts = check.as_json() | {"kind": kind, "command": usage.asked}
+    facts = check.as_json() | {"kind": model.in_words(), "command": usage.asked}
     if responses is not None:
         facts["static_gain"] = {
             column: dict(zip(responses.inputs, map(float, row), strict=True))
             for column, row in zip(responses.columns, responses.y[-1], strict=True)
         }
     with staged(folder) as new:
-        page.write(page.pages.of_check(check, kind, responses, usage), new / PAGE)
+        page.write(page.pages.of_check(check, model, responses, usage), new / PAGE)
         write_facts(new, facts | {"environment": environment()})
 
 

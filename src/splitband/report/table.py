@@ -18,6 +18,7 @@ from io import StringIO
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import pandas as pd
 import rich.table
 from rich.box import HEAVY_HEAD, Box
@@ -25,15 +26,24 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text
 
+from splitband.baselines.accuracy import NORMAL
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
-from splitband.report.numbers import aligned, decimals, number, percent, tenths
+from splitband.report.numbers import (
+    aligned,
+    complex_in_words,
+    decimals,
+    number,
+    percent,
+    tenths,
+)
 from splitband.report.predicted import Protocol, predicted, run_of, what_was_known
 from splitband.runtime.arrays import Array
 
@@ -564,3 +574,32 @@ COLUMNS = {
     ),
 }  # fmt: skip
 """The columns of comparisons by heading; a narrow terminal leaves out the last ones."""
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def of_poles(fitted: Linear) -> Table:
+    """Return the table of a linear model's poles: a row for each real one and for each pair.
+
+    The numbers are those of MATLAB's `damp`, with the 95 % interval of the absolute value.
+    """
+    step, accuracy = fitted.require_fitted().record.sampling_time, fitted.model.accuracy
+    poles = fitted.poles() if accuracy is None else accuracy.poles
+    kept = [int(i) for i in np.argsort(-np.abs(poles), kind="stable") if poles[i].imag >= 0]
+    names = {i: f"{n}. {complex_in_words(poles[i])}" for n, i in enumerate(kept, 1)}
+    rates = np.log(poles.astype(np.complex128)) / step  # in the s plane
+
+    def of(values: Array) -> dict[str, float]:
+        known = np.where(np.isfinite(values), values, np.nan)
+        return {names[i]: float(known[i]) for i in kept}
+
+    error = np.full(len(poles), np.nan) if accuracy is None else NORMAL * accuracy.pole_errors[:, 2]
+    errors = {name: size for name, size in of(error).items() if math.isfinite(size) and size}
+    listed = [
+        Column("absolute value", "record", of(np.abs(poles)), spreads=errors, ranked=False),
+        Column("time constant (s)", "record", of(-1 / rates.real), ranked=False),
+        Column("frequency (rad/s)", "record", of(np.abs(rates)), ranked=False),
+        Column("frequency (Hz)", "record", of(np.abs(rates) / (2 * np.pi)), ranked=False),
+        Column("damping ratio", "record", of(-rates.real / np.abs(rates)), ranked=False),
+    ]
+    title = "Poles in the z plane; after ±: half of the 95 % interval"
+    return Table(title, listed, dict.fromkeys(names.values(), ""), "pole")
