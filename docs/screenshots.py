@@ -14,7 +14,7 @@ from splitband.cli.demo import METHODS, RECIPE, SIZES, TRAIN
 from splitband.data.named import overhead_crane
 
 ROOT = Path(__file__).parents[1]
-LEFT, WIDTH, HEIGHT = 120, 1160, 1280
+LEFT, WIDTH, HEIGHT = 28, 1344, 1280
 """Pixels of the page."""
 
 

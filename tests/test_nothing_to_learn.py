@@ -74,5 +74,5 @@ def test_the_commands_warn_of_it(
          "--recipe constant-rate --epochs 1 --hidden 2,2 --window 30 --warmup 10 --jobs 1",
          tmp_path / "compared")  # fmt: skip
     said = capsys.readouterr().out
-    assert ("warning: filtered-gru: nothing to learn" in said) == trap
-    assert "warning: residual-gru" not in said
+    assert ("(filtered-gru): nothing to learn" in said) == trap
+    assert "(residual-gru): nothing" not in said

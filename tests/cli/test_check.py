@@ -38,10 +38,23 @@ def test_a_good_model_is_accepted_in_text_json_and_page(
     fit = found["fit"]["simulation"]["x (mm)"]
     assert fit > 90
     assert f"x (mm): fit {fit:.1f} % (simulation)" in said
-    assert "Accepted: the residuals of x (mm) do not depend on the inputs" in said
+    assert "the residuals of x (mm) do not depend on the inputs" in said
     assert found["static_gain"]["x (mm)"]["force"] == pytest.approx(2.5, rel=0.02)
     (test,) = found["residuals"]
     assert test["inputs"][0]["of"] == "force"
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "Accepted: linear model" in page
+    assert f"{found['outcome'].capitalize()}: linear model" in page
     assert "Step response, force to x (mm)" in page
+
+
+@pytest.mark.usefixtures("drawn")
+def test_compare_and_check_say_the_same_of_a_model_on_a_record(
+    folder: Path, tmp_path: Path
+) -> None:
+    asked = f"compare {folder}/first.csv --inputs force --methods linear,mean"
+    call(f"{asked} --test {folder}/second.csv", tmp_path / "compared")
+    model = tmp_path / "compared" / "model"
+    call(f"check {model} --record {folder}/second.csv", tmp_path / "checked")
+    (one,) = results(tmp_path / "compared")["residual_tests"]
+    (other,) = results(tmp_path / "checked")["residuals"]
+    assert (one["outcome"], one["verdict"]) == (other["outcome"], other["verdict"])

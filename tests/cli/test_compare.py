@@ -94,13 +94,30 @@ def test_compare_prints_its_table_and_where_the_files_are(
     line = "compare record.csv --columns a --methods persistence,seasonal-naive --horizon 20"
     call(line, tmp_path)
     said, found = capsys.readouterr(), results(tmp_path)
-    row = next(line for line in said.out.splitlines() if "persistence" in line)
+    row = next(line for line in said.out.splitlines() if "last value held  " in line)
     for key in ("total_rmse", "forecast_rmse"):
         assert f"{found['methods']['persistence'][key][0]:.2f}" in row
     (fit,) = (c["values"] for c in found["table"] if c["heading"] == "forecast fit %")
     assert f"fit {fit[found['recommended']]:.1f} %" in said.out
     assert str(tmp_path) in said.out
     assert said.err == ""
+
+
+def test_the_answer_comes_first_and_reasons_only_where_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = "compare record.csv --columns a --inputs force --methods linear,mean"
+    call(line, tmp_path)
+    said = capsys.readouterr().out
+    parts = ["recommended: ", "fit ", "trained model: ", "┃ method", "time: "]
+    places = [said.index(part) for part in parts]
+    assert places == sorted(places)
+    assert "order" not in said[places[3] :]
+    call(f"--verbose {line}", tmp_path)
+    loud = capsys.readouterr().out
+    assert "linear model: " in loud[loud.index("┃ method") :]
+    assert "Lowest score" in loud
+    assert "residual tests: " in loud
 
 
 def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from splitband.cli import demo
 from splitband.data.named import overhead_crane
+from splitband.forecasters.names import named
 from tests.cli.support import call, results
 
 pytestmark = pytest.mark.usefixtures("inside")
@@ -29,5 +30,6 @@ def test_the_demo_tells_its_story_with_the_errors_of_its_run(
     for name in (demo.SIMULATOR, demo.NETWORK, demo.BOTH):
         errors = table[f"load [m], {name}, forecast"].to_numpy()[400:] - truth[400:, 0]
         first, last = (np.sqrt(np.mean(part**2)) for part in (errors[:300], errors[-300:]))
-        assert f"{name}: {first:.2f} m, then {last:.2f} m" in said
-    assert f"whole forecast: {found['recommended']}" in said
+        assert f"{named(name).in_words()}: {first:.2f} m, then {last:.2f} m" in said
+    assert f"recommended: {named(found['recommended'])._title} simulation of 400" in said
+    assert "whole simulation: " in said

@@ -66,7 +66,7 @@ def inside_rig(rig: Path, monkeypatch: pytest.MonkeyPatch, compiled_soon: None) 
 def test_compare_puts_fitted_parameters_beside_other_methods(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"compare {RIG} {QUICK} --methods simulator,mean", tmp_path)
+    call(f"compare {RIG} {QUICK} --methods simulator,mean --verbose", tmp_path)
     found = results(tmp_path)["methods"]
     assert list(found) == ["grey-box", "mean"]
     assert found["grey-box"]["parameters"]["values"] == pytest.approx({"rate": 2.0}, rel=0.02)

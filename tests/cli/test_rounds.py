@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 import splitband as sb
+from splitband.cli.live import in_place
 from splitband.evaluation.run import Run
 from splitband.report import results as written
 from splitband.runtime.files import CHECKPOINTS
@@ -134,6 +135,23 @@ def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
     Path("pump/results.json").write_text(json.dumps({**results(Path("pump")), "format": 1}))
     says = "got 1 in pump: make them again with `splitband compare`"
     assert_fails("summary pump", (says,), capsys)
+
+
+def test_the_time_left_is_that_to_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = sb.Clock(120.0, writing=2.0)
+    for module in ("runtime.deadlines", "evaluation.clock"):
+        monkeypatch.setattr(f"splitband.{module}.now", lambda: clock.began + 65.0)
+    assert clock.left_in_words() == "0:53 left of 2:00"
+    assert sb.Clock(began=clock.began).left_in_words() == "1:05 so far"
+
+
+def test_a_notebook_whose_cursor_only_moves_on_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm-color")
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    assert in_place()
+    monkeypatch.setenv("JPY_PARENT_PID", "1")
+    assert not in_place()
 
 
 def test_a_second_is_enough_for_a_result(tmp_path: Path) -> None:

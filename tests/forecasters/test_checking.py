@@ -70,6 +70,24 @@ def test_a_model_that_is_exact_is_accepted_for_its_rounding_errors() -> None:
     assert test.accepted
 
 
+def test_what_the_inputs_do_not_explain_may_be_a_disturbance_or_a_lack_of_dynamics() -> None:
+    test = residuals.tested("slow noise", "AR(0.97)", "right", 1000)
+    assert (test.outcome, test.accepted) == ("not rejected", True)
+    assert "Either a disturbance acts or the model lacks dynamics" in test.verdict()
+    alone = residual_tests(np.sin(np.arange(300.0))[:, None], None, ("y",), ())[0]
+    assert alone.outcome == "not rejected"
+
+
+def test_a_rejection_says_how_large_the_residuals_are() -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(500)
+    e, y = 0.02 * u + 0.001 * rng.standard_normal(500), u
+    (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), y[:, None])
+    assert test.size == pytest.approx(0.02 / 1.02, rel=0.01)
+    assert "Rejected at 99 %" in test.verdict()
+    assert "RMS of the residuals is 2 % of the output's standard deviation" in test.verdict()
+
+
 @pytest.mark.parametrize("kind", ["5 sinusoids", "1 sinusoid", "20 steps"])
 def test_a_response_without_noise_is_rejected_though_its_own_past_predicts_it(kind: str) -> None:
     u = residuals.INPUTS[kind](np.random.default_rng(0))

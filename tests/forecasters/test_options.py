@@ -204,3 +204,14 @@ def test_a_base_of_ones_own_is_fitted_and_labelled_by_its_name() -> None:
 def test_every_name_is_that_of_its_object() -> None:
     assert all(method.name == name for name, method in NAMES.items())
     assert all(method.in_words() for method in NAMES.values())
+
+
+def test_a_model_of_bands_says_its_cut_off_once_it_is_known() -> None:
+    assert sb.named("filtered-gru").in_words() == "simulator in the low band, GRU in the high band"
+    model = sb.Filtered(None, sb.GRU(4), sb.Bands(0.15, 1, 1), conditioned=True)
+    assert model.in_words() == "simulator below 0.15 Hz, GRU above"
+    assert sb.named("residual-gru-calibrated").in_words() == "calibrated simulator + GRU"
+
+
+def test_words_are_short_enough_for_a_legend() -> None:
+    assert max(len(method.in_words()) for method in NAMES.values()) <= 80

@@ -56,6 +56,14 @@ def test_the_frequency_response_is_that_of_the_transfer_function(linear: sb.Line
             np.testing.assert_allclose(gains[:, i, j], expected, atol=1e-9)
 
 
+def test_the_zeros_are_those_of_the_transfer_function(linear: sb.Linear) -> None:
+    zeros = linear.zeros(0, 0)
+    system: Any = linear.transfer_function(0, 0)
+    for zero in zeros:
+        assert abs(system.zeros - zero).min() < 1e-6 * max(abs(zero), 1.0)
+    assert abs(zeros + 0.4).min() < 0.02
+
+
 def driven(linear: sb.Linear, seed: int) -> tuple[Any, Any]:
     """Inputs beside the operating point, and what the model says from rest there."""
     u0, y0 = linear.operating_point()

@@ -15,11 +15,12 @@ import splitband as sb
 from splitband import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import titled
 from splitband.report.numbers import number
 from splitband.report.page import document, pages
 from splitband.report.page.charts import MOST, Axis, compact
 from splitband.report.page.parts import Usage
-from splitband.report.table import Column, Table
+from splitband.report.table import Column, Table, labels_of
 from tests.report import comparisons
 
 
@@ -78,9 +79,10 @@ def test_the_page_says_what_it_must_and_names_are_escaped(
     tree = parsed(written["comparison"])
     assert comparisons.NASTY in tree.find(".//h1").text
     assert "splitband fit 'a <b>'" in [code.text for code in tree.iter("code")]
-    said = words_of(tree)
+    said, best = words_of(tree), everything.recommended
     for words in (
-        f"({everything.recommended})", "samples have missing values", "a note", "Not tested: ",
+        titled(best, labels_of(everything)[best]), "samples have missing values", "a note",
+        "Not tested: ",
         "Error over horizon", "test RMSE later", "splitband compare 'a <b>'",
     ):  # fmt: skip
         assert words in said
@@ -180,6 +182,26 @@ def test_the_linear_model_shows_its_orders_and_its_gain_with_its_error(tmp_path:
     least = 100 * model.model.held_out[model.model.orders.index(2)]
     assert f"2: {number(float(least))}" in figures[held_out]
     assert gain.startswith("Gain, force to y; shaded: 95 % interval, ±")
+
+
+def test_the_page_of_a_driven_record_has_stairs_responses_and_poles() -> None:
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.standard_normal(40), 10)
+    y = scipy.signal.lfilter([0.0, 0.5], [1.0, -0.8], u) + 0.01 * rng.standard_normal(400)
+    record = Record(y, 0.1, u=u, inputs=("force",))
+    page = pages.of_comparison(comparisons.compared(record, ("linear", "mean"), 300), Usage())
+    by_name: dict[str, Any] = {section.name: section for section in page.sections}
+    assert [*by_name][:5] == ["answer", "plot", "methods", "residuals", "responses"]
+    assert not by_name["residuals"].folded
+    output, force = by_name["plot"].plots
+    assert [key.text.split(":")[0] for key in output.key] == ["measured", "linear model", "mean"]
+    assert type(force.figure.renderers[0].glyph).__name__ == "Step"
+    step, gain, _ = by_name["responses"].plots
+    assert (step.label, gain.label) == ("change", "gain (dB)")
+    assert gain.figure.above[0].axis_label.text == "rad/s"
+    (poles,) = by_name["linear"].tables
+    _, pole = next(iter(poles.rows)).split()
+    assert float(pole) == pytest.approx(0.8, abs=0.01)
 
 
 def test_a_spectrum_has_its_tables_and_the_loss_of_each_cutoff(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import pytest
 
 from splitband import Record
 from splitband.report.page import document as report
+from splitband.report.page.parts import Usage
 from tests.report import comparisons
 
 if TYPE_CHECKING:
@@ -42,7 +44,8 @@ def browser() -> Iterator[Browser]:
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
     found = comparisons.compared(comparisons.record())
-    report.of_comparison(comparisons.as_if_trained(found), path)
+    used = Usage([("Fit it", f"splitband fit rig.csv {'--option value ' * 12}")])
+    report.of_comparison(comparisons.as_if_trained(found), path, used)
     return path
 
 
@@ -99,8 +102,8 @@ def test_names_are_text_and_nothing_is_loaded(browser: Browser, tmp_path: Path) 
     alerted = []
     it.page.on("dialog", lambda dialog: alerted.append(dialog.message))
     it.page.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-    # The recommended method is drawn at first.
-    assert it.page.locator("input[name=method]:checked").count() == 1
+    # The recommended method is drawn at first, with the best of the other baselines.
+    assert it.page.locator("input[name=method]:checked").count() == 2
     box, *_ = it.page.query_selector_all("input[name=method]:not(:checked)")
     worst = str(box.get_attribute("value"))
     assert not any(it.drawn(worst))
@@ -163,12 +166,30 @@ def test_a_method_is_switched_off_everywhere(opened: Opened) -> None:
     assert not parts.is_visible()
 
 
+def test_the_legend_has_the_methods_that_are_drawn_with_their_fit(opened: Opened) -> None:
+    entries = opened.page.locator("#plot .key [data-method=mean]")
+    box = opened.page.get_by_role("checkbox", name="mean")
+    box.check()
+    assert re.fullmatch(r"mean: -?\d+\.\d %", entries.first.inner_text())
+    box.uncheck()
+    assert not entries.first.is_visible()
+
+
+def test_nothing_is_hidden_beside_the_page(browser: Browser, file: Path) -> None:
+    beyond = "s => [...document.querySelectorAll(s)].some(e => e.scrollWidth > e.clientWidth)"
+    for width, selector in ((1400, ".wide"), (390, "pre")):
+        it = Opened(browser, file, viewport={"width": width, "height": 800})
+        assert it.page.locator(selector).count()
+        assert not it.page.evaluate(beyond, selector)
+        it.context.close()
+
+
 def test_the_table_sorts_by_keyboard(opened: Opened) -> None:
     """Tab leads to the button of every heading, and Enter sorts."""
-    heading = opened.page.locator("#methods th", has_text="forecast fit %")
+    heading = opened.page.locator("#methods th").nth(1)
     for _ in range(60):
         opened.page.keyboard.press("Tab")
-        if opened.page.evaluate("document.activeElement.textContent") == "forecast fit %":
+        if opened.page.evaluate("document.activeElement.textContent") == "fit %":
             break
     cells = "document.querySelectorAll('#methods td:nth-child(2)')"
     errors = f"Array.from({cells}, cell => +cell.dataset.value)"
@@ -177,7 +198,7 @@ def test_the_table_sorts_by_keyboard(opened: Opened) -> None:
         assert heading.get_attribute("aria-sort") == order
         values = opened.page.evaluate(errors)
         assert values == sorted(values, reverse=not ascending)
-    assert "forecast fit %" in opened.page.inner_text("#status")
+    assert "fit %" in opened.page.inner_text("#status")
 
 
 def test_dark_mode_phones_and_paper(browser: Browser, file: Path) -> None:

@@ -14,7 +14,7 @@ def test_every_prediction_has_a_panel_with_its_fit() -> None:
     titles = [ax.get_title(loc="left") for ax in figure.axes if ax.get_title(loc="left")]
     large = [title for title in titles if "\n" not in title]
     assert [title.split(":")[0] for title in large] == [
-        "forecast after the training part", "forecast after the training part",
+        "simulation after the training part", "simulation after the training part",
         "simulation of the test record later", "simulation of the test record later",
     ]  # fmt: skip
     shown = found.table["forecast fit %, angle (rad)"][found.recommended]

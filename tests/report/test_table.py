@@ -17,7 +17,7 @@ from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words
 from splitband.report.environment import environment
-from splitband.report.table import Column, Table, columns, of_comparison
+from splitband.report.table import Column, Table, columns, labels_of, of_comparison
 from tests.report import comparisons
 
 SCALE = 1000.0
@@ -105,9 +105,21 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     said = " ".join(words.afterwards(found))
     assert f"fit {shown.entry(best)} %" in str(words.headline(found))
     if shown.best == best:
-        assert "No other method had a better fit." in said
+        assert "No other method with a result had a better fit." in said
     else:
-        assert f"{shown.best} {shown.entry(shown.best)} %" in said
+        assert f"{labels_of(found)[shown.best]} {shown.entry(shown.best)} %" in said
+
+
+def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: Path) -> None:
+    trial = seeds.require_trial()
+    held = {n: replace(each, deviation=0 * each.deviation) for n, each in trial.held_out.items()}
+    doubtful = replace(seeds, trial=replace(trial, held_out=held, failed={"gru": "it diverged"}))
+    said = " ".join(words.warnings(doubtful))
+    assert "as wide as the record itself" in said
+    assert "No result, for the reason beside the table: GRU (gru)" in said
+    page = page_text(doubtful, tmp_path)
+    assert page.index("as wide as the record") < page.index("Measured and predicted")
+    assert "no result: it diverged" in page
 
 
 def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:
@@ -119,7 +131,7 @@ def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) 
         expected = np.sqrt(np.mean((y - held) ** 2))
         assert shown.values["persistence"] == pytest.approx(expected)
         assert shown.entry("persistence") in terminal
-        assert f"forecast fit %, {channel}" in page
+        assert f"fit %, {channel}" in page
         fit = column(scales, "forecast fit %", channel)  # as MATLAB prints it
         expected = 100 * (1 - np.linalg.norm(y - held) / np.linalg.norm(y - y.mean()))
         assert fit.values["persistence"] == pytest.approx(expected)
@@ -156,7 +168,7 @@ def test_rows_are_in_the_order_of_the_score_and_the_recommended_one_is_marked(
     scores = column(scales, "score").values
     assert [*scales.table.index] == sorted(scores, key=lambda name: scores[name])
     first = next(line for line in printed(scales).splitlines() if "*" in line)
-    assert scales.recommended in first
+    assert labels_of(scales)[scales.recommended] in first
 
 
 @pytest.mark.parametrize("ny", [1, 2])
@@ -173,13 +185,32 @@ def test_a_table_fits_a_terminal_as_text_too(
     for lines in (framed, plain.as_text(width).splitlines()):
         assert max(map(len, lines)) <= width
         assert "fit %" in " ".join(lines)
+        assert "score" in " ".join(lines)
         (marked,) = [line for line in lines if "* " in line]
-        assert found.recommended in marked
+        assert table.label(found.recommended) in marked
         first = columns(found)[0]
         assert first.heading.endswith("fit %")
         assert first.entry(found.recommended) in marked
     assert plain.as_text(100) in str(found)
     assert str(found).encode("cp1252")
+
+
+def test_names_stand_beside_or_below_or_nowhere_but_the_score_always_stands() -> None:
+    name = "filtered-state-space-calibrated-conditioned"
+    numbers = {name: 0.123, "mean": 0.5}
+    listed = [
+        Column("forecast fit %", "percent", dict.fromkeys(numbers, 90.0), channel)
+        for channel in ("one", "two")
+    ]
+    listed += [Column(h, "deviation", numbers) for h in ("score", "in interval", "held-out RMSE")]
+    words = {name: "calibrated simulator below 0.15 Hz, state-space network above", "mean": "mean"}
+    table = Table("", listed, dict.fromkeys(numbers, ""), recommended=name, labels=words)
+    wide = table.as_text(400).splitlines()
+    assert any(name in line and "state-space network" in line for line in wide)
+    for width in (60, 80, 100):
+        text = table.as_text(width)
+        assert "score" in text
+        assert max(map(len, text.splitlines())) <= width
 
 
 def test_a_notebook_shows_the_table_of_the_page(seeds: Comparison, tmp_path: Path) -> None:

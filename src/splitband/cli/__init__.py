@@ -80,7 +80,7 @@ class Commands(TyperGroup):
             self.listing = False
 
 
-QUIET, JSON = "--quiet", "--json"
+QUIET, JSON, VERBOSE = "--quiet", "--json", "--verbose"
 """Options of every command, accepted before and after its name."""
 
 
@@ -108,6 +108,9 @@ def splitband(
     context: typer.Context,
     quiet: Annotated[bool, typer.Option(QUIET, help="Print only warnings and errors.")] = False,
     json: Annotated[bool, typer.Option(JSON, help="Print results as JSON only.")] = False,
+    verbose: Annotated[
+        bool, typer.Option(VERBOSE, help="Also print reasons, and what each fit has chosen.")
+    ] = False,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_print_version)
     ] = False,
@@ -115,7 +118,7 @@ def splitband(
     """Set what holds for every command."""
     from splitband.cli import showing  # noqa: PLC0415  which loads what commands need
 
-    context.with_resource(showing.saying(quiet, json))
+    context.with_resource(showing.saying(quiet, json, verbose))
 
 
 GONE = {
@@ -157,10 +160,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _global_first(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with --quiet and --json moved to the front."""
+    """Return the arguments with the options of every command moved to the front."""
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    own = [word for word in arguments[:end] if word in (QUIET, JSON)]
-    rest = [word for word in arguments[:end] if word not in (QUIET, JSON)]
+    of_all = (QUIET, JSON, VERBOSE)
+    own = [word for word in arguments[:end] if word in of_all]
+    rest = [word for word in arguments[:end] if word not in of_all]
     return [*own, *rest, *arguments[end:]]
 
 

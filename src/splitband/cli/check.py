@@ -47,7 +47,7 @@ def check(
         with suppress(InputError):  # the model has no inputs, or needs a simulator
             responses = model.step_responses()
     asked = f"splitband check {model_dir} --record {record}"
-    results.save_check(found, out, model.in_words(), responses, Usage(asked=asked))
+    results.save_check(found, out, model, responses, Usage(asked=asked))
     for line in str(found).splitlines():
         showing.console.print(line)
     showing.results_of(out)

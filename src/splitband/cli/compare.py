@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from splitband.cli.usage import command_of, usage
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import run
-from splitband.forecasters.names import HYBRIDS
+from splitband.forecasters.base import titled
 from splitband.forecasters.network import Network
 from splitband.report import results, words
+from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
-from splitband.report.table import in_words, of_comparison
+from splitband.report.table import of_comparison
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -35,7 +37,8 @@ def compare(
     """Compare models of a record, and recommend one.
 
     Every method is trained on the first --train samples and predicts the rest, and with --test
-    other records. The table shows fit % and RMSE. OUT gets a page to send on (report.html),
+    other records. The answer comes first, then a table of fit % and RMSE; --verbose adds why a
+    method is recommended and what each fit has chosen. OUT gets a page to send on (report.html),
     predictions and results.json.
 
     The recommended method is chosen on training samples only: trained on three quarters of them,
@@ -72,24 +75,30 @@ def compared(
 
 
 def _show(result: Comparison, out: Path, used: Usage) -> None:
-    """Print the table, the recommendation with its reason, warnings, and how to use the model."""
-    plan, trial, best = result.plan, result.require_trial(), result.recommended
-    showing.table(of_comparison(result))
-    showing.console.print(result.clock.in_words())
-    kind = in_words(best, result.methods)
-    why = " ".join(words.why(trial, plan.train))
-    showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
-    method = result.methods[best]
-    if isinstance(method, Network) and method.bands is not None:
-        showing.console.print(words.of_bands(plan.bands, plan.training))
-    choice = plan.bands.choice
-    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
-        showing.console.print("hybrid models are left out; --methods brings them back")
+    """Print the answer, then the table, then the time; with --verbose the reasons, too."""
+    listed, best, say = of_comparison(result), result.recommended, showing.console.print
+    say(f"\nrecommended: {titled(best, listed.label(best))}", style="bold")
+    for predicted, said in words.headline(result):
+        say(f"{predicted}: {', '.join(said)}", style="bold")
+    if result.model.parameters:
+        say(f"parameters: {result.fits[best][0].description}")
     for message in words.warnings(result):
         showing.warn(message)
-    for predicted, said in words.headline(result):
-        showing.console.print(f"{predicted}: {', '.join(said)}", style="bold")
-    for tested in result.residual_tests():
-        showing.console.print(f"residual tests: {tested.verdict()}")
-    showing.console.print(f"trained model: {out / MODEL_FOLDER}/\nresults: {out}/")
-    showing.results_of(out, used)
+    say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
+    showing.table(listed)
+    if showing.verbose():
+        _explain(result, listed.labels)
+    showing.use_of(used)
+    say(result.clock.in_words())
+    showing.facts_of(out)
+
+
+def _explain(result: Comparison, called: Mapping[str, str]) -> None:
+    """Print why the method is recommended, what its residuals say, and its bands."""
+    plan, say = result.plan, showing.console.print
+    say(" ".join(words.why(result.require_trial(), plan.train, called)))
+    for verdict in words.verdicts(result):
+        say(f"residual tests: {verdict}")
+    method = result.methods[result.recommended]
+    if isinstance(method, Network) and method.bands is not None:
+        say(words.of_bands(plan.bands, plan.training))

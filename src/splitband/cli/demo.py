@@ -14,6 +14,8 @@ from splitband.data.named import overhead_crane
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import plan
 from splitband.forecasters.names import Sizes
+from splitband.report.predicted import run_of
+from splitband.report.table import labels_of
 
 TRAIN = 2000
 """Training samples, half of the record."""
@@ -58,20 +60,20 @@ def _tell(result: Comparison) -> None:
         (NETWORK, "a network alone drifts, because it has to integrate the speed"),
         (BOTH, "combined, they stay accurate: the network adds the swing to the simulator"),
     )
-    step = result.record.sampling_time
+    called, run, step = labels_of(result), run_of(result.record), result.record.sampling_time
     samples = round(STRETCH / step)
     truth = result.record.truth[result.plan.train :]
     showing.console.print(
-        f"\nforecast of {len(truth) * step:g} s, RMSE of its first and of its last {STRETCH:g} s:"
+        f"\n{run} of {len(truth) * step:g} s, RMSE of its first and of its last {STRETCH:g} s:"
     )
     for number, (name, what) in enumerate(story, 1):
         left = result.medians[name].ahead - truth
         first, last = (np.sqrt(np.mean(part**2)) for part in (left[:samples], left[-samples:]))
-        showing.console.print(f"{number}. {name}: {first:.2f} m, then {last:.2f} m; {what}")
+        showing.console.print(f"{number}. {called[name]}: {first:.2f} m, then {last:.2f} m; {what}")
     best = result.recommended
     errors = {name: result.errors(fit).forecast for name, fit in result.medians.items()}
     alone = min(ALONE, key=errors.__getitem__)
     showing.console.print(
-        f"whole forecast: {best} {errors[best]:.2f} m; the best of simulator, "
-        f"linear model and network alone, {alone}: {errors[alone]:.2f} m"
+        f"whole {run}: {called[best]} {errors[best]:.2f} m; the best of simulator, "
+        f"linear model and network alone, {called[alone]}: {errors[alone]:.2f} m"
     )

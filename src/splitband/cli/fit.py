@@ -114,7 +114,7 @@ def fit(
     shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     for note in report.notes:
         showing.warn(note)
-    said = f"{forecaster.name} ({training_in_words or forecaster.describe()}) fitted to "
+    said = f"{forecaster._title}, {training_in_words or forecaster.describe()}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
     if error is not None:
         begin = max(forecaster.warmup, 2)

@@ -13,10 +13,11 @@ from splitband.cli.comparing import Request, planned
 from splitband.cli.live import running, workers
 from splitband.cli.usage import arguments, usage
 from splitband.evaluation.forecast import Forecast, run_forecast
-from splitband.report import results
+from splitband.report import results, words
+from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.table import of_trial
-from splitband.report.words import of_forecast
+from splitband.report.results import MODEL_FOLDER
+from splitband.report.table import of_forecast as tried_for
 from splitband.runtime.files import CHECKPOINTS
 
 
@@ -74,11 +75,13 @@ def forecast(
 
 
 def _show(result: Forecast, out: Path, used: Usage) -> None:
-    showing.console.print(result.clock.in_words())
-    showing.table(of_trial(result.trial, result.record))
-    showing.console.print(
-        f"{len(result.prediction)} samples ahead by {result.method}: {out}/forecast.csv"
-    )
-    for message in of_forecast(result):
+    """Print the answer, then what was tried, then the time."""
+    say, title = showing.console.print, result.model._title
+    say(f"\n{len(result.prediction)} samples ahead by {title}", style="bold")
+    for message in words.of_forecast(result):
         showing.warn(message)
-    showing.results_of(out, used)
+    say(f"forecast: {out}/forecast.csv, trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
+    showing.table(tried_for(result))
+    showing.use_of(used)
+    say(result.clock.in_words())
+    showing.facts_of(out)

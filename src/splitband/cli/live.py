@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
@@ -28,16 +29,20 @@ from splitband.runtime.threads import available_cores
 class Display:
     """Show where a comparison stands, and keep its best model so far in OUT, if there are `facts`.
 
-    In a terminal the table and a line below it change in place; elsewhere there is a line for each
-    round. `facts` are the command and its options, for results.json.
+    In a terminal a line, each second with the time left, and the table below it change in place;
+    elsewhere there is a line for each round. `facts` are the command and its options, for
+    results.json.
     """
 
-    def __init__(self, out: Path, facts: dict[str, Any] | None) -> None:
+    def __init__(self, out: Path, facts: dict[str, Any] | None, clock: Clock) -> None:
         self._out, self._facts, self._table = out, facts, Table()
+        self._said, self._clock = "starting", clock
         self._written = False
-        self._in_place = sys.stdout.isatty() and not showing.console.quiet
-        console = Console() if self._in_place else showing.console
-        self._live = Live(console=console, transient=True, auto_refresh=False)
+        self._in_place = in_place() and not showing.console.quiet
+        console = Console(markup=False, emoji=False) if self._in_place else showing.console
+        self._live = Live(
+            console=console, transient=True, refresh_per_second=1, get_renderable=self._now
+        )
 
     @contextmanager
     def shown(self) -> Iterator[Display]:
@@ -48,16 +53,22 @@ class Display:
         with self._live:
             yield self
 
+    def _now(self) -> Group:
+        """Return what is shown now; a thread calls it, so that nothing is computed here."""
+        return Group(Text(f"{self._clock.left_in_words()}; {self._said}"), self._table)
+
     def __call__(self, state: Run) -> None:
         """Take note of where the comparison stands."""
+        self._said = state.in_words()
         if self._in_place:
             if state.new_table:
                 record = state.plan.record
-                table = of_trial(state.trial, record, f"{record.name}: held-out errors so far")
+                title = f"{record.name}: held-out errors so far"
+                table = of_trial(state.trial, record, state.methods, title)
                 self._table, _ = table.fitting(showing.console.width)
-            self._live.update(Group(self._table, Text(in_words(state))), refresh=True)
+            self._live.refresh()
         elif state.new_table:
-            showing.console.print(in_words(state))
+            showing.console.print(str(state))
         if state.new_table and state.clock.left:
             self._write(state)
 
@@ -79,16 +90,13 @@ class Display:
             showing.warn(f"{self._out} could not be written: {error}")
 
 
-def in_words(state: Run) -> str:
-    """Return what is done, the best method so far and the time left, in a line."""
-    said = [state.doing]
-    if state.trials:
-        trial = state.trial
-        best = trial.recommended
-        said.append(f"best so far: {best}, held-out score {trial.penalized_score(best):.3g}")
-    if state.clock.limit is not None:
-        said.append(f"{state.clock.left:.0f} s left")
-    return "; ".join(said)
+def in_place() -> bool:
+    """Return whether what was printed can be changed: in a terminal, but not in a notebook.
+
+    A notebook gives its commands (`!splitband`) a pseudo-terminal that only adds lines.
+    """
+    notebook = "JPY_PARENT_PID" in os.environ
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb" and not notebook
 
 
 @contextmanager
@@ -98,9 +106,9 @@ def running(plan: Plan, out: Path, facts: dict[str, Any] | None = None) -> Itera
     found = len([path for path in kept.glob("*.safetensors") if path.name[0] != "."])
     if found:
         showing.console.print(f"going on: {found} finished training{'s' if found > 1 else ''} kept")
-    display = Display(out, facts)
     time = Clock(plan.budget, clock.began())
     time.writing = time.used  # loading the libraries of pages takes about as long as these
+    display = Display(out, facts, time)
     with display.shown():
         yield {"folder": kept, "watch": display, "clock": time}
 

@@ -30,7 +30,11 @@ _BASELINES = tuple(name for name in QUICK if name not in _SIMULATORS)
 GROUPS = (
     Group("one network", "any record; with known inputs often enough", _alone(1)),
     Group("two networks, a band each", "a record with a slow and a fast part", _alone(2)),
-    Group("a simulator and a network", "a simulator that is roughly right", HYBRIDS),
+    Group(
+        "a simulator and a network",
+        "a simulator that is roughly right; after + a network that learns its error",
+        HYBRIDS,
+    ),
     Group("a fitted model and a network", "a record with a simple slow part, no simulator", BASED),
     Group("the simulator itself", "seeing what a network adds to it", _SIMULATORS),
     Group("simple baselines", "every record: what learning has to be better than", _BASELINES),
@@ -41,13 +45,13 @@ def methods() -> None:
     """List the methods, what each is and when it is worth trying.
 
     A name that ends in -calibrated has its simulator calibrated first (gain, offset, delay, clock);
-    in one that ends in -conditioned the faster network is told what the slower part says. Give
+    in one that ends in -conditioned the network has the slower part's output as an input. Give
     names to --methods, separated by commas.
     """
-    table = Table("method", "what it is", "also as", "needs", show_lines=False)
+    table = Table("what it is", "name", "also as", "needs", show_lines=False)
     for group in GROUPS:
         table.add_section()
-        table.add_row(Text(group.title, "bold"), Text(f"for {group.when}", "italic"))
+        table.add_row(Text.assemble((group.title, "bold"), (f"\nfor {group.when}", "italic")))
         shown: set[str] = set()
         for name in group.names:
             if name in shown:
@@ -59,7 +63,7 @@ def methods() -> None:
             shown.update(others)
             also = ", ".join(other[len(name) :] for other in others)
             needs = ", ".join(f"--{need}" for need in sorted(method.needs))
-            table.add_row(f"  {name}", method.in_words(), also, needs)
+            table.add_row(f"  {method.in_words()}", name, also, needs)
     showing.console.print(table)
     showing.as_json(
         {group.title: {name: NAMES[name].in_words() for name in group.names} for group in GROUPS}

@@ -1,4 +1,4 @@
-"""Print tables and progress bars for people."""
+"""Print tables and warnings for people, and results for programs."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ _errors = Console(stderr=True, soft_wrap=True, markup=False, emoji=False, highli
 
 @dataclass
 class _Mode:
-    """Hold the stream for results as JSON; None if a command prints tables, or nothing."""
+    """Hold what a command prints, beside what the console's own switch says."""
 
-    results: TextIO | None = None
+    results: TextIO | None = None  # the stream for results as JSON, if these are asked for
+    verbose: bool = False
 
 
 _mode = _Mode()
 
 
 @contextmanager
-def saying(quiet: bool, json: bool) -> Iterator[None]:
+def saying(quiet: bool, json: bool, verbose: bool = False) -> Iterator[None]:
     """Set what is printed; with `json`, standard output holds nothing but the results.
 
     A user's simulator then prints to the error stream, also from C and from other processes.
@@ -52,6 +53,8 @@ def saying(quiet: bool, json: bool) -> Iterator[None]:
     with ExitStack() as stack:
         stack.callback(setattr, console, "quiet", console.quiet)
         console.quiet = quiet or json
+        stack.callback(setattr, _mode, "verbose", _mode.verbose)
+        _mode.verbose = verbose
         if json:
             _mode.results = _kept_stdout(stack)
             stack.callback(setattr, _mode, "results", None)
@@ -99,6 +102,11 @@ def _kept_stdout(stack: ExitStack) -> TextIO:
     return results
 
 
+def verbose() -> bool:
+    """Return whether reasons and remarks are wanted, too."""
+    return _mode.verbose
+
+
 def warn(message: str) -> None:
     """Print a warning, on the error stream if standard output is quiet."""
     (_errors if console.quiet else console).print(f"warning: {message}", style="yellow")
@@ -110,25 +118,38 @@ def as_json(facts: object) -> None:
         print(to_json(facts), file=_mode.results)
 
 
-def results_of(out: Path, used: Usage | None = None) -> None:
-    """Print how to use a result, and the path of its page; with --json, print results.json."""
-    for what, command in () if used is None else used.commands[:1]:
-        console.print(f"{what}:\n    {command}", soft_wrap=True)
+def results_of(out: Path) -> None:
+    """Print the path of a result's page; with --json, print results.json."""
     if (out / PAGE).exists():
         console.print(f"page: {out / PAGE}")
+    facts_of(out)
+
+
+def facts_of(out: Path) -> None:
+    """With --json, print results.json."""
     if _mode.results is not None:
         print((out / FACTS).read_text(encoding="utf-8").rstrip(), file=_mode.results)
 
 
+def use_of(used: Usage) -> None:
+    """With --verbose, print how to use a result."""
+    for what, command in used.commands[:1] if verbose() else ():
+        console.print(f"{what}:\n    {command}", soft_wrap=True)
+
+
 def table(shown: Table) -> None:
-    """Print a table and the remarks on its rows; a narrow terminal leaves out its last columns."""
+    """Print a table; a narrow terminal leaves out its last columns.
+
+    Below it stands what must be said of a row, with --verbose also what its fit has chosen.
+    """
     drawn, left_out = shown.fitting(console.width)
     console.print(drawn)
     if left_out:
         console.print(f"Left out of a narrow terminal: {', '.join(left_out)}.", style="dim")
     for name, words in shown.rows.items():
-        if words:
-            console.print(f"{name}: {words}", style="dim")
+        details = shown.details.get(name, "") if verbose() else ""
+        if said := "; ".join(filter(None, (words, details))):
+            console.print(f"{shown.label(name)}: {said}", style="dim")
 
 
 @contextmanager

@@ -26,7 +26,8 @@ class Clock:
     writing : Seconds that are kept for writing the result: what the last writing took.
     cores : Trainings that run side by side.
     trained : Seconds that all trainings took together.
-    notes : What the deadline has changed, in words.
+    notes : What the deadline has changed, in sentences.
+    settled : Whether every training has settled, so that more time would change little.
     interrupted : Whether Ctrl-C ended it early.
     """
 
@@ -37,6 +38,7 @@ class Clock:
     trained: float = 0.0
     notes: list[str] = field(default_factory=list)
     interrupted: bool = False
+    settled: bool = False
 
     @property
     def used(self) -> float:
@@ -64,11 +66,24 @@ class Clock:
             "trained_seconds": round(self.trained, 2),
             "writing_seconds": round(self.writing, 2),
             "notes": [*self.notes],
+            "settled": self.settled,
         }
 
     def in_words(self) -> str:
-        """Return the time that was used, and what the deadline has changed."""
+        """Return the time that was used, in a line."""
         asked = "" if self.limit is None else f" of {self.limit:.0f}"
         said = f"time: {self.used:.0f}{asked} s, {self.trained:.0f} s of training on "
         said += f"{self.cores} core{'s' if self.cores > 1 else ''}"
-        return "\n".join([said, *self.notes])
+        return said + ("; settled: more time would change little" if self.settled else "")
+
+    def left_in_words(self) -> str:
+        """Return the time that is left, in minutes and seconds; without a limit the time used."""
+        if self.limit is None:
+            return f"{_minutes(self.used)} so far"
+        return f"{_minutes(self.left)} left of {_minutes(self.limit)}"
+
+
+def _minutes(seconds: float) -> str:
+    """Return a duration in minutes and seconds."""
+    whole, rest = divmod(round(seconds), 60)
+    return f"{whole}:{rest:02d}"

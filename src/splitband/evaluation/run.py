@@ -164,6 +164,25 @@ class Run:
         fits = self.finals.get(best) or self.trials[best]
         return fitted_ensemble([fit.fitted for fit in fits], self.trial.held_out[best])
 
+    def in_words(self) -> str:
+        """Return what is computed now and the best method so far, in a line."""
+        if not self.trials:
+            return self.doing
+        trial = self.trial
+        best = trial.recommended
+        score = f"held-out score {trial.penalized_score(best):.3g}"
+        return f"{self.doing}; best so far: {self.methods[best]._title}, {score}"
+
+    def __str__(self) -> str:
+        """Return the same with the time that is left."""
+        return f"{self.in_words()}; {self.clock.left_in_words()}"
+
+    @property
+    def methods(self) -> dict[str, Forecaster]:
+        """Return the methods by name, fitted to three quarters where they have been tried."""
+        found = {method.name: method for method in self.plan.methods}
+        return found | {name: fits[0].fitted for name, fits in self.trials.items() if fits}
+
     def comparison(self) -> Comparison:
         """Return the comparison of the final fits so far."""
         attempts = () if self._search is None else tuple(self._search.attempts)
@@ -236,10 +255,7 @@ class Run:
             if until.over or clock.interrupted:
                 break
         self.failed |= search.failed
-        if search.converged:
-            clock.notes.append(
-                "every training has settled: more time, or more rounds, would change little"
-            )
+        clock.settled = search.converged
 
     def _extend(self, search: Search) -> None:
         """Add a network on the best method, if that is a baseline which can have one on top."""

@@ -65,6 +65,13 @@ class Training(TypedDict):
     checkpoint: Checkpoint | None
 
 
+def titled(name: str, words: str) -> str:
+    """Return a method in words, with the short name by which commands know it."""
+    if words in ("", name):
+        return name
+    return words if words.endswith(f"({name})") else f"{words} ({name})"
+
+
 class Forecaster(WithRepr, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
@@ -140,7 +147,7 @@ class Forecaster(WithRepr, ABC):
         return (0,)
 
     def in_words(self) -> str:
-        """Return a description that can follow "is"; empty where there is none."""
+        """Return what it is, short enough for a legend; empty where there is no description."""
         return self._words
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
@@ -497,6 +504,11 @@ class Forecaster(WithRepr, ABC):
     def _training_in_words(self) -> str:
         """Return sizes, window and steps of its networks, for tables; empty without."""
         return ""
+
+    @property
+    def _title(self) -> str:
+        """Return what it is, with its short name."""
+        return titled(self.name, self.in_words())
 
     @property
     def _calibrates(self) -> bool:

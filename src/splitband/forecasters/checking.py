@@ -14,7 +14,13 @@ from splitband.data import Record, require_records
 from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import Prediction
-from splitband.forecasters.residuals import CONFIDENCE, LAGS, ResidualTests, residual_tests
+from splitband.forecasters.residuals import (
+    CONFIDENCE,
+    LAGS,
+    Outcome,
+    ResidualTests,
+    residual_tests,
+)
 from splitband.metrics import Extrapolation, ExtrapolationWarning, fit_percent, leaves_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -46,6 +52,7 @@ class ModelCheck:
         training record by far; None where it stays.
     unchecked : Why there is no such run; empty where there is one.
     beyond : Inputs outside their range in training.
+    title : What the forecaster is, in words, with its name.
     """
 
     method: str
@@ -56,14 +63,20 @@ class ModelCheck:
     leaves: int | None = None
     unchecked: str = ""
     beyond: Sequence[Extrapolation] = field(default_factory=tuple)
+    title: str = ""
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return the result of all tests; a long free run that leaves the range rejects, too."""
+        found = {test.outcome for test in self.tests}
+        if self.leaves is not None or "rejected" in found:
+            return "rejected"
+        return "not rejected" if "not rejected" in found else "accepted"
 
     @property
     def accepted(self) -> bool:
-        """Return whether no test rejects the model, and a long free run, if any, stays in range.
-
-        Without inputs the residuals have to be white.
-        """
-        return self.leaves is None and all(test.accepted for test in self.tests)
+        """Return whether nothing rejects the model."""
+        return self.outcome != "rejected"
 
     def in_words(self) -> list[str]:
         """Return the results in sentences, without the fits."""
@@ -86,8 +99,8 @@ class ModelCheck:
             for i, column in enumerate(self.record.columns)
             for horizon, of in self.fits.items()
         ]
-        return "\n".join([f"{self.method} on {self.record.name or 'the record'}", *fits,
-                          *self.in_words()])  # fmt: skip
+        begin = f"{self.title or self.method} on {self.record.name or 'the record'}: {self.outcome}"
+        return "\n".join([begin, *fits, *self.in_words()])
 
     def as_json(self) -> dict[str, Any]:
         """Return all results, for a JSON file."""
@@ -95,6 +108,7 @@ class ModelCheck:
             "method": self.method,
             "record": self.record.name,
             "samples": len(self.record),
+            "outcome": self.outcome,
             "accepted": self.accepted,
             "level": CONFIDENCE,
             "fit": {
@@ -104,7 +118,7 @@ class ModelCheck:
                 }
                 for horizon, fits in self.fits.items()
             },
-            "residuals": [asdict(test) for test in self.tests],
+            "residuals": [test.as_json() for test in self.tests],
             "leaves_range_after": self.leaves,
             "unchecked": self.unchecked,
             "inputs_beyond_training": [asdict(each) for each in self.beyond],
@@ -133,7 +147,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free)
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked,
-                      tuple(fitted.inputs_beyond(record.u)))  # fmt: skip
+                      tuple(fitted.inputs_beyond(record.u)), forecaster._title)  # fmt: skip
 
 
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:

@@ -53,7 +53,7 @@ class Mean(Forecaster):
         level = self.level[:, None]
         return Part(lambda state, u, y_sim, ahead: (state, np.tile(level, (1 + ahead, 1, 1))))
 
-    _words = "mean of the training samples"
+    _words = "mean"
 
     def describe(self) -> str:
         """Return a description."""
@@ -86,7 +86,7 @@ class Persistence(Forecaster):
             settle=lambda state: state["last"][:, None],
         )
 
-    _words = "last measured value, held"
+    _words = "last value held"
 
     def describe(self) -> str:
         """Return a description."""
@@ -155,7 +155,7 @@ class SeasonalNaive(_ByTime):
     name = "seasonal-naive"
     baseline: LastPeriod
 
-    _words = "last period, repeated"
+    _words = "last period repeated"
 
     _fitted_to = staticmethod(LastPeriod.fit)
 
@@ -185,7 +185,7 @@ class Harmonic(_ByTime):
     name = "harmonic"
 
     _slow_part = "sinusoids"
-    _words = "sinusoids and a trend, fitted"
+    _words = "sinusoids and trend"
     _fitted_to = staticmethod(harmonic)
 
 
@@ -196,7 +196,7 @@ class Periodic(_ByTime):
     name = "periodic"
 
     _slow_part = "periodic waveform"
-    _words = "periodic waveform, fitted"
+    _words = "periodic waveform"
     _fitted_to = staticmethod(periodic)
 
 

@@ -142,7 +142,7 @@ class Ensemble(Forecaster):
 
     def in_words(self) -> str:
         """Return the description of the first member."""
-        return self.templates[0].in_words()
+        return (self.members or self.templates)[0].in_words()
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members, each with its own numbered checkpoint file."""

@@ -104,7 +104,7 @@ class GreyBox(Forecaster):
         """Return the given name, or "grey-box"."""
         return self._name or "grey-box"
 
-    _slow_part = "a simulator with fitted parameters"
+    _slow_part = "fitted simulator"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -133,7 +133,12 @@ class GreyBox(Forecaster):
         described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
         return {**super()._to_dict(), "simulator": described}
 
-    _words = "the simulator, its parameters fitted to the training samples"
+    def in_words(self) -> str:
+        """Return a description; a simulator whose parameters are all given is not fitted."""
+        known = getattr(self.simulator, "known", None)
+        if known is not None and not known.free:
+            return "simulator as given"
+        return "simulator with fitted parameters"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""

@@ -150,6 +150,13 @@ class HeldOut:
         self._known[share] = found if self.doubt is None else found.widened(self.doubt)
         return self._known[share]
 
+    def around_mean(self, share: float) -> Array:
+        """Return the half-widths of an interval around the record's mean, `(ny,)`.
+
+        An interval that is as wide says nothing.
+        """
+        return np.asarray(_quantile(share) * self.deviation)
+
 
 def _quantile(share: float) -> float:
     """Return the number of standard deviations of a normal distribution that hold `share`."""

@@ -52,8 +52,9 @@ class Single(Network):
         """Return a model with one network, which runs at every sample."""
         return models.Recurrent(self._sized(self.cell, record, settings), record.nu > 0)
 
-    def _model_in_words(self) -> str:
-        return f"{words_of(self.cell)} network"
+    def in_words(self) -> str:
+        """Return the kind of network."""
+        return words_of(self.cell)
 
     def _derived_name(self) -> str:
         return label_of(self.cell)
@@ -124,12 +125,10 @@ class Split(Network):
             self.alignment,
         )
 
-    def _model_in_words(self) -> str:
-        kinds = dict.fromkeys(words_of(cell) for cell in (self.low, self.high))
-        said = f"two {' and '.join(kinds)} networks, one for "
-        if self.filter_output:
-            return said + "each band, the output of the second high-passed"
-        return said + "the low band and one for the high band"
+    def in_words(self) -> str:
+        """Return which network has which band."""
+        said = self._of_bands(words_of(self.low), words_of(self.high))
+        return f"{said}, high-passed" if self.filter_output else said
 
     def _shortest_warmup(self) -> int:
         return 3 * ((self.bands.order or 1) + 1)
@@ -201,9 +200,9 @@ class Filtered(Network):
         cell = self._sized(self.cell, record, settings)
         return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
 
-    def _model_in_words(self) -> str:
-        slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
-        return f"{slow} in the low band, {network} network in the high band"
+    def in_words(self) -> str:
+        """Return which part has which band."""
+        return self._of_bands(self.base._slow_part or self.base._slow_label, words_of(self.cell))
 
     def _shortest_warmup(self) -> int:
         return (self.bands.order or 1) - 1
@@ -260,9 +259,9 @@ class Residual(Network):
         cell = self._sized(self.cell, record, settings)
         return models.Residual(cell, self.conditioned, record.nu > 0)
 
-    def _model_in_words(self) -> str:
-        slow, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
-        return f"{slow} plus {network} network that learns its error"
+    def in_words(self) -> str:
+        """Return the parts that add up."""
+        return f"{self.base._slow_part or self.base._slow_label} + {words_of(self.cell)}"
 
     def _derived_name(self) -> str:
         return _name("residual", self.base, self.cell, self.conditioned)

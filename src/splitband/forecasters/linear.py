@@ -27,6 +27,8 @@ from splitband.runtime.errors import InputError
 
 MOST_POLES = 200
 """Largest order that may be asked for: bounds the time."""
+SMALLEST_COEFFICIENT = 1e-9
+"""Coefficients of a numerator below this share of its largest one are 0. Rounding."""
 
 
 @final
@@ -59,7 +61,7 @@ class Linear(Forecaster):
     needs = frozenset({"inputs"})
 
     _slow_part = "linear model"
-    _words = "linear model of the inputs, in state space"
+    _words = "linear model"
 
     def __init__(
         self,
@@ -160,6 +162,13 @@ class Linear(Forecaster):
         fitted = self.require_fitted()
         b, a = self.model.transfer_function(output, input_)
         return scipy.signal.TransferFunction(b, a, dt=fitted.record.sampling_time)
+
+    def zeros(self, output: int = 0, input_: int = 0) -> npt.NDArray[np.complex128]:
+        """Return the zeros of `transfer_function` in the z plane."""
+        self.require_fitted()
+        b, _ = self.model.transfer_function(output, input_)
+        small = abs(b) < SMALLEST_COEFFICIENT * abs(b).max(initial=0.0)
+        return np.asarray(np.roots(np.where(small, 0.0, b)), np.complex128)
 
     def to_control(self) -> Any:
         """Return `state_space` as a `control.StateSpace` (the extra `control`), with its names."""

@@ -83,7 +83,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
     cells = (
         alone,
         Unbuilt("rnn", "EulerMLP", "EulerMLP", euler),
-        Unbuilt("state-space", "state-space", "StateSpace", {"states": 4, "hidden": 10}),
+        Unbuilt("state-space", "state-space network", "StateSpace", {"states": 4, "hidden": 10}),
     )
     return [
         *(Single(cell) for cell in cells),

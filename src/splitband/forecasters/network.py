@@ -120,14 +120,12 @@ class Network(Forecaster):
 
     _slow_part = "network"
 
-    def in_words(self) -> str:
-        """Return a description."""
-        seen = ", with the slower part's output as an input"
-        return self._model_in_words() + (seen if self.conditioned else "")
-
-    @abstractmethod
-    def _model_in_words(self) -> str:
-        """Return the beginning of its description."""
+    def _of_bands(self, low: str, high: str) -> str:
+        """Return which part has which band, with the cut-off where it is known."""
+        bands = self._trained_in or self.bands
+        if bands is None or bands.cutoff is None:
+            return f"{low} in the low band, {high} in the high band"
+        return f"{low} below {bands.cutoff:.3g} Hz, {high} above"
 
     @abstractmethod
     def _derived_name(self) -> str:

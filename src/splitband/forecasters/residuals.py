@@ -2,7 +2,8 @@
 
 See L. Ljung, System Identification: Theory for the User (2nd ed., 1999, section 16.6). If residuals
 depend on past inputs, the model misses dynamics that the inputs drive. If they depend on their own
-past alone, a disturbance acts.
+past alone, either a disturbance acts or the model lacks dynamics that the inputs of this record do
+not show.
 
 Whether they depend on the inputs is an F test of nested regressions, after C. W. J. Granger (1969):
 do past inputs help to predict the residuals, beyond their own past? Under the hypothesis the inputs
@@ -15,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +51,10 @@ EXACT = 1e-6
 """Residuals below this share of the signal's deviation are rounding errors. Rounding."""
 
 
+Outcome = Literal["accepted", "not rejected", "rejected"]
+"""Accepted: white noise. Not rejected: no white noise, but the inputs do not explain it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Correlation:
     """Hold the correlation of residuals with their own past, or with that of an input.
@@ -78,12 +84,15 @@ class ResidualTests:
     inputs : For each input that changes: correlation with its past, both filtered by the
         autoregressive model of the residuals, and the F test of this input beside the others.
     p : The p-value of the F test of all inputs together.
+    size : RMS of the residuals as a share of the output's standard deviation; None for an output
+        that is constant.
     """
 
     output: str
     whiteness: Correlation
     inputs: tuple[Correlation, ...]
     p: float = 1.0
+    size: float | None = None
 
     @property
     def white(self) -> bool:
@@ -102,26 +111,46 @@ class ResidualTests:
         return [each.of for each in self.inputs if each.p < least] or [i.of for i in self.inputs]
 
     @property
+    def outcome(self) -> Outcome:
+        """Return the result of the tests: residuals that depend on the inputs reject a model."""
+        if self.dependent:
+            return "rejected"
+        return "accepted" if self.white else "not rejected"
+
+    @property
     def accepted(self) -> bool:
-        """Return whether the residuals do not depend on the inputs or, without any, are white."""
-        return not self.dependent if self.inputs else self.white
+        """Return whether no test rejects the model."""
+        return self.outcome != "rejected"
 
     def verdict(self) -> str:
-        """Return the result of the tests, in a sentence."""
+        """Return the result of the tests, in a sentence or two."""
         if self.dependent:
-            *first, last = (f"`{name}`" for name in self.dependent)
-            names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
-            return (
-                f"Rejected at {100 * CONFIDENCE:.0f} %: the residuals of {self.output} still "
-                f"depend on {names}, so the model does not capture {whose} full effect."
-            )
-        if self.inputs:
-            noise = " and are white noise." if self.white else (
-                ". They are not white: a disturbance acts, too.")  # fmt: skip
-            return f"Accepted: the residuals of {self.output} do not depend on the inputs{noise}"
+            return self._rejection()
         if self.white:
-            return f"Accepted: the residuals of {self.output} are white noise."
-        return f"The residuals of {self.output} are not white: a better model may exist."
+            independent = "do not depend on the inputs and " if self.inputs else ""
+            return f"Accepted: the residuals of {self.output} {independent}are white noise."
+        independent = "do not depend on the inputs, but " if self.inputs else ""
+        return (
+            f"Not rejected: the residuals of {self.output} {independent}are not white noise. "
+            "Either a disturbance acts or the model lacks dynamics; this record cannot tell which."
+        )
+
+    def _rejection(self) -> str:
+        """Return which inputs the residuals depend on, and how large they are."""
+        *first, last = (f"`{name}`" for name in self.dependent)
+        names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
+        said = (
+            f"Rejected at {100 * CONFIDENCE:.0f} %: the residuals of {self.output} still "
+            f"depend on {names}, so the model does not capture {whose} full effect."
+        )
+        if self.size is None:
+            return said
+        left = f"{100 * self.size:.2g} % of the output's standard deviation"
+        return f"{said} The RMS of the residuals is {left}."
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the tests for a JSON file."""
+        return asdict(self) | {"outcome": self.outcome, "verdict": self.verdict()}
 
 
 def residual_tests(
@@ -142,8 +171,14 @@ def residual_tests(
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
         driven = {name: x for name, x in pairs if np.ptp(x[-len(e) - MAX_LAG :]) > 0}
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
-        found.append(ResidualTests(column, _whiteness(e), tested, p))
+        found.append(ResidualTests(column, _whiteness(e), tested, p, _size(e, y)))
     return tuple(found)
+
+
+def _size(e: Array, simulated: Array) -> float | None:
+    """Return the RMS of residuals as a share of the output's deviation; None for a constant."""
+    deviation = float(np.nanstd(e + simulated))
+    return float(np.sqrt(np.nanmean(e**2))) / deviation if deviation else None
 
 
 def _whiteness(e: Array) -> Correlation:

@@ -383,7 +383,7 @@ class Simulation(SimulatorForecaster):
 
     _slow_part = "simulator"
 
-    _words = "the simulator as it is"
+    _words = "simulator"
 
 
 @final
@@ -437,8 +437,8 @@ class Calibrated(SimulatorForecaster):
     def in_words(self) -> str:
         """Return a description."""
         if self.terms == AFFINE:
-            return "the simulator with fitted gain and offset"
-        return "the simulator, calibrated on the training samples"
+            return "simulator with fitted gain and offset"
+        return "calibrated simulator"
 
     def learn(self, records: Sequence[Record], **how: Any) -> None:
         """Fit the terms to the first record."""

@@ -62,7 +62,7 @@ class StateSpace(WithRepr, nn.Module):
     encoded : Warm-up samples from which the first state is estimated; 0: a trained constant.
     """
 
-    label = words = "state-space"
+    label, words = "state-space", "state-space network"
 
     def __init__(
         self,

@@ -47,6 +47,11 @@ def aligned(value: float, decimals: int) -> str:
     return f"{value:,.{decimals}f}"
 
 
+def complex_in_words(value: complex) -> str:
+    """Return a complex number together with its conjugate, such as 0.95 ± 0.1j."""
+    return f"{value.real:.5g}" + (f" ± {abs(value.imag):.5g}j" if value.imag else "")
+
+
 def squared(record: Record) -> str:
     """Return the unit of a record's outputs, squared."""
     units = {*record.units}

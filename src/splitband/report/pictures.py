@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,14 @@ from splitband.metrics import fit_percent, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, tenths
 from splitband.report.predicted import Predicted, predicted
-from splitband.report.table import ordered
+from splitband.report.table import labels_of, ordered
 from splitband.runtime.files import replacing
 
 MEASURED = "black"
 SMALL_ACROSS = 4
 """Small panels in a row. Layout."""
+SMALL_TITLE = 40
+"""Characters of a line above a small panel. Layout."""
 
 
 def save(figure: Figure, path: str | Path) -> None:
@@ -42,7 +45,7 @@ def rollouts(comparison: Comparison) -> Figure:
     every = [each for each in predicted(comparison) if each.predictions]
     shown = [each for each in every if each.protocol != "start"] or every
     shown.sort(key=lambda each: each.protocol)  # the forecast first
-    names = ordered(comparison.trial, comparison.fits)
+    names, called = ordered(comparison.trial, comparison.fits), labels_of(comparison)
     best, *others = names
     across = max(SMALL_ACROSS // record.ny, 1)
     below = -(-len(others) // across)
@@ -59,12 +62,14 @@ def rollouts(comparison: Comparison) -> Figure:
         panels = [*product(others, range(record.ny))]
         for ax, (name, channel) in zip(grid.flat, panels, strict=False):
             _draw(ax, shown[0], channel, name, PALETTE[names.index(name) % len(PALETTE)], True)
+            words = textwrap.fill(literal(called[name]), SMALL_TITLE)
+            ax.set_title(f"{words}\n{ax.get_title(loc='left')}", fontsize=7, loc="left", pad=2)
         for i, ax in enumerate(grid.flat[len(panels) :], start=len(panels)):
             ax.set_axis_off()
             grid.flat[i - across * record.ny].tick_params(labelbottom=True)
         parts[1].suptitle(f"Other methods, {literal(shown[0].says)}", fontsize=9)
     said = "" if comparison.trial is None else "recommended: "
-    figure.suptitle(f"{literal(record.name)}; {said}{best}", fontsize=11)
+    figure.suptitle(f"{literal(record.name)}; {said}{literal(called[best])}", fontsize=11)
     return figure
 
 
@@ -91,7 +96,7 @@ def _draw(
     ax.margins(x=0.01)
     ax.set_ylabel(literal(record.columns[channel]), fontsize=6 if small else None)
     if small:
-        ax.set_title(f"{name}\n{title}", fontsize=7, loc="left", pad=2)
+        ax.set_title(title, fontsize=7, loc="left", pad=2)
         ax.tick_params(labelsize=6)
         return
     ax.axvline(times[shown.begin], color="0.4", ls=":", lw=1)

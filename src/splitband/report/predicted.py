@@ -50,6 +50,24 @@ class Predicted:
         return self.record.truth[len(self.record) - len(prediction) :]
 
 
+def run_of(record: Record) -> str:
+    """Return what a free run of a record is called: with known inputs a simulation."""
+    return "simulation" if record.nu else "forecast"
+
+
+def what_was_known(comparison: Comparison) -> str:
+    """Return what the methods knew of the samples that they predict, in a sentence."""
+    record = comparison.tests[0] if comparison.tests else comparison.record
+    known = ["the inputs"] if record.nu else []
+    known += [] if record.y_sim is None else ["the simulator's output"]
+    if comparison.tests:
+        first = "the first samples of the outputs"
+        return f"Known of a test record: {' and '.join([*known, first])}, not the rest."
+    if not known:
+        return "Nothing was known of these samples."
+    return f"Known of these samples: {' and '.join(known)}, not the measured outputs."
+
+
 def predicted(comparison: Comparison) -> list[Predicted]:
     """Return what the methods predict: of test records, after the training part, from the start.
 
@@ -72,7 +90,8 @@ def predicted(comparison: Comparison) -> list[Predicted]:
         for i, test in enumerate(comparison.tests)
     ]
     if comparison.predictions:
-        ahead = of("forecast", "forecast after the training part", record, lambda f: f.forecast)
+        says = f"{run_of(record)} after the training part"
+        ahead = of("forecast", says, record, lambda f: f.forecast)
         found.append(replace(ahead, predictions=comparison.predictions))
     says = "simulation from the first samples"
     return [*found, of("start", says, record, lambda fit: fit.from_start)]

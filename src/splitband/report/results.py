@@ -21,6 +21,7 @@ from splitband.evaluation.run import Run
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.prediction import time_header
 from splitband.report.environment import environment
@@ -113,7 +114,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         **({"tests": _test_facts(comparison)} if comparison.tests else {}),
         "settings": comparison.plan.as_json(),
         "interrupted": comparison.interrupted,
-        "residual_tests": [asdict(test) for test in comparison.residual_tests()],
+        "residual_tests": [test.as_json() for test in comparison.residual_tests()],
         "recommended": trial.recommended,
         # Without seconds, which are below, so that the same comparison has the same table.
         "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],
@@ -157,21 +158,18 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
 
 
 def save_check(
-    check: ModelCheck, folder: Path, kind: str, responses: Responses | None, usage: Usage
+    check: ModelCheck, folder: Path, model: Forecaster, responses: Responses | None, usage: Usage
 ) -> None:
-    """Write results.json and the page of a check of a model in place of an earlier result.
-
-    `kind` describes the model in words.
-    """
+    """Write results.json and the page of a check of a model in place of an earlier result."""
     page = _page()
-    facts = check.as_json() | {"kind": kind, "command": usage.asked}
+    facts = check.as_json() | {"kind": model.in_words(), "command": usage.asked}
     if responses is not None:
         facts["static_gain"] = {
             column: dict(zip(responses.inputs, map(float, row), strict=True))
             for column, row in zip(responses.columns, responses.y[-1], strict=True)
         }
     with staged(folder) as new:
-        page.write(page.pages.of_check(check, kind, responses, usage), new / PAGE)
+        page.write(page.pages.of_check(check, model, responses, usage), new / PAGE)
         write_facts(new, facts | {"environment": environment()})
 
 

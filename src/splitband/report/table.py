@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import statistics
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -17,6 +18,7 @@ from io import StringIO
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
 import pandas as pd
 import rich.table
 from rich.box import HEAVY_HEAD, Box
@@ -24,21 +26,51 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text
 
+from splitband.baselines.accuracy import NORMAL
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
 from splitband.evaluation.search import Attempt
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, titled
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
-from splitband.report.numbers import aligned, decimals, number, percent, tenths
-from splitband.report.predicted import Protocol, predicted
+from splitband.report.numbers import (
+    aligned,
+    complex_in_words,
+    decimals,
+    number,
+    percent,
+    tenths,
+)
+from splitband.report.predicted import Protocol, predicted, run_of, what_was_known
 from splitband.runtime.arrays import Array
 
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 """Units of numbers that are over all outputs of a comparison."""
+
+SHOWN = {"forecast fit %": "fit %", "forecast RMSE": "RMSE"}
+"""Headings as tables show them, where a title says whether it is a forecast or a simulation."""
+DECISIVE = frozenset({"test fit %", "forecast fit %", "score"})
+"""Headings without which a table does not say what is recommended, and what it is worth."""
+NARROW = 8
+"""Characters of a heading's line, at least. Layout."""
+
+
+class _Form(NamedTuple):
+    """Say where the short names of rows stand in a terminal, and how wide their words may be."""
+
+    names: Literal["beside", "below", ""]
+    width: int
+
+
+_BESIDE, _BELOW, _SHORT, _PLAIN = (
+    _Form("beside", 1000), _Form("below", 40), _Form("", 24), _Form("", 1000)
+)  # fmt: skip
+"""The last one is for rows that have no words beside their names. Layout."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +88,14 @@ class Column:
 
     @property
     def title(self) -> str:
-        """Return the heading with the test record and the channel."""
+        """Return the heading with the test record and the channel: the key in a data frame."""
         what = f"{self.heading} {self.record}" if self.record else self.heading
         return f"{what}, {self.channel}" if self.channel else what
+
+    @property
+    def shown(self) -> str:
+        """Return the heading as tables show it, with the test record."""
+        return f"{SHOWN.get(self.heading, self.heading)} {self.record}".rstrip()
 
     @property
     def note(self) -> str:
@@ -67,9 +104,10 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Return the title with the unit, unless the channel's name says it."""
+        """Return the title as shown, with the unit unless the channel's name says it."""
+        shown = f"{self.shown}, {self.channel}" if self.channel else self.shown
         said = self.measure and self.unit == "record" and not self.channel
-        return f"{self.title} ({self.measure})" if said else self.title
+        return f"{shown} ({self.measure})" if said else shown
 
     @property
     def best(self) -> str:
@@ -116,60 +154,106 @@ class Table:
 
     title: str
     columns: Sequence[Column]  # a narrow terminal leaves out the last ones
-    rows: Mapping[str, str]  # remarks on each row, by its name; they may be empty
+    rows: Mapping[str, str]  # what must be said of each row, by its name; it may be empty
     head: str = "method"  # what the rows are
     recommended: str = ""  # the row that stands out
     minor: frozenset[str] = frozenset()  # rows that a page folds away at first
+    labels: Mapping[str, str] = field(default_factory=dict)  # rows in words, by name
+    details: Mapping[str, str] = field(default_factory=dict)  # what each fit has chosen
 
     @property
     def notes(self) -> dict[str, str]:
         """Return what each heading means."""
-        return {column.heading: column.note for column in self.columns if column.note}
+        return {SHOWN.get(c.heading, c.heading): c.note for c in self.columns if c.note}
+
+    def label(self, row: str) -> str:
+        """Return a row in words."""
+        return self.labels.get(row, row)
+
+    def words(self, row: str) -> str:
+        """Return the same where the name of the row stands beside or below."""
+        return self.label(row).removesuffix(f" ({row})")
 
     def fitting(
         self, width: int, box: Box | None = HEAVY_HEAD
     ) -> tuple[rich.table.Table, list[str]]:
         """Return the table for a terminal, and the headings of columns that were left out.
 
-        The best number of each column is bold. With several outputs, a row has a line for each.
+        The best number of each column is bold. With several outputs, a row has a line for each. The
+        short names stand beside or below the words, whichever leaves more columns, and nowhere if
+        a decisive column would be left out.
         """
+        if not self.labels:
+            drawn, left_out = self._fitted(width, box, _PLAIN)
+            return drawn, self._headings(left_out)
+        found = [self._fitted(width, box, form) for form in (_BESIDE, _BELOW)]
+        drawn, left_out = min(found, key=lambda each: len(each[1]))
+        if DECISIVE.isdisjoint(column.heading for column in left_out):
+            return drawn, self._headings(left_out)
+        drawn, left_out = self._fitted(width, box, _SHORT)
+        return drawn, [*self._headings(left_out), "short names"]
+
+    @staticmethod
+    def _headings(columns: Sequence[Column]) -> list[str]:
+        """Return the headings of columns, each once."""
+        return [*dict.fromkeys(SHOWN.get(c.heading, c.heading) for c in columns)]
+
+    def _fitted(
+        self, width: int, box: Box | None, form: _Form
+    ) -> tuple[rich.table.Table, list[Column]]:
+        """Return the table in a form, and the columns that were left out."""
         of_heading: dict[tuple[str, str], dict[str, Column]] = {}
         for column in self.columns:
             of_heading.setdefault((column.heading, column.record), {})[column.channel] = column
-        shown, left_out = [*of_heading.values()], list[str]()
+        shown, left_out = [*of_heading.values()], list[Column]()
         wide = _console(10_000)
-        drawn = self._drawn(shown, box)
+        drawn = self._drawn(shown, box, form)
         while len(shown) > 1 and Measurement.get(wide, wide.options, drawn).maximum > width:
-            left_out += dict.fromkeys(column.heading for column in shown.pop().values())
-            drawn = self._drawn(shown, box)
-        return drawn, [*dict.fromkeys(left_out[::-1])]
+            left_out = [*shown.pop().values(), *left_out]
+            drawn = self._drawn(shown, box, form)
+        return drawn, left_out
 
-    def _drawn(self, shown: Sequence[Mapping[str, Column]], box: Box | None) -> rich.table.Table:
+    def _drawn(
+        self, shown: Sequence[Mapping[str, Column]], box: Box | None, form: _Form
+    ) -> rich.table.Table:
         """Return the table of the columns of some headings, by channel."""
         several = any(column.channel for column in self.columns)
         table = rich.table.Table(
             title=self.title or None, title_justify="left", title_style="bold", box=box,
             padding=(0, 1 if box else 2, 0, 1 if box else 0),
         )  # fmt: skip
-        table.add_column(self.head, no_wrap=True)
-        if several:
-            table.add_column("output", no_wrap=True)
+        beside = form.names == "beside"
+        for heading in (self.head, *["name"] * beside, *["output"] * several):
+            table.add_column(heading, no_wrap=True)
         for of_channel in shown:
             first, *_ = of_channel.values()
-            heading = f"{first.heading} {first.record}".strip() if several else first.label
+            heading = first.shown if several else first.label
             entries = [c.entry(name) for c in of_channel.values() for name in self.rows]
             # A number in two lines would be taken for two outputs.
-            header = textwrap.fill(heading, max(9, *map(len, entries)), break_long_words=False)
+            header = textwrap.fill(heading, max(NARROW, *map(len, entries)), break_long_words=False)
             table.add_column(header, justify="right", no_wrap=True)
         for name in self.rows:
-            channels, best = self._channels(name), name == self.recommended
-            mark = ("* " if best else "  ") if self.recommended else ""
+            channels = self._channels(name)
+            heads = _spread(self._head(name, form), len(channels))
             for i, channel in enumerate(channels):
-                head = Text("" if i else f"{mark}{name}", "bold" if best else "")
-                cells = [Text(channel)] if several else []
+                cells = [heads[i], *[Text("" if i else name, "dim")] * beside]
+                cells += [Text(channel)] * several
                 cells += [_cell(of_channel, name, channel, i == 0) for of_channel in shown]
-                table.add_row(head, *cells, end_section=several and channel == channels[-1])
+                table.add_row(*cells, end_section=several and channel == channels[-1])
         return table
+
+    def _head(self, name: str, form: _Form) -> list[Text]:
+        """Return the lines that call a row: its words and, in one form, its name below them."""
+        best = name == self.recommended
+        label = self.words(name) if form.names else self.label(name)
+        first, rest = ("* " if best else "  ", "  ") if self.recommended else ("", "")
+        lines = textwrap.wrap(
+            label, form.width, initial_indent=first, subsequent_indent=rest,
+            break_long_words=False, break_on_hyphens=False,
+        )  # fmt: skip
+        found = [Text(line, "bold" if best else "") for line in lines]
+        below = form.names == "below" and label != name
+        return [*found, Text(rest + name, "dim")] if below else found
 
     def _channels(self, name: str) -> list[str]:
         """Return the channels that a row has numbers of; a single one has no name."""
@@ -185,7 +269,8 @@ class Table:
         with console.capture() as captured:
             console.print(self.fitting(width, None)[0])
         lines = [line.rstrip() for line in captured.get().splitlines()]
-        return "\n".join(lines + [f"{name}: {words}" for name, words in self.rows.items() if words])
+        said = [f"{self.label(name)}: {words}" for name, words in self.rows.items() if words]
+        return "\n".join(lines + said)
 
 
 def _console(width: int) -> Console:
@@ -201,28 +286,43 @@ def _cell(of_channel: Mapping[str, Column], name: str, channel: str, first: bool
     return Text(column.entry(name), "bold" if column.best == name else "")
 
 
+def _spread(lines: Sequence[Text], count: int) -> list[Text]:
+    """Return texts for so many cells below each other: a line each, the last one with the rest."""
+    cells = [*lines[: count - 1], Text("\n").join(lines[count - 1 :])]
+    return cells + [Text("")] * (count - len(cells))
+
+
 def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: a row for each method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = "the noise-free signal" if record.y_true is not None else "what was measured"
     title = (
-        f"{record.name}: simulations and forecasts against {truth}; {train:,} samples to train "
-        f"on, {len(record) - train:,} after them; the best of each column is bold"
+        f"{record.name}: {train:,} samples to train on, {run_of(record)} of the "
+        f"{len(record) - train:,} after them, against {truth}. {what_was_known(comparison)} The "
+        "best of each column is bold."
     )
-    said = {}
-    for name, note in remarks(comparison).items():
-        kind = in_words(name, comparison.methods)
-        # What a baseline has chosen says what it is; a network's sizes do not.
-        trained = trial is not None and name in trial.trained
-        said[name] = f"{kind}; {note}" if trained and kind and note else note or kind
-    return _ranked(Table(title, columns(comparison), said), trial)
+    notes = remarks(comparison)
+    missing = {} if trial is None else trial.without_result
+    rows = {name: missing.get(name, "") for name in notes}
+    details = {name: note for name, note in notes.items() if name not in missing}
+    called = labels_of(comparison)
+    return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
 
 
-def of_trial(trial: Trial, record: Record, title: str = "") -> Table:
+def of_trial(
+    trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str = ""
+) -> Table:
     """Return the table of a trial: a row for each method, the recommended one first."""
-    said = {name: in_words(name) for name in ordered(trial, trial.errors)} | trial.without_result
+    rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
     title = title or f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
-    return _ranked(Table(title, tried(trial, record, [*trial.errors]), said), trial)
+    listed = tried(trial, record, [*trial.errors])
+    return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
+
+
+def of_forecast(result: Forecast) -> Table:
+    """Return the table of what a forecast has tried."""
+    methods = {method.name: method for method in result.plan.methods}
+    return of_trial(result.trial, result.record, methods | {result.method: result.model})
 
 
 def _ranked(table: Table, trial: Trial | None) -> Table:
@@ -251,8 +351,9 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
         "What was tried, in that order; the score is the RMSE on held-out samples, in standard "
         "deviations of each output"
     )
-    said = {name: each.training for name, each in of.items()}
-    return Table(title, listed, said, "training", listed[1].best)
+    details = {name: each.training for name, each in of.items()}
+    rows = dict.fromkeys(names, "")
+    return Table(title, listed, rows, "training", listed[1].best, details=details)
 
 
 def columns(comparison: Comparison, *headings: str) -> list[Column]:
@@ -300,9 +401,24 @@ def leaving_range(comparison: Comparison, name: str) -> str:
 
 
 def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
-    """Return the description of a method; empty for a method of the user that has none."""
+    """Return a method in words; its name, for one of the user that has no description."""
     method = methods.get(name, NAMES.get(name))
-    return "" if method is None else method.in_words()
+    return (method.in_words() if method is not None else "") or name
+
+
+def labels(names: Iterable[str], methods: Mapping[str, Forecaster]) -> dict[str, str]:
+    """Return methods in words, by name; those with the same words have their names in brackets."""
+    said = {name: in_words(name, methods) for name in names}
+    count = Counter(said.values())
+    return {n: titled(n, words) if count[words] > 1 else words for n, words in said.items()}
+
+
+def labels_of(comparison: Comparison) -> dict[str, str]:
+    """Return the methods of a comparison in words; what is fitted knows its cut-off."""
+    fitted = {name: fits[0].fitted for name, fits in comparison.fits.items()}
+    failed = () if comparison.trial is None else comparison.trial.failed
+    names = dict.fromkeys([*comparison.fits, *comparison.methods, *failed])
+    return labels(names, comparison.methods | fitted)
 
 
 def frame(result: Comparison) -> pd.DataFrame:
@@ -321,10 +437,7 @@ def frame(result: Comparison) -> pd.DataFrame:
 
 def as_text(comparison: Comparison) -> str:
     """Return the table with as many columns as fit into 100 characters, fit % first."""
-    table = replace(of_comparison(comparison), title="")
-    missing = {} if comparison.trial is None else comparison.trial.without_result
-    short = replace(table, rows={name: missing.get(name, "") for name in table.rows})
-    return f"{comparison!r}\n\n{short.as_text()}"
+    return f"{comparison!r}\n\n{replace(of_comparison(comparison), title='').as_text()}"
 
 
 def as_html(comparison: Comparison) -> str:
@@ -424,23 +537,24 @@ COLUMNS = {
         "mean of the record", partial(_errors, "test", fit_percent),
     ),
     "forecast fit %": Quantity(
-        "percent", f"{_FIT} forecast: 100 is perfect, 0 is as good as the mean of the samples "
-        "after the training part", partial(_errors, "forecast", fit_percent),
+        "percent", f"{_FIT} samples after the training part, which are simulated where inputs are "
+        "known and forecast where there are none: 100 is perfect, 0 is as good as their mean",
+        partial(_errors, "forecast", fit_percent),
+    ),
+    "score": Quantity(
+        "deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
+    ),
+    "in interval": Quantity(
+        "share", "share of the measured samples after the training part in the interval; "
+        f"{COVERAGE:.0%} is ideal", _intervals,
     ),
     "test RMSE": Quantity(
         "record", "root mean squared error of the simulation of this test record",
         partial(_errors, "test", channel_rmse),
     ),
     "forecast RMSE": Quantity(
-        "record", "root mean squared error of the forecast after the training part",
+        "record", "root mean squared error of the samples after the training part",
         partial(_errors, "forecast", channel_rmse),
-    ),
-    "score": Quantity(
-        "deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
-    ),
-    "in interval": Quantity(
-        "share", "share of the measured samples in the forecast's interval; "
-        f"{COVERAGE:.0%} is ideal", _intervals,
     ),
     "held-out RMSE": Quantity(
         "record", "error on the last quarter of the training samples, by models trained on the "
@@ -460,3 +574,32 @@ COLUMNS = {
     ),
 }  # fmt: skip
 """The columns of comparisons by heading; a narrow terminal leaves out the last ones."""
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def of_poles(fitted: Linear) -> Table:
+    """Return the table of a linear model's poles: a row for each real one and for each pair.
+
+    The numbers are those of MATLAB's `damp`, with the 95 % interval of the absolute value.
+    """
+    step, accuracy = fitted.require_fitted().record.sampling_time, fitted.model.accuracy
+    poles = fitted.poles() if accuracy is None else accuracy.poles
+    kept = [int(i) for i in np.argsort(-np.abs(poles), kind="stable") if poles[i].imag >= 0]
+    names = {i: f"{n}. {complex_in_words(poles[i])}" for n, i in enumerate(kept, 1)}
+    rates = np.log(poles.astype(np.complex128)) / step  # in the s plane
+
+    def of(values: Array) -> dict[str, float]:
+        known = np.where(np.isfinite(values), values, np.nan)
+        return {names[i]: float(known[i]) for i in kept}
+
+    error = np.full(len(poles), np.nan) if accuracy is None else NORMAL * accuracy.pole_errors[:, 2]
+    errors = {name: size for name, size in of(error).items() if math.isfinite(size) and size}
+    listed = [
+        Column("absolute value", "record", of(np.abs(poles)), spreads=errors, ranked=False),
+        Column("time constant (s)", "record", of(-1 / rates.real), ranked=False),
+        Column("frequency (rad/s)", "record", of(np.abs(rates)), ranked=False),
+        Column("frequency (Hz)", "record", of(np.abs(rates) / (2 * np.pi)), ranked=False),
+        Column("damping ratio", "record", of(-rates.real / np.abs(rates)), ranked=False),
+    ]
+    title = "Poles in the z plane; after ±: half of the 95 % interval"
+    return Table(title, listed, dict.fromkeys(names.values(), ""), "pole")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
@@ -11,19 +11,18 @@ from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import titled
+from splitband.forecasters.names import HYBRIDS
+from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
-from splitband.report.table import columns, leaving_range
+from splitband.report.predicted import run_of
+from splitband.report.table import columns, labels_of, leaving_range
 
 POOR = 0.15
 """Largest shortfall of an interval's coverage that causes no warning. By eye."""
 MIN_HELD_OUT = 20
 """Least number of held-out samples that causes no warning. By eye."""
-
-
-def named(name: str, kind: str) -> str:
-    """Return a method's kind in words, with its name."""
-    return f"{kind} ({name})" if kind else name
 
 
 def lead(record: Record) -> str:
@@ -35,7 +34,7 @@ def lead(record: Record) -> str:
 
 def sentence(text: str) -> str:
     """Return a text with a capital and a full stop."""
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", ".)")) else ".")
 
 
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
@@ -47,10 +46,10 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     side = "test" if comparison.medians[best].tests else "forecast"
     fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
     held = {c.channel: c for c in columns(comparison, "in interval")}
-    ahead = len(comparison.record) - comparison.plan.train
+    ahead, run = len(comparison.record) - comparison.plan.train, run_of(comparison.record)
     found = []
     for fit, error in zip(fits, errors, strict=True):
-        of = f"test record {fit.record}" if fit.record else f"forecast of {ahead:,} samples"
+        of = f"test record {fit.record}" if fit.record else f"{run} of {ahead:,} samples"
         unit = f" {error.measure}" if error.measure else ""
         said = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
         if fit.channel in held and side == "forecast":
@@ -60,8 +59,11 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     return found
 
 
-def why(trial: Trial, train: int) -> list[str]:
-    """Return sentences that say why a method is recommended, and by which criterion."""
+def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
+    """Return sentences that say why a method is recommended, and by which criterion.
+
+    The methods are `called` like this, by name.
+    """
     best = trial.recommended
     if len(trial.errors) == 1:
         return [
@@ -75,7 +77,9 @@ def why(trial: Trial, train: int) -> list[str]:
     if 1 < len(able) < len(ranked):
         words[0] += ", of the methods that could simulate the test records"
     if len(able) > 1:
-        words[0] += f"; next: {able[1]}, {number(trial.penalized_score(able[1]))}"
+        words[0] += (
+            f"; next: {called.get(able[1], able[1])}, {number(trial.penalized_score(able[1]))}"
+        )
     words[0] += "."
     words.append(
         f"The score uses the {train:,} training samples alone: every method was trained on the "
@@ -90,67 +94,162 @@ def afterwards(comparison: Comparison) -> list[str]:
     """Return which methods had a better fit than the recommended one on unseen samples."""
     best = comparison.recommended
     fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
-    if not fits or best not in fits[0].values:
+    if not fits or best not in fits[0].values or len(comparison.fits) == 1:
         return []
     better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
     if not better:
-        return ["No other method had a better fit."]
+        others = "method with a result" if without_result(comparison) else "method"
+        return [f"No other {others} had a better fit."]
+    called = labels_of(comparison)
     said = ", ".join(
-        f"{c.best} {c.entry(c.best)} %" + (f" ({of})" if (of := c.record or c.channel) else "")
+        f"{called[c.best]} {c.entry(c.best)} %"
+        + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
     return [f"In hindsight, a better fit: {said}."]
 
 
+def without_result(comparison: Comparison) -> list[str]:
+    """Return the names of the methods that have no result, or none yet."""
+    failed = comparison.require_trial().failed
+    names = dict.fromkeys([*comparison.plan.names, *failed])
+    return [name for name in names if name not in comparison.fits]
+
+
+def verdicts(comparison: Comparison) -> dict[str, Outcome]:
+    """Return what the residual tests say of the recommended method, each with its outcome."""
+    where = "the samples after the training part"
+    if comparison.medians[comparison.recommended].tests:
+        where = f"test record {comparison.tests[0].name or 1}"
+    tests = comparison.residual_tests()
+    return {f"{test.verdict()} (Tested on {where}.)": test.outcome for test in tests}
+
+
 def warnings(comparison: Comparison) -> list[str]:
-    """Return what readers should know before they rely on the numbers."""
-    best, record = comparison.recommended, comparison.record
-    left = leaving_range(comparison, best)
-    said = [f"{best}: {left}"] if left else []
-    train = comparison.plan.train
-    if (held_out := train - first_held_out(train)) < MIN_HELD_OUT:
-        said.append(
-            f"The method was chosen by {held_out} held-out samples, which are too few to tell "
-            "methods apart: a longer record may lead to another choice."
-        )
-    said += of_inputs(comparison.inputs_beyond_training, record)
-    doubts: dict[str, list[str]] = {}
-    for name, p in comparison.predictions.items():
-        for doubt in p.doubts:
-            doubts.setdefault(doubt, []).append(name)
-    said += [f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()]
+    """Return what readers should know before they rely on the numbers, the gravest first."""
+    return [
+        *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
+        *_left_range(comparison),
+        *_wide_interval(comparison),
+        *_missed_interval(comparison),
+        *_missing(comparison),
+        *_few_held_out(comparison.plan.train),
+        *of_inputs(comparison.inputs_beyond_training, comparison.record),
+        *_notes(comparison),
+        *_left_out(comparison),
+        *map(sentence, comparison.clock.notes),
+    ]
+
+
+def _left_range(comparison: Comparison) -> list[str]:
+    """Return a sentence if the recommended method leaves the training range."""
+    left = leaving_range(comparison, comparison.recommended)
+    return [f"The recommended model {left}."] if left else []
+
+
+def _wide_interval(comparison: Comparison) -> list[str]:
+    """Return a sentence if the interval is as wide as one around the record's mean."""
+    best, trial, record = comparison.recommended, comparison.require_trial(), comparison.record
+    ahead = len(comparison.medians[best].ahead)
+    if not ahead or best not in trial.held_out:
+        return []
+    interval = trial.intervals[best]
+    half = interval.half_widths(ahead).mean(axis=0)
+    usual = trial.held_out[best].around_mean(interval.share)
+    said = [
+        f"± {number(float(width))} {unit}".rstrip() + (f" for {column}" if record.ny > 1 else "")
+        for width, most, unit, column in zip(half, usual, record.units, record.columns, strict=True)
+        if width >= most
+    ]
+    if not said:
+        return []
+    return [
+        f"The {percent(interval.share)} interval is as wide as the record itself "
+        f"({' and '.join(said)} on average): held-out errors do not tell how good the model is."
+    ]
+
+
+def _missed_interval(comparison: Comparison) -> list[str]:
+    """Return a sentence if the interval held too few samples."""
+    best = comparison.recommended
     share = comparison.require_trial().intervals[best].share
     missed = [
         c.entry(best) + (f" ({c.channel})" if c.channel else "")
         for c in columns(comparison, "in interval")
         if c.values[best] < share - POOR
     ]
-    if missed:
-        said.append(
-            f"The {percent(share)} interval of {best} held only {' and '.join(missed)} of the "
-            "samples after the training part. Either the system has changed, or the training part "
-            "does not show how errors grow."
-        )
-    for test, prediction in zip(comparison.tests, comparison.medians[best].tests, strict=False):
-        said += [f"{test.name}: {message}" for message in prediction.warnings]
-    said += [
-        f"{name}: {note}"
-        for name, runs in comparison.fits.items()
-        for note in dict.fromkeys(note for run in runs for note in run.report.notes)
+    if not missed:
+        return []
+    return [
+        f"The {percent(share)} interval held only {' and '.join(missed)} of the samples after the "
+        "training part. Either the system has changed, or the training part does not show how "
+        "errors grow."
     ]
+
+
+def _missing(comparison: Comparison) -> list[str]:
+    """Return sentences about the methods that have no result."""
+    failed, called, said = comparison.require_trial().failed, labels_of(comparison), list[str]()
+    every = {name: titled(name, called[name]) for name in without_result(comparison)}
+    if names := [title for name, title in every.items() if name in failed]:
+        said.append(f"No result, for the reason beside the table: {'; '.join(names)}.")
+    if names := [title for name, title in every.items() if name not in failed]:
+        said.append(f"Not trained so far: {'; '.join(names)}.")
+    return said
+
+
+def _few_held_out(train: int) -> list[str]:
+    """Return a sentence if methods were told apart by few samples."""
+    held_out = train - first_held_out(train)
+    if held_out >= MIN_HELD_OUT:
+        return []
+    return [
+        f"The method was chosen by {held_out} held-out samples, which are too few to tell methods "
+        "apart: a longer record may lead to another choice."
+    ]
+
+
+def _notes(comparison: Comparison) -> list[str]:
+    """Return the doubts of predictions and the notes of fits, with the methods they are of."""
+    called = {name: titled(name, words) for name, words in labels_of(comparison).items()}
+    doubts: dict[str, list[str]] = {}
+    for name, prediction in comparison.predictions.items():
+        for doubt in prediction.doubts:
+            doubts.setdefault(doubt, []).append(called[name])
+    best, tests = comparison.medians[comparison.recommended], comparison.tests
+    notes = {
+        name: dict.fromkeys(note for run in runs for note in run.report.notes)
+        for name, runs in comparison.fits.items()
+    }
+    return [
+        *(f"{', '.join(names)}: {doubt}" for doubt, names in doubts.items()),
+        *(f"{t.name}: {m}" for t, p in zip(tests, best.tests, strict=False) for m in p.warnings),
+        *(f"{called[name]}: {note}" for name, of in notes.items() for note in of),
+    ]
+
+
+def _left_out(comparison: Comparison) -> list[str]:
+    """Return which methods were not tested, or not tried because the simulator does not help."""
+    plan, said = comparison.plan, list[str]()
     if comparison.left_out:
         said.append(
             f"Not tested: {', '.join(comparison.left_out)}; they go on from the training record, "
             "or need a simulator of the test record (--test-simulator)."
+        )
+    choice = plan.bands.choice
+    if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
+        said.append(
+            "The simulator helps below no cut-off, so that hybrid models were left out; --methods "
+            "brings them back."
         )
     return said
 
 
 def of_forecast(result: Forecast) -> list[str]:
     """Return what readers should know before they rely on a forecast."""
-    said = [f"{result.method}: {leaving(result.leaves)}"] if result.leaves is not None else []
+    said = [f"The model {leaving(result.leaves)}."] if result.leaves is not None else []
     said += of_inputs(result.inputs_beyond_training, result.record)
-    return [*said, *result.prediction.warnings]
+    return [*said, *result.prediction.warnings, *map(sentence, result.clock.notes)]
 
 
 def of_bands(bands: Bands, training: Record) -> str:

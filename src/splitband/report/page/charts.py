@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,11 @@ from bokeh.models import (
     FixedTicker,
     HoverTool,
     Line,
+    LogAxis,
     PlainText,
     Range1d,
     Segment,
+    Step,
     VArea,
 )
 from bokeh.models.annotations import Span
@@ -53,8 +55,21 @@ DATES: dict[str, Any] = {
     "months": "%b %Y", "years": "%Y",
 }  # fmt: skip
 _DASHES = "dashed", "dotted", "dashdot"
+MANY = 200
+"""Range of an axis of angular frequencies from which on it has one number a decade. Layout."""
+FAINT = 0.45
+"""Opacity of curves that are shown for comparison. Layout."""
 
 Drawn = npt.NDArray[np.float32] | Array
+
+
+class Key(NamedTuple):
+    """Hold an entry of a legend."""
+
+    color: str  # the name of its colour in the style
+    text: str
+    method: str = ""  # with whose switch it comes and goes
+    hidden: bool = False  # at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +177,7 @@ class Chart:
         self.caption, self.small, self.methods = caption, small, methods
         self.data = ColumnDataSource({X: axis.drawn})
         self._curves: list[tuple[str, list[str], Array]] = []
+        self._said: dict[str, str] = {}
         box = "xbox_zoom" if log else "box_zoom"
         shown = self.figure = figure(
             width=WIDTH, height=height, sizing_mode="stretch_width", toolbar_inner=True,
@@ -188,13 +204,14 @@ class Chart:
             shown.xaxis.formatter = DatetimeTickFormatter(**DATES)
 
     @property
-    def key(self) -> list[tuple[str, str]]:
-        """Return the legend, each a colour and a name; the methods have theirs above all plots."""
-        key = [(tags[0], name) for name, tags, _ in self._curves if "method" not in tags]
-        shown = [
-            tags[0] for _, tags, _ in self._curves if "method" in tags and "hidden" not in tags
-        ]
-        key += [(color, "predicted") for color in shown[:1] if key]
+    def key(self) -> list[Key]:
+        """Return the legend, the last curve first; of methods, those that say something here."""
+        key = []
+        for name, tags, _ in reversed(self._curves):
+            if "method" not in tags:
+                key.append(Key(tags[0], name))
+            elif name in self._said:
+                key.append(Key(tags[0], self._said[name], name, "hidden" in tags))
         return key if len(key) > 1 else []
 
     @property
@@ -216,16 +233,39 @@ class Chart:
         what = f"Plot of {self.label} over {self.axis.label}{scale}"
         return f"{self.caption}. {what}: {'; '.join(said)}."
 
-    def line(self, y: Array, name: str, tags: Sequence[str], **style: Any) -> None:
-        """Add a curve in the colour of its first tag: `measured`, `truth`, `c0`..."""
+    def line(
+        self, y: Array, name: str, tags: Sequence[str], held: bool = False, **style: Any
+    ) -> None:
+        """Add a curve in the colour of its first tag: `measured`, `truth`, `c0`...
+
+        With `held`, each value stays until the next sample, where every sample is drawn.
+        """
         self._curves.append((name, [*tags], y))
         column = self._kept(self.axis.thinned(self._within(y)))
-        self._add(Line(x=X, y=column, **style), name, tags)
+        if held and self.axis.whole:
+            self._add(Step(x=X, y=column, mode="after", **style), name, tags)
+        else:
+            self._add(Line(x=X, y=column, **style), name, tags)
 
-    def method(self, y: Array, method: Method, **style: Any) -> None:
-        """Add a method's curve, which its switch turns on and off."""
+    def method(self, y: Array, method: Method, said: str = "", **style: Any) -> None:
+        """Add a method's curve, which its switch turns on and off; `said` is for the legend."""
+        if said:
+            self._said[method.name] = said
         usual = {"line_width": 1.4, "line_dash": "dashed" if method.dashed else "solid"}
         self.line(y, method.name, method.tags, **{**usual, **style})
+
+    def add_angular_frequencies(self) -> None:
+        """Add an axis above, with the angular frequencies of one in Hz."""
+        first, last = (2 * math.pi * float(self.axis.values[i]) for i in (0, -1))
+        decades = range(math.floor(math.log10(first)), math.ceil(math.log10(last)) + 1)
+        few = last / first < MANY
+        ticks = [m * 10.0**d for d in decades for m in ((1, 2, 5) if few else (1,))]
+        at: Any = {w / (2 * math.pi): f"{w:g}" for w in ticks if first <= w <= last}
+        ticker: Any = FixedTicker(ticks=[*at], minor_ticks=[])
+        above = LogAxis(
+            ticker=ticker, major_label_overrides=at, axis_label=PlainText(text="rad/s")
+        )  # fmt: skip
+        self.figure.add_layout(above, "above")
 
     def stems(self, y: Array, name: str, tags: Sequence[str]) -> None:
         """Add a vertical line from 0 for each value."""

@@ -74,7 +74,7 @@
         background_fill_color: css("page"), border_fill_color: css("page"),
         outline_line_color: rule,
       });
-      for (const axis of [...figure.below, ...figure.left]) axis.setv({
+      for (const axis of [...figure.below, ...figure.left, ...figure.above]) axis.setv({
         axis_line_color: rule, major_tick_line_color: soft, minor_tick_line_color: rule,
         major_label_text_color: ink, axis_label_text_color: ink,
         axis_label_text_font_style: "normal", axis_label_text_font_size: "12px",
@@ -102,6 +102,8 @@
       for (const renderer of figure.renderers)
         if (renderer.tags.includes("method") && renderer.name === method)
           renderer.visible = shown;
+    for (const entry of all(".key [data-method]"))
+      if (entry.dataset.method === method) entry.hidden = !shown;
     hide();
   }
   function hide() {

@@ -3,48 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
+from itertools import product
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.base import parts_of
+from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.models.labels import SLOW
 from splitband.report import table, words
 from splitband.report.environment import environment
-from splitband.report.numbers import number, percent
+from splitband.report.numbers import complex_in_words, number, percent
 from splitband.report.page import plots
 from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
-from splitband.report.predicted import Predicted, predicted
-from splitband.report.table import Table, in_words, ordered, tried
+from splitband.report.predicted import Predicted, predicted, what_was_known
+from splitband.report.table import Table, ordered, tried
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
+
+MAX_BODE = 4
+"""Largest number of pairs of input and output that have gain and phase, too. Bounds the time."""
 
 
 def of_comparison(result: Comparison, used: Usage) -> Page:
-    """Return the page of a comparison: the answer first, then the other methods, then details."""
+    """Return the page of a comparison: the answer, its plot, the other methods, then details."""
     record, trial, best = result.record, result.require_trial(), result.recommended
-    styles = method_styles(ordered(trial, result.fits), best)
+    listed = table.of_comparison(result)
+    called = {name: listed.label(name) for name in ordered(trial, result.fits)}
+    styles = method_styles(called, best, listed.minor)
     every = [each for each in predicted(result) if each.predictions]
     first = [each for each in every if each.protocol == every[0].protocol]
     shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
-    kind = in_words(best, result.methods)
     sections = [
         Section(
-            "answer", f"Recommended: {words.named(best, kind)}", words.afterwards(result),
+            "answer", f"Recommended: {titled(best, listed.label(best))}", words.afterwards(result),
             [words.sentence(w) for w in (*words.warnings(result), *words.of_gaps(record))],
             facts=[(of, "\n".join(said)) for of, said in words.headline(result)],
-            plots=[plot for each in shown for plot in (*each.outputs(), *each.inputs())],
         ),
+        Section("plot", "Measured and predicted", [what_was_known(result)],
+                plots=[plot for each in shown for plot in (*each.outputs(), *each.inputs())]),
+        Section("methods", "All methods",
+                [" ".join(words.why(trial, result.plan.train, listed.labels))], tables=[listed]),
+        _residuals([*words.verdicts(result)], result.residual_tests(), "Residuals",
+                   [p for s in shown for p in s.residuals()]),
+        *_responses(result, styles),
         *_next_steps(used),
-        Section("methods", "All methods", [" ".join(words.why(trial, result.plan.train))],
-                tables=[table.of_comparison(result)]),
-        _residuals(result.residual_tests(), "Residuals", [p for s in shown for p in s.residuals()]),
         *_linear(result),
         Section("errors", "Error over horizon", [_HORIZON],
                 plots=[p for s in shown for p in s.errors()], folded=True),
@@ -77,41 +90,99 @@ def _shared(result: Comparison) -> dict[str, object]:
     return kept | {"warmup": plan.settings.warmup}
 
 
-def _residuals(tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]) -> Section:
-    """Return the section of the residual tests, with further plots."""
+def _residuals(
+    said: Sequence[str], tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]
+) -> Section:
+    """Return the section of the residual tests and what they `said`, with further plots."""
     text = [
-        " ".join(test.verdict() for test in tests),
+        " ".join(said),
         f"Shaded: the band that holds {100 * CONFIDENCE:.0f} % of the values by chance. Residuals "
         "that depend on an input show dynamics that the model misses; residuals that depend on "
         "their own past show a disturbance, or such dynamics.",
     ]
     stems = [plots.correlation(t.output, each) for t in tests for each in (t.whiteness, *t.inputs)]
-    return Section(
-        "residuals", title, text if tests else (), plots=[*stems, *further], folded=bool(further)
+    return Section("residuals", title, text if tests else (), plots=[*stems, *further])
+
+
+def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
+    """Return the section of the responses of the recommended model and of the linear one."""
+    linear = _linear_of(result)
+    models = {result.recommended: result.model}
+    if linear is not None:
+        models.setdefault(linear.name, linear)
+    found = dict[str, Responses]()
+    for name, model in models.items():
+        with suppress(InputError):  # it has no inputs, or its simulator stays outside
+            each = model.step_responses()
+            if np.isfinite(each.y).all() and each.y.any():
+                found[name] = each
+    if not found:
+        return []
+    outside = [styles[name].label for name, model in models.items() if "simulator" in model.needs]
+    shown = " and ".join(styles[name].label for name in found)
+    said = f"Of {shown}; without its simulator, {outside[0]} has none." if outside else ""
+    few = result.record.nu * result.record.ny <= MAX_BODE
+    return [_responses_of(found, styles, said, few)]
+
+
+def _responses_of(
+    found: Mapping[str, Responses], styles: Mapping[str, Method], said: str = "", bode: bool = True
+) -> Section:
+    """Return the section of step and Bode responses."""
+    first = next(iter(found.values()))
+    pairs = zip(first.inputs, first.at, strict=True)
+    held = ", ".join(f"{name} = {number(float(value))}" for name, value in pairs)
+    text = (
+        f"Small steps of one input at a time, from an operating point: {held}. Change of the "
+        "output for a step of 1"
     )
+    text += (
+        "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
+        if bode
+        else ". The page of `splitband check` also has gain and phase."
+    )
+    drawn = plots.responses(found, styles, bode)
+    title = "Step and Bode responses" if bode else "Step responses"
+    return Section("responses", title, [said, text], plots=drawn)
+
+
+def _linear_of(result: Comparison) -> Linear | None:
+    """Return the fitted linear model, if it is one of the methods."""
+    every = (fit.fitted for fits in result.fits.values() for fit in fits)
+    return next((fitted for fitted in every if isinstance(fitted, Linear)), None)
 
 
 def _linear(result: Comparison) -> list[Section]:
     """Return the section of the linear model, if it is one of the methods."""
-    sections = []
-    for fitted in (fit.fitted for fits in result.fits.values() for fit in fits):
-        if not isinstance(fitted, Linear):
-            continue
-        model = fitted.model
-        over_order = plots.orders(model)
-        gains = plots.gains(fitted.require_fitted().record, model)
-        text = [fitted.describe() + "."]
-        if over_order:
-            text.append(
-                "Singular values are the correlations of the past with the future of the outputs: "
-                "a state for each that stands out. The order is the smallest whose held-out "
-                "simulation error is at most one standard error above the least."
-            )
-        if gains:
-            text.append("Shaded: the 95 % interval of the gain, by its standard error.")
-        title = "Linear model: order and frequency response"
-        sections.append(Section("linear", title, text, plots=[*over_order, *gains], folded=True))
-    return sections
+    fitted = _linear_of(result)
+    return [] if fitted is None else [_of_linear(fitted)]
+
+
+def _of_linear(fitted: Linear) -> Section:
+    """Return the section of a linear model: poles, zeros, order, gain."""
+    record, model = fitted.require_fitted().record, fitted.model
+    over_order, gains = plots.orders(model), plots.gains(record, model)
+    text = [fitted.describe() + "."]
+    if over_order:
+        text.append(
+            "Singular values are the correlations of the past with the future of the outputs: "
+            "a state for each that stands out. The order is the smallest whose held-out "
+            "simulation error is at most one standard error above the least."
+        )
+    if gains:
+        text.append("Shaded: the 95 % interval of the gain, by its standard error.")
+    pairs = product(enumerate(record.inputs), enumerate(record.columns))
+    zeros = [(f"zeros, {u} to {y}", _roots(fitted.zeros(j, i))) for (i, u), (j, y) in pairs]
+    tables = [table.of_poles(fitted)] if model.order else []
+    return Section(
+        "linear", "Linear model: poles, zeros, order, gain", text, tables=tables,
+        plots=[*over_order, *gains], facts=zeros, folded=True,
+    )  # fmt: skip
+
+
+def _roots(roots: npt.NDArray[np.complex128]) -> str:
+    """Return zeros in a line, pairs as one."""
+    return ", ".join(complex_in_words(each) for each in roots if each.imag >= 0) or "none"
 
 
 def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[Section]:
@@ -120,11 +191,14 @@ def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[S
     for each in every:
         drawn = plots.OverTime(each, styles)
         ahead = each.protocol == "forecast"
-        title = "Forecast" if ahead else "Simulation from the start of the record"
+        said = each.says[:1].upper() + each.says[1:]
+        title = said if ahead else "Simulation from the start of the record"
         name = "forecast" if ahead else "runs"
         sections.append(Section(name, title, plots=drawn.outputs(), folded=True))
         if parts := [] if ahead else drawn.components():
-            names = ", ".join(name for name, y in each.predictions.items() if y.components)
+            names = ", ".join(
+                styles[name].label for name, y in each.predictions.items() if y.components
+            )
             text = (
                 "A model's output is the sum of these parts. All curves are without their means. "
                 f"Switch on a method to see its parts: {names}."
@@ -203,15 +277,16 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
         )
     ]
     shown = Predicted("forecast", "forecast", record, {method: result.prediction}, ahead=steps)
-    ahead = plots.OverTime(shown, {method: Method(method)})
+    listed = table.of_forecast(result)
+    ahead = plots.OverTime(shown, {method: Method(method, label=listed.label(method))})
     sections = [
         Section(
-            "answer", f"Forecast by {words.named(method, result.model.in_words())}", text, items,
+            "answer", f"Forecast by {result.model._title}", text, items,
             plots=[*ahead.outputs(), *ahead.inputs()], facts=facts,
         ),
         *_next_steps(used),
-        Section("methods", "What was tried", [" ".join(words.why(trial, len(record)))],
-                tables=[table.of_trial(trial, record)]),
+        Section("methods", "What was tried",
+                [" ".join(words.why(trial, len(record), listed.labels))], tables=[listed]),
         Section("spectrum", "Spectrum of the record", plots=plots.spectrum(record, None, {}),
                 folded=True),
         _settings([("seeds", ", ".join(map(str, result.seeds)))], used),
@@ -220,30 +295,28 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
     return Page(title, words.lead(record), sections)
 
 
-def of_check(result: ModelCheck, kind: str, responses: Responses | None, used: Usage) -> Page:
-    """Return the page of a check of a model; `kind` describes the model in words."""
+def of_check(
+    result: ModelCheck, model: Forecaster, responses: Responses | None, used: Usage
+) -> Page:
+    """Return the page of a check of a model."""
     record, name = result.record, result.method
     shown = Predicted("start", "simulation", record, {name: result.simulation})
-    drawn = plots.OverTime(shown, {name: Method(name)})
+    styles = {name: Method(name, label=model.in_words() or name)}
+    drawn = plots.OverTime(shown, styles)
     facts = [
         (column, "\n".join(f"fit {of[i]:.1f} %, {horizon}" for horizon, of in result.fits.items()))
         for i, column in enumerate(record.columns)
     ]
-    title = f"{'Accepted' if result.accepted else 'Rejected'}: {kind or name}"
+    said = [test.verdict() for test in result.tests]
     sections = [
-        Section("answer", title, result.in_words(), facts=facts,
-                plots=[*drawn.outputs(), *drawn.inputs()]),
-        _residuals(result.tests, "Is the model good? Residual tests", []),
+        Section("answer", f"{result.outcome.capitalize()}: {result.title or name}",
+                result.in_words(), facts=facts, plots=[*drawn.outputs(), *drawn.inputs()]),
+        _residuals(said, result.tests, "Is the model good? Residual tests", []),
     ]  # fmt: skip
     if responses is not None:
-        pairs = zip(responses.inputs, responses.at, strict=True)
-        held = ", ".join(f"{name} = {number(float(value))}" for name, value in pairs)
-        text = (
-            f"Small steps of one input at a time, from an operating point: {held}. Change of the "
-            "output for a step of 1, and its Fourier transform."
-        )
-        title = "What has it learned? Responses to its inputs"
-        sections.append(Section("responses", title, [text], plots=plots.responses(responses)))
+        sections.append(_responses_of({name: responses}, styles))
+    if isinstance(model, Linear):
+        sections.append(_of_linear(model))
     sections.append(_settings([], used))
     return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ class Section:
     name: str  # its anchor
     title: str  # the heading
     words: Sequence[str] = ()  # paragraphs
-    items: Sequence[str] = ()  # A list after them
+    items: Sequence[str] = ()  # warnings, above these
     tables: Sequence[Table] = ()  # shown after the list
     plots: Sequence[Chart] = ()
     code: Sequence[tuple[str, str]] = ()  # lines to copy, each with what they do
@@ -31,24 +31,33 @@ class Section:
 
 @dataclass(frozen=True)
 class Method:
-    """Describe a method that readers switch on and off; the recommended one is on at first."""
+    """Describe a method that readers switch on and off."""
 
     name: str  # name of the forecaster
     color: int = 0  # index of its colour in the palette
     dashed: bool = False  # whether its colour repeats that of another method
     recommended: bool = True  # whether it is the recommended method
+    shown: bool = True  # whether it is on at first
+    label: str = ""  # what it is, in words
 
     @property
     def tags(self) -> list[str]:
         """Return the tags by which the page's script colours its curves and switches them."""
-        return [f"c{self.color}", "method", *([] if self.recommended else ["hidden"])]
+        return [f"c{self.color}", "method", *([] if self.shown else ["hidden"])]
 
 
-def method_styles(names: Sequence[str], recommended: str) -> dict[str, Method]:
-    """Return how each method is drawn; if colours run out, they repeat, dashed."""
+def method_styles(
+    labels: Mapping[str, str], recommended: str, minor: Collection[str] = ()
+) -> dict[str, Method]:
+    """Return how each method is drawn; if colours run out, they repeat, dashed.
+
+    `labels` are methods in words, in the order of the table; its `minor` rows are off at first.
+    """
     return {
-        name: Method(name, i % len(PALETTE), i >= len(PALETTE), name == recommended)
-        for i, name in enumerate(names)
+        name: Method(
+            name, i % len(PALETTE), i >= len(PALETTE), name == recommended, name not in minor, label
+        )
+        for i, (name, label) in enumerate(labels.items())
     }
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
 
 import numpy as np
 from bokeh.models.annotations import BoxAnnotation
@@ -16,10 +18,11 @@ from splitband.forecasters.backtest import Fit
 from splitband.forecasters.checking import Responses
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.residuals import Correlation
-from splitband.metrics import cumulative_rmse
+from splitband.metrics import cumulative_rmse, fit_percent
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import number, percent, squared
+from splitband.report.numbers import number, percent, squared, tenths
 from splitband.report.page.charts import (
+    FAINT,
     LOW,
     SMALL,
     TALL,
@@ -70,17 +73,29 @@ class OverTime:
         if best is not None and best.lower is not None and best.upper is not None:
             lower, upper = (padded(edge[:, i], self._length) for edge in (best.lower, best.upper))
             chart.band(lower, upper, recommended.name, recommended.tags)
-        # The recommended one is wide, so that it shows behind curves that agree with it.
-        for name in sorted(shown.predictions, key=lambda n: self.styles[n].recommended):
-            style = {"line_width": 3.5} if self.styles[name].recommended else {}
-            y = padded(shown.predictions[name].y[:, i], self._length)
-            chart.method(y, self.styles[name], **style)
+        for name in self._best_last():
+            style, y = self.styles[name], shown.predictions[name].y[:, i]
+            # The recommended one is wide, so that it shows behind what was measured.
+            said, look = self._legend(name, i), _look(style, 3.5)
+            chart.method(padded(y, self._length), style, said, **look)
         if record.y_true is not None:
             chart.line(record.y_true[:, i], "noise-free", ["truth"], line_width=1.0)
         chart.line(seen, "measured", ["measured"], line_width=1.2)
         if 0 < shown.begin < self._length:
             chart.mark(self.axis.values[shown.begin])
         return chart
+
+    def _best_last(self) -> list[str]:
+        """Return the methods as they are drawn: the recommended one above the others."""
+        return [name for name in reversed([*self.styles]) if name in self.shown.predictions]
+
+    def _legend(self, name: str, i: int) -> str:
+        """Return a method in words, with its fit where the output was measured."""
+        prediction, label = self.shown.predictions[name], self.styles[name].label or name
+        if self.shown.ahead:
+            return label
+        fit = float(fit_percent(self.shown.truth(prediction), prediction.y)[i])
+        return f"{label}: {tenths(fit)} %" if np.isfinite(fit) else label
 
     def inputs(self) -> list[Chart]:
         """Return a plot for each input, which zooms together with the plots of the outputs."""
@@ -92,7 +107,7 @@ class OverTime:
             whole = padded(values[: self._length], self._length, first=True)
             scale, small = limits([whole[self.shown.first :]]), record.nu > MAX_TALL_CHANNELS
             chart = Chart(self.axis, name, scale, f"Input {name}", SMALL, small=small)
-            chart.line(whole, name, ["truth"], line_width=1.0)
+            chart.line(whole, name, ["truth"], held=True, line_width=1.0)
             plots.append(chart)
         return plots
 
@@ -109,8 +124,9 @@ class OverTime:
             caption = f"{column}: residuals, {shown.says}"
             chart = Chart(self.axis, _with("residual", unit), scale, caption, LOW)
             chart.mark(0.0, "zero", "width")
-            for name, y in left.items():
-                chart.method(padded(y, self._length), self.styles[name])
+            for name in self._best_last():
+                style = self.styles[name]
+                chart.method(padded(left[name], self._length), style, **_look(style, 1.4))
             plots.append(chart)
         return plots
 
@@ -134,7 +150,7 @@ class OverTime:
                 if len(each) > 1:
                     edges = np.min(each, axis=0), np.max(each, axis=0)
                     chart.band(*edges, name, self.styles[name].tags)
-                chart.method(y, self.styles[name])
+                chart.method(y, self.styles[name], self.styles[name].label or name)
             plots.append(chart)
         return plots
 
@@ -157,12 +173,20 @@ class OverTime:
         curves = {p: padded(y[:, i] - y[:, i].mean(), self._length) for p, y in parts.items()}
         seen = self.record.y_with_gaps[:, i]
         about = padded(seen - np.nanmean(seen), self._length, first=True)
-        scale, caption = limits([about, *curves.values()]), f"{name}, {column}: components"
+        scale, caption = (
+            limits([about, *curves.values()]),
+            f"{self.styles[name].label or name}, {column}: components",
+        )
         chart = Chart(self.axis, f"{column}, less the mean", scale, caption, methods=[name])
         chart.line(about, "measured", ["measured"], line_width=1.0)
         for k, (part, y) in enumerate(curves.items()):
             chart.line(y, part, [f"c{k}"], line_width=1.4)
         return chart
+
+
+def _look(style: Method, width: float) -> dict[str, Any]:
+    """Return how a method's curve is drawn: the recommended one of this width, the others faint."""
+    return {"line_width": width} if style.recommended else {"line_alpha": FAINT}
 
 
 def _with(what: str, unit: str) -> str:
@@ -202,7 +226,7 @@ def _power(record: Record, cutoff: float | None, beside: Mapping[str, Array]) ->
         log=True,
     )
     for i, (name, density) in enumerate(curves.items()):
-        style = {"line_width": 1.3, "line_dash": dash(i // len(PALETTE))}
+        style: dict[str, Any] = {"line_width": 1.3, "line_dash": dash(i // len(PALETTE))}
         chart.line(density, name, [f"c{i % len(PALETTE)}"], **style)
     if cutoff is not None:
         chart.mark(cutoff, "cutoff")
@@ -236,7 +260,7 @@ def cutoffs(choice: Choice) -> Chart:
     chart = Chart(Axis.over_frequency(every, "Hz"), "loss", (0.0, high), caption, SMALL)
     for (order, enough), y in sorted(curves.items(), key=lambda each: each[0]):
         name = f"order {order}" if enough else f"order {order}, little in the low band"
-        style = {"line_width": 1.3, "line_dash": dash(not enough)}
+        style: dict[str, Any] = {"line_width": 1.3, "line_dash": dash(not enough)}
         chart.line(y, name, [f"c{order - 1}"], **style)
     chart.mark(choice.cutoff, "cutoff")
     return chart
@@ -287,6 +311,10 @@ def orders(model: LinearModel) -> list[Chart]:
     return plots
 
 
+SILENT = 1e-12
+"""Gain that is drawn in place of a smaller one: -240 dB. Rounding."""
+
+
 def gains(record: Record, model: LinearModel) -> list[Chart]:
     """Return a plot of a linear model's gain over frequency for each input and output."""
     found = model.accuracy
@@ -294,39 +322,65 @@ def gains(record: Record, model: LinearModel) -> list[Chart]:
         return []
     axis = Axis.over_frequency(found.angles / (2 * np.pi * record.sampling_time), "Hz")
     plots = []
-    for i, name in enumerate(record.inputs):
-        for j, column in enumerate(record.columns):
-            gain, error = found.response[:, j, i], NORMAL * found.response_errors[:, j, i]
-            if not (np.isfinite(gain) & (gain > 0)).all():
-                continue
-            caption, known = f"Gain, {name} to {column}", np.isfinite(error).all()
-            if known:
-                least, most = (number(float(100 * f(error / gain))) for f in (np.min, np.max))
-                caption += f"; shaded: 95 % interval, ± {least} to {most} %"
-            chart = _curve(axis, gain, "gain", caption, log=True)
-            if known:
-                lower = np.maximum(gain - error, 0.1 * chart.limits[0])
-                chart.band(lower, gain + error, "95 % interval", ["c0"])
-            plots.append(chart)
+    for (i, name), (j, column) in product(enumerate(record.inputs), enumerate(record.columns)):
+        gain, error = found.response[:, j, i], NORMAL * found.response_errors[:, j, i]
+        if not (np.isfinite(gain) & (gain > 0)).all():
+            continue
+        caption, known = f"Gain, {name} to {column}", np.isfinite(error).all()
+        if known:
+            least, most = (number(float(100 * f(error / gain))) for f in (np.min, np.max))
+            caption += f"; shaded: 95 % interval, ± {least} to {most} %"
+        chart = _response(axis, {"gain": (_decibels(gain), "c0")}, "gain (dB)", caption)
+        if known:
+            lower = np.maximum(gain - error, 1e-3 * gain)
+            chart.band(_decibels(lower), _decibels(gain + error), "95 % interval", ["c0"])
+        plots.append(chart)
     return plots
 
 
-def responses(found: Responses) -> list[Chart]:
-    """Return plots of step and frequency responses for each input and output."""
+def responses(
+    found: Mapping[str, Responses], styles: Mapping[str, Method], bode: bool = True
+) -> list[Chart]:
+    """Return plots of the step response from each input to each output, a curve for each model.
+
+    With `bode` also of gain and phase. The models are of one record.
+    """
+    first = next(iter(found.values()))
+    frequencies, _ = first.frequency_response()
+    gains = {name: each.frequency_response()[1] for name, each in found.items()}
+    looks = {name: (styles[name].label or name, f"c{styles[name].color}") for name in found}
+    time, over = Axis.over(first.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
     plots = []
-    frequencies, complex_gains = found.frequency_response()
-    time, bode = Axis.over(found.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
-    for i, name in enumerate(found.inputs):
-        for j, column in enumerate(found.columns):
-            gain = np.maximum(abs(complex_gains[:, j, i]), 1e-12)
-            phase = np.degrees(np.unwrap(np.angle(complex_gains[:, j, i])))
-            said = f"{name} to {column}"
-            plots += [
-                _curve(time, found.y[:, j, i], "change", f"Step response, {said}"),
-                _curve(bode, gain, "gain", f"Gain, {said}", log=True),
-                _curve(bode, phase, "phase (degrees)", f"Phase, {said}"),
-            ]
+    for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
+        steps = {n: each.y[:, j, i] for n, each in found.items()}
+        of = {n: gain[:, j, i] for n, gain in gains.items()}
+        sizes = {n: _decibels(np.abs(gain)) for n, gain in of.items()}
+        phases = {n: np.degrees(np.unwrap(np.angle(gain))) for n, gain in of.items()}
+        drawn = (
+            (time, steps, "change", "Step response"),
+            (over, sizes, "gain (dB)", "Gain"),
+            (over, phases, "phase (degrees)", "Phase"),
+        )
+        for axis, curves, label, what in drawn if bode else drawn[:1]:
+            shown = {looks[n][0]: (curve, looks[n][1]) for n, curve in curves.items()}
+            plots.append(_response(axis, shown, label, f"{what}, {u} to {y}"))
     return plots
+
+
+def _response(
+    axis: Axis, curves: Mapping[str, tuple[Array, str]], label: str, caption: str
+) -> Chart:
+    """Return a small plot of named curves, each with a colour; a frequency also in rad/s."""
+    chart = Chart(axis, label, limits([y for y, _ in curves.values()]), caption, LOW, small=True)
+    if axis.log:
+        chart.add_angular_frequencies()
+    for name, (y, color) in reversed([*curves.items()]):  # the first one above the others
+        chart.line(y, name, [color], line_width=1.5)
+    return chart
+
+
+def _decibels(gain: Array) -> Array:
+    return np.asarray(20 * np.log10(np.maximum(gain, SILENT)))
 
 
 def _curve(axis: Axis, y: Array, label: str, title: str, log: bool = False) -> Chart:
