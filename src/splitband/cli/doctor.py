@@ -17,7 +17,13 @@ from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import available_cores
 
-EXTRAS = {"fmu": "fmpy", "onnx": "onnx", "control": "control", "cluster": "distributed"}
+EXTRAS = {
+    "fmu": "fmpy",
+    "onnx": "onnx",
+    "casadi": "casadi",
+    "control": "control",
+    "cluster": "distributed",
+}
 """The extras for users, and a module that each installs."""
 
 
