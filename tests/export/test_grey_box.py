@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import scipy
 import splitband as sb
 from splitband.simulators.fixed_steps import FixedSteps
 from tests.export.test_c import Compiled
+from tests.export.test_fmu import Instance
+from tests.export.test_onnx import session
 from tests.streams import SHORT, in_double
 
 Array = npt.NDArray[np.float64]
@@ -186,15 +189,29 @@ def test_what_cannot_be_written_is_told_with_its_line(
     assert not [*tmp_path.iterdir()]
 
 
-def test_an_equation_that_needs_an_adaptive_solver_says_so(tmp_path: Path) -> None:
-    def sliding(t: float, x: Any, u: Any, p: Any) -> list[Any]:
-        return [x[1], u[0] - x[0] - p.c * np.tanh(1e4 * x[1])]
+def test_an_equation_that_needs_an_adaptive_solver_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ode = EQUATIONS["held inputs"]()
+    model = sb.GreyBox(ode, starts=1).fit(record_of(ode, 1)[:60])
+    for name, value in {"MOST_STEPS": 1, "MAX_NOISE_SHARE": 0.0}.items():
+        monkeypatch.setattr(f"splitband.simulators.fixed_steps.{name}", value)
+    with pytest.raises(ValueError, match=r"needs an adaptive solver.*sb\.load\(folder\) returns"):
+        model.export(tmp_path / "rig.c")
+    model.simulator = replace(ode, method="Radau")
+    with pytest.raises(ValueError, match="with the method Radau cannot"):
+        model.export(tmp_path / "rig.c")
 
-    u, time = 3 * inputs(), 0.1 * np.arange(200.0)
-    for method, message in (("RK45", "needs an adaptive solver"), ("Radau", "the method Radau")):
-        known: Any = {"parameters": {"c": (0.1, 1.0)}, "method": method}
-        ode = sb.Ode(sliding, [0.0, 0.0], **known)
-        y = np.asarray(ode.fixed({"c": 0.5}).matched(["y"], ["u"]).simulate(time, u))
-        model = sb.GreyBox(ode, starts=1).fit(sb.Record(y, 0.1, u=u))
-        with pytest.raises(ValueError, match=message):
-            model.export(tmp_path / "rig.c")
+
+def test_an_fmu_and_onnx_integrate_it_too(tmp_path: Path) -> None:
+    ode = EQUATIONS["held inputs"]()
+    record: Any = record_of(ode, 1)
+    model = sb.GreyBox(ode, starts=1).fit(record[:150])
+    wanted = model.predict(50, u=record.u[150:]).y
+    model.export(tmp_path / "rig.fmu")
+    instance = Instance(tmp_path / "rig.fmu", tmp_path / "rig", record)
+    found = np.stack([instance.step(u=u) for u in record.u[150:]])
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    _, rollout = model.export(tmp_path / "rig.onnx")
+    signals = {"y": np.full((50, 1), np.nan), "u": record.u[150:]}
+    np.testing.assert_allclose(session(rollout).run(None, signals)[1], wanted, atol=1e-9)

@@ -300,8 +300,9 @@ class Renderer:
         self.count += 1
         n = f"n{self.count}"
         with self.braces(f"for (int {n} = 0; {n} < {length}; {n}++)"):
+            used = {*block.outputs, *(x for node in block.nodes for x in used_by(node))}
             for x, inner in zip(xs, block.inputs[carried:], strict=True):
-                if size(inner):
+                if inner in used and size(inner):
                     self.names[inner] = self._row(x, inner.shape, n)
             self.block(block)
             for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):

@@ -135,7 +135,8 @@ def enough_steps(
             part = slice(begin, begin + length + 1)
             inputs = None if u is None else u[part]
             found, _ = ode.stepped(adjusted.values, x[begin], time[part], inputs, count)
-            left = np.maximum(left, np.abs(found - y[part]).max(axis=0))
+            differs = np.nan_to_num(np.abs(found - y[part]), nan=np.inf)
+            left = np.maximum(left, differs.max(axis=0))
         if (left <= TARGET * spread).all():
             return count
         if count == MOST_STEPS:
