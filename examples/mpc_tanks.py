@@ -64,7 +64,7 @@ targets = np.repeat([3.0, 5.0, 2.0], 60)
 pump, guess, controlled, applied, seconds = voltages[-1], np.full(HORIZON, 3.0), [], [], []
 for target in targets:
     began = time.perf_counter()
-    guess = np.ravel(plan(step.state(), target, pump, guess))
+    guess = plan(step.state(), target, pump, guess).full().ravel()
     seconds.append(time.perf_counter() - began)
     pump = float(np.clip(guess[0], LEAST, MOST))
     guess = np.append(guess[1:], guess[-1])

@@ -86,7 +86,7 @@ def test_c_integrates_the_equation(kind: str, tmp_path: Path) -> None:
     model.memory = 0
     compiled, stream = Compiled(model.export(tmp_path / "rig.c")[0]), model.stream()
     worst = 0.0
-    for n in range(1000):
+    for n in range(300):
         u = record.u[n % 200]
         if n % 50 < 5:  # what is measured does not change the state
             compiled.observe(record.y[n % 200], u)
