@@ -48,6 +48,21 @@ def test_an_example_prints_a_hybrid_model_that_beats_its_simulator(
     assert found["hybrid"] < 0.8 * found["simulator"]
 
 
+def test_a_predictive_controller_keeps_two_tanks_at_their_targets(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    train_shortly(monkeypatch, 15)
+    runpy.run_path(str(EXAMPLES / "mpc_tanks.py"), run_name="__main__")
+    printed = capfd.readouterr()
+    assert printed.err == ""
+    (fit,) = re.findall(r"model fit (\S+) %", printed.out)
+    (off,) = re.findall(r"settled (\S+)", printed.out)
+    ((low, high),) = re.findall(r"pump from (\S+) V to (\S+) V", printed.out)
+    assert float(fit) > 80
+    assert float(off) < 0.15
+    assert 0.5 <= float(low) <= float(high) <= 5.5
+
+
 @pytest.mark.parametrize(
     ("name", "best"), [("own_forecaster", "drift"), ("own_cell", "split-lstm")]
 )

@@ -106,7 +106,7 @@ def test_the_simulator_of_a_saved_model_need_not_be_there(tmp_path: Path) -> Non
     assert compiled.step(1, y_sim=np.sin(2.0)) == pytest.approx(stream.step(), rel=1e-6)
 
 
-def test_a_hybrid_on_a_grey_box_is_given_what_its_equation_says(tmp_path: Path) -> None:
+def test_a_hybrid_without_its_equation_is_given_what_that_says(tmp_path: Path) -> None:
     record = driven()
     assert record.u is not None
 
@@ -117,7 +117,8 @@ def test_a_hybrid_on_a_grey_box_is_given_what_its_equation_says(tmp_path: Path) 
     first = sb.Record(record.y[:, 0], 0.1, u=record.u)
     model = sb.Residual(sb.GreyBox(ode, starts=1), sb.GRU(3), settings=SHORT).fit(first[:150])
     in_double(model)
-    files = model.export(tmp_path / "rig.c")
+    model.save(tmp_path / "model")
+    files = sb.load(tmp_path / "model").export(tmp_path / "rig.c")
     compiled, stream = Compiled(files[0]), model.stream()
     said = model.predict(60, u=record.u[150:210]).components["grey-box"]
     for n in range(150, 210):
@@ -128,9 +129,9 @@ def test_a_hybrid_on_a_grey_box_is_given_what_its_equation_says(tmp_path: Path) 
         else:
             found = compiled.step(1, u, said[n - 150])
             np.testing.assert_allclose(found, stream.step(u), atol=1e-9)
-    grey = sb.GreyBox(ode, starts=1).fit(first[:20])
-    with pytest.raises(ValueError, match="its equation is your own code; integrate it there"):
-        grey.export(tmp_path / "grey.c")
+    sb.GreyBox(ode, starts=1).fit(first[:20]).save(tmp_path / "grey")
+    with pytest.raises(ValueError, match="simulator must be given"):
+        sb.load(tmp_path / "grey").export(tmp_path / "grey.c")
 
 
 def test_a_program_takes_what_is_measured_and_prepares_it(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ COMMANDS = {
     "fit": "Train one model on a record and save it.",
     "simulate": "Predict with a saved model, from a measured history.",
     "check": "Check a saved model: fit, residual tests, stability, responses.",
-    "export": "Write a saved model as C, as an FMU or as ONNX.",
+    "export": "Write a saved model as C, as an FMU, as ONNX or for CasADi.",
     "spectrum": "Show the spectrum of a record, and choose a cut-off.",
     "methods": "List the methods, and when each is worth trying.",
     "data": "Download and list the public records.",

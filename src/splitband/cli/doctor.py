@@ -21,6 +21,7 @@ EXTRAS = {
     "fmu": "fmpy",
     "everywhere": "ziglang",
     "onnx": "onnx",
+    "casadi": "casadi",
     "control": "control",
     "cluster": "distributed",
 }

@@ -80,7 +80,7 @@ def usage(
             end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
             fit = _line("splitband fit", given, ["record", *_FIT], end[model.random :])
             commands.append(("Fit it to the whole record", fit))
-        # A simulator or a user's equation cannot be exported.
+        # A simulator cannot be exported, nor an equation that jumps or is stiff.
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
             export = f"splitband export {shlex.quote(str(out / MODEL_FOLDER))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))

@@ -27,6 +27,9 @@ _OPERATORS = {
 _FUNCTIONS = {
     "tanh": "tanh", "exp": "exp", "log": "log", "sqrt": "sqrt", "sin": "sin", "cos": "cos",
     "abs": "fabs", "floor": "floor", "max": "fmax", "min": "fmin", "sigmoid": "sigmoid",
+    "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
+    "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "expm1": "expm1", "log1p": "log1p",
+    "atan2": "atan2", "pow": "pow",
 }  # fmt: skip
 _REDUCTIONS = {"sum": "{0} + {1}", "largest": "fmax", "smallest": "fmin"}
 _REUSED = ("matmul", "scan", "cond", "view", "reshape")
@@ -297,8 +300,9 @@ class Renderer:
         self.count += 1
         n = f"n{self.count}"
         with self.braces(f"for (int {n} = 0; {n} < {length}; {n}++)"):
+            used = {*block.outputs, *(x for node in block.nodes for x in used_by(node))}
             for x, inner in zip(xs, block.inputs[carried:], strict=True):
-                if size(inner):
+                if inner in used and size(inner):
                     self.names[inner] = self._row(x, inner.shape, n)
             self.block(block)
             for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):

@@ -23,7 +23,10 @@ ELEMENTWISE = {
     "absolute": "abs", "floor": "floor", "expit": "sigmoid", "maximum": "max", "minimum": "min",
     "isnan": "isnan", "less": "lt", "greater": "gt", "less_equal": "le", "greater_equal": "ge",
     "equal": "eq", "logical_and": "and", "bitwise_and": "and", "logical_or": "or",
-    "bitwise_or": "or", "logical_not": "not", "invert": "not",
+    "bitwise_or": "or", "logical_not": "not", "invert": "not", "fabs": "abs", "fmax": "max",
+    "fmin": "min", "tan": "tan", "arcsin": "asin", "arccos": "acos", "arctan": "atan",
+    "sinh": "sinh", "cosh": "cosh", "arcsinh": "asinh", "arccosh": "acosh", "arctanh": "atanh",
+    "expm1": "expm1", "log1p": "log1p", "arctan2": "atan2",
 }  # fmt: skip
 """NumPy's elementwise functions, and their names in graphs."""
 FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
@@ -34,7 +37,7 @@ FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
 class Node:
     """Hold an operation of a graph."""
 
-    op: str  # of `ELEMENTWISE`, `_FUNCTIONS`, "matmul", "view", "reshape", "scan", "cond"
+    op: str  # of `ELEMENTWISE`, `_FUNCTIONS`, "pow", "matmul", "view", "reshape", "scan", "cond"
     inputs: tuple[Symbol, ...]  # its operands
     options: dict[str, Any] = field(default_factory=dict)  # its settings
     blocks: tuple[Block, ...] = ()  # the body of a loop, or both branches of a condition
@@ -63,10 +66,12 @@ class Trace:
         return symbol
 
     def symbol(self, value: Any) -> Symbol:
-        """Return a symbol for a value, which may be one already."""
+        """Return a symbol for a value, which may be one already, or an array of symbols."""
         if isinstance(value, Symbol):
             return value
         known = np.asarray(value)
+        if known.dtype == np.object_:  # of numbers and symbols, as a user's equation makes it
+            return _stack(self, [*known.ravel()]).reshape(*known.shape)
         return Symbol(self, known.shape, known.dtype == np.bool_, value=known)
 
     def add(
@@ -136,21 +141,34 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         return self.shape[0]
 
     def __array__(self, *_: Any, **__: Any) -> Array:
-        raise TypeError("a symbol has no values")
+        if self.shape:
+            raise TypeError("a value that is not known yet cannot become an array of numbers")
+        found = np.empty((), dtype=object)  # an element of np.array([...])
+        found[()] = self
+        return found
 
     def __bool__(self) -> bool:
-        raise TypeError("a symbol has no truth value; use cond")
+        raise TypeError(
+            "a value that is not known yet cannot decide an if, max, min, and or or: write "
+            "np.where, np.maximum, np.minimum, np.logical_and, np.logical_or"
+        )
+
+    def __float__(self) -> float:
+        raise TypeError(
+            "a value that is not known yet is no number for the functions of math, or for an array "
+            "of numbers: write np.sin for math.sin, and a list or np.zeros_like(x) for np.zeros(n)"
+        )
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Symbol:
         if method != "__call__" or kwargs:
-            raise TypeError(f"{ufunc.__name__}.{method} cannot be traced")
+            raise TypeError(f"np.{ufunc.__name__} into an array, or its {method}, cannot be traced")
         if ufunc is np.matmul:
             return _matmul(self.trace, *inputs)
-        if ufunc is np.power and np.array_equal(inputs[1], 2):
-            return self * self
+        if composed := _COMPOSED.get(ufunc.__name__):
+            return composed(*inputs)
         op = ELEMENTWISE.get(ufunc.__name__)
         if op is None:
-            raise TypeError(f"{ufunc.__name__} cannot be traced")
+            raise TypeError(f"np.{ufunc.__name__} cannot be traced")
         shape = np.broadcast_shapes(*(_shape(x) for x in inputs))
         return self.trace.add(op, inputs, shape, op in FLAGS)
 
@@ -159,7 +177,7 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     ) -> Symbol:
         traced = _FUNCTIONS.get(func)
         if traced is None:
-            raise TypeError(f"{func.__name__} cannot be traced")
+            raise TypeError(f"np.{func.__name__} cannot be traced")
         return traced(self.trace, *args, **kwargs)
 
     def __getitem__(self, key: Any) -> Symbol:
@@ -168,6 +186,11 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         rest = [slice(None)] * (self.ndim - given)
         at = next((i for i, k in enumerate(keys) if k is Ellipsis), len(keys))
         keys = [*keys[:at], *rest, *keys[at + 1 :]]
+        if any(isinstance(k, Symbol) for k in keys):
+            raise TypeError("a mask cannot be traced: write np.where")
+        several = [i for i, k in enumerate(keys) if isinstance(k, list | np.ndarray) and np.ndim(k)]
+        if several:  # such as x[:, [0, 2]]
+            return self._chosen(keys, several)
         shape: list[int] = []
         axes: list[tuple[int, int, int | None]] = []
         for k in keys:
@@ -182,6 +205,14 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
             else:
                 axes.append((range(size)[k], 0, None))
         return self.trace.add("view", [self], tuple(shape), self.flag, axes=tuple(axes))
+
+    def _chosen(self, keys: list[Any], several: list[int]) -> Symbol:
+        """Return the elements of a key that has a list of whole numbers at the place `several`."""
+        at = several[0]
+        if len(several) > 1 or np.asarray(keys[at]).dtype == np.bool_:
+            raise TypeError("a mask, or two lists, cannot be traced as an index: write np.where")
+        rows = [self[(*keys[:at], int(k), *keys[at + 1 :])] for k in keys[at]]
+        return _stack(self.trace, rows, sum(k is None or isinstance(k, slice) for k in keys[:at]))
 
     def __iter__(self) -> Any:
         return (self[i] for i in range(len(self)))
@@ -245,6 +276,44 @@ def _shape(x: Any) -> tuple[int, ...]:
     return x.shape if isinstance(x, Symbol) else np.shape(x)
 
 
+def _power(x: Any, y: Any) -> Any:
+    """Return a power; whole ones up to 4 are products, as a compiler writes them."""
+    exponent = None if isinstance(y, Symbol) or np.ndim(y) else float(y)
+    if exponent in (1.0, 2.0, 3.0, 4.0):
+        found = x
+        for _ in range(int(exponent) - 1):
+            found = found * x
+        return found
+    if exponent == 0.5:
+        return np.sqrt(x)
+    trace = x.trace if isinstance(x, Symbol) else y.trace
+    return trace.add("pow", [x, y], np.broadcast_shapes(_shape(x), _shape(y)))
+
+
+_COMPOSED: dict[str, Callable[..., Any]] = {
+    "positive": lambda x: x,
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x,
+    "sign": lambda x: np.where(x > 0, 1.0, np.where(x < 0, -1.0, 0.0)),
+    "hypot": lambda x, y: np.sqrt(x * x + y * y),
+    "exp2": lambda x: np.exp(np.log(2.0) * x),
+    "log2": lambda x: np.log(x) / np.log(2.0),
+    "log10": lambda x: np.log(x) / np.log(10.0),
+    "ceil": lambda x: -np.floor(-x),
+    "floor_divide": lambda x, y: np.floor(x / y),
+    "remainder": lambda x, y: x - y * np.floor(x / y),
+    "deg2rad": lambda x: x * (np.pi / 180),
+    "radians": lambda x: x * (np.pi / 180),
+    "rad2deg": lambda x: x * (180 / np.pi),
+    "degrees": lambda x: x * (180 / np.pi),
+    "heaviside": lambda x, at_zero: np.where(x > 0, 1.0, np.where(x < 0, 0.0, at_zero)),
+    "not_equal": lambda x, y: np.logical_not(np.equal(x, y)),
+    "power": _power,
+    "float_power": _power,
+}
+"""NumPy's elementwise functions that are written by others."""
+
+
 def _matmul(trace: Trace, a: Any, b: Any) -> Symbol:
     """Record the product of matrices, or of a matrix and a vector."""
     left, right = _shape(a), _shape(b)
@@ -294,6 +363,30 @@ def _broadcast_to(trace: Trace, x: Any, shape: tuple[int, ...]) -> Symbol:
     return trace.add("view", [symbol], tuple(shape), symbol.flag, axes=axes)
 
 
+def _clip(_: Trace, x: Any, a_min: Any = None, a_max: Any = None) -> Symbol:
+    x = x if a_min is None else np.maximum(x, a_min)
+    return x if a_max is None else np.minimum(x, a_max)
+
+
+def _interp(trace: Trace, x: Any, xp: Any, fp: Any) -> Symbol:
+    """Record a table as the sum of its ramps; it is held beyond its ends, as NumPy does."""
+    at, values = np.asarray(xp, dtype=np.float64), np.asarray(fp, dtype=np.float64)
+    width = np.diff(at)
+    ramps = np.clip(trace.symbol(x)[..., None] - at[:-1], 0.0, width)
+    found: Symbol = values[0] + (ramps * (np.diff(values) / width)).sum(axis=-1)
+    return found
+
+
+def _mean(trace: Trace, x: Any, axis: int | None = None) -> Any:
+    count = np.prod(_shape(x)) if axis is None else _shape(x)[axis]
+    return _reduced(trace, "sum", x, axis) / float(count)
+
+
+def _filled(value: float) -> Callable[..., Any]:
+    """Return the function that makes an array of numbers and symbols, which may be written to."""
+    return lambda trace, x, **_: np.full(_shape(x), value, dtype=object)
+
+
 _FUNCTIONS: dict[Callable[..., Any], Callable[..., Symbol]] = {
     np.where: _where,
     np.concatenate: _concatenate,
@@ -303,8 +396,20 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., Symbol]] = {
     np.max: lambda trace, x, axis=None: _reduced(trace, "largest", x, axis),
     np.min: lambda trace, x, axis=None: _reduced(trace, "smallest", x, axis),
     np.hstack: lambda trace, arrays: _concatenate(trace, arrays, min(len(_shape(arrays[0])), 1)),
-    np.clip: lambda trace, x, low, high: np.minimum(np.maximum(x, low), high),
+    np.vstack: lambda trace, arrays: _concatenate(
+        trace, [x if len(_shape(x)) > 1 else trace.symbol(x)[None] for x in arrays]
+    ),
+    np.column_stack: lambda trace, arrays: _stack(trace, arrays, 1),  # of columns (time,)
+    np.clip: _clip,
+    np.interp: _interp,
+    np.dot: _matmul,
+    np.mean: _mean,
+    np.diff: lambda trace, x: x[..., 1:] - x[..., :-1],
     np.any: lambda trace, x: trace.symbol(x).any(),
+    np.all: lambda trace, x: trace.symbol(x).all(),
+    np.zeros_like: _filled(0.0),
+    np.empty_like: _filled(0.0),
+    np.ones_like: _filled(1.0),
 }
 
 

@@ -27,6 +27,7 @@ _OPERATORS = {
     "floor": "Floor", "sigmoid": "Sigmoid", "max": "Max", "min": "Min", "isnan": "IsNaN",
     "lt": "Less", "gt": "Greater", "le": "LessOrEqual", "ge": "GreaterOrEqual", "eq": "Equal",
     "and": "And", "or": "Or", "not": "Not", "where": "Where", "matmul": "MatMul",
+    "pow": "Pow",
 }  # fmt: skip
 _REDUCTIONS = {"sum": "ReduceSum", "largest": "ReduceMax", "smallest": "ReduceMin"}
 
@@ -115,6 +116,11 @@ class _Writer:
             last = self.whole(-1)
             column = self.one("Unsqueeze", inputs[1], last)
             return self.one("Squeeze", self.one("MatMul", inputs[0], column), last)
+        if node.op not in _OPERATORS:  # onnxruntime has it in single precision at most
+            raise InputError(
+                f"ONNX has no {node.op} in double precision, which the equation uses: export it as "
+                "C, FMU or CasADi"
+            )
         return self.one(_OPERATORS[node.op], *inputs)
 
     def _view(self, node: Node) -> str:

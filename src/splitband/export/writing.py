@@ -9,12 +9,12 @@ from splitband.data import Record
 from splitband.export import fmu
 from splitband.export.c import render
 from splitband.export.c_statements import Precision
-from splitband.export.program import Program, program
+from splitband.export.program import identifier, program
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
 
-Renderer = Callable[[Program, Path, Precision], Mapping[Path, bytes]]
+Renderer = Callable[[Forecaster, Path, Precision, Record | None], Mapping[Path, bytes]]
 """Returns the content of each file, the one that was asked for first."""
 
 
@@ -31,34 +31,54 @@ def export(
         raise InputError(f"path must end with one of {', '.join(FORMATS)}, got {path}")
     if precision not in ("double", "float"):
         raise InputError(f"precision must be double or float, got {precision!r}")
-    files = rendered(program(forecaster, path.stem, history), path, precision)
+    files = rendered(forecaster, path, precision, history)
     for file, content in files.items():
         with replacing(file) as temporary:
             temporary.write_bytes(content)
     return [*files]
 
 
-def _c(made: Program, path: Path, precision: Precision) -> dict[Path, bytes]:
-    if path.stem != made.name:
+def _c(
+    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+) -> dict[Path, bytes]:
+    if path.stem != (name := identifier(path.stem)):
         raise InputError(
-            f"path must be named as functions of C are, such as {made.name}.c, got {path.name}"
+            f"path must be named as functions of C are, such as {name}.c, got {path.name}"
         )
-    header, source = render(made, precision)
+    header, source = render(program(forecaster, path.stem, history), precision)
     return {path: source.encode("ascii"), path.with_suffix(".h"): header.encode("ascii")}
 
 
-def _onnx(made: Program, path: Path, precision: Precision) -> dict[Path, bytes]:
+def _onnx(
+    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+) -> dict[Path, bytes]:
     from splitband.export import onnx_graph  # noqa: PLC0415  needs the extra `onnx`
 
-    step, rollout = onnx_graph.render(made, precision)
+    step, rollout = onnx_graph.render(program(forecaster, path.stem, history), precision)
     return {path: step, path.with_name(f"{path.stem}-rollout{path.suffix}"): rollout}
 
 
-def _fmu(made: Program, path: Path, precision: Precision) -> dict[Path, bytes]:
+def _fmu(
+    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+) -> dict[Path, bytes]:
+    _require_double(precision, "an FMU")
+    return {path: fmu.render(program(forecaster, path.stem, history))}
+
+
+def _casadi(
+    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+) -> dict[Path, bytes]:
+    from splitband.export import casadi_graph  # noqa: PLC0415  needs the extra `casadi`
+
+    _require_double(precision, "CasADi")
+    step, start = casadi_graph.files(casadi_graph.CasadiStep(forecaster, history))
+    return {path: step, path.with_name(f"{path.stem}-start{path.suffix}"): start}
+
+
+def _require_double(precision: Precision, what: str) -> None:
     if precision != "double":
-        raise InputError(f"precision must be double for an FMU, got {precision}")
-    return {path: fmu.render(made)}
+        raise InputError(f"precision must be double for {what}, got {precision}")
 
 
-FORMATS: dict[str, Renderer] = {".c": _c, ".fmu": _fmu, ".onnx": _onnx}
+FORMATS: dict[str, Renderer] = {".c": _c, ".fmu": _fmu, ".onnx": _onnx, ".casadi": _casadi}
 """What writes a format, by file extension."""

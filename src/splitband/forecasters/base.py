@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     import torch
     from torch import nn
 
+    from splitband.export.casadi_graph import CasadiStep
     from splitband.forecasters.checking import ModelCheck, Responses
     from splitband.forecasters.differentiable import TorchSimulation
 
@@ -399,6 +400,31 @@ class Forecaster(WithRepr, ABC):
         return TorchSimulation(self.differentiable(known), record.nu)
 
     @final
+    def as_casadi(self, history: Record | None = None) -> CasadiStep:
+        """Return the prediction of one sample as a CasADi function, for predictive control.
+
+        `step = model.as_casadi()` is called as `state, y = step(state, u)`, with numbers or with
+        CasADi's expressions, from which CasADi takes derivatives. `step.state()` is the state at
+        the end of the history, a vector; `step.stream.observe(y, u)` takes what is measured next.
+        The numbers are those of `stream`. The equation of an `Ode` is part of the function; the
+        output of any other simulator is its third argument. It needs the extra `casadi`.
+
+        Parameters
+        ----------
+        history : See `predict`; by default the training record.
+
+        Raises
+        ------
+        ValueError
+            For a part that has no such form, which it names: an EulerMLP, a cell of your own, a
+            conditioned hybrid without inputs; where too few samples have been measured; without
+            CasADi.
+        """
+        from splitband.export.casadi_graph import CasadiStep  # noqa: PLC0415  of a higher layer
+
+        return CasadiStep(self, history)
+
+    @final
     def export(
         self,
         path: str | Path,
@@ -407,23 +433,24 @@ class Forecaster(WithRepr, ABC):
     ) -> list[Path]:
         """Write the fitted forecaster as a program that needs no Python; return its files.
 
-        The program runs sample by sample as `stream` does, with the same results. A simulator's
-        output is one of its inputs.
+        The program runs sample by sample as `stream` does, with the same results. The equation of
+        an `Ode` is part of it; the output of any other simulator is one of its inputs.
 
         Parameters
         ----------
         path : Output file, whose ending sets the format: `.c` is C99, with a header file; `.fmu` is
             a functional mock-up unit for co-simulation (FMI 2.0), for Windows, Linux and macOS with
             the extra `everywhere`, else for this platform; `.onnx` is the graph of a step, with a
-            second graph for a whole simulation.
-        precision : Of all numbers; an FMU computes in double precision.
+            second graph for a whole simulation; `.casadi` is the function of `as_casadi`, with a
+            second one that returns its state.
+        precision : Of all numbers; an FMU and CasADi compute in double precision.
         history : The program starts at its end; by default the training record.
 
         Raises
         ------
         ValueError
             For another ending, and for a part that cannot be exported, which it names, such as a
-            cell of your own.
+            cell of your own, or an equation that needs an adaptive solver.
         """
         from splitband.export.writing import export  # noqa: PLC0415  of a higher layer
 

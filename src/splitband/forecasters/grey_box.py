@@ -15,14 +15,23 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.simulation import part_of_given_output
-from splitband.forecasters.stepping import NotSteppedError, Part, Recursion, State
+from splitband.forecasters.stepping import (
+    NotSteppedError,
+    Part,
+    Recursion,
+    State,
+    recursion_of_part,
+)
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached
 from splitband.runtime.errors import InputError
+from splitband.runtime.tracing import cond
 from splitband.simulators.base import Absent, matched, origin
+from splitband.simulators.fixed_steps import FixedSteps, enough_steps
+from splitband.simulators.functions import Ode
 from splitband.simulators.identification import Effort, check_runs, identify
-from splitband.simulators.parameters import Adjustable, Estimate
+from splitband.simulators.parameters import Adjustable, Estimate, Response
 from splitband.simulators.shooting import Adjusted, Experiment, fit_key
 
 STARTS = 0.5, 2 / 3, 5 / 6
@@ -176,18 +185,24 @@ class GreyBox(Forecaster):
         Where all inputs since the first sample of the training record are known, it starts from the
         state of that sample; else the state at the first sample of the history is estimated.
         """
-        adjusted, whole = self._adjusted(), self._experiment(known)
+        return self._simulated(known, self._experiment(known))[0]
+
+    def _simulated(self, known: ForecastContext, whole: Experiment) -> Response:
+        """Return channels and states over history and forecast, see `trajectory`."""
+        adjusted = self._adjusted()
         if self._anchored(known):
             begin, u = int(known.begin or 0), whole.u
             if u is not None and self.u is not None:
                 u = np.concatenate([self.u[:begin], u])
-            time = self._times(0.0, begin + len(whole.time))
-            return adjusted.response(time, u)[0][begin:]
+            y, x = adjusted.response(self._times(0.0, begin + len(whole.time)), u)
+            return y[begin:], x[begin:]
         state = adjusted.beginning(whole.part(0, len(known.y)))
-        return adjusted.response(whole.time, whole.u, state)[0]
+        return adjusted.response(whole.time, whole.u, state)
 
     def _part(self, outside: bool = False) -> Part:
         """Return the simulator, integrated from the first state of the training record on."""
+        if outside and self._writable:
+            return self._written()
         if outside:
             ny = self.require_fitted().record.ny
             return part_of_given_output(np.ones(ny), np.zeros(ny), self.trajectory)
@@ -231,21 +246,118 @@ class GreyBox(Forecaster):
 
         return Part(row, initial)
 
+    @property
+    def _writable(self) -> bool:
+        """Return whether a program can hold its simulator: an equation that can be integrated."""
+        return isinstance(self.simulator, Ode) and self.simulator.advances
+
+    def _written(self) -> Part:
+        """Return the equation by equal steps, as a program holds it.
+
+        `begun` is 0 before the first sample of all, where the state is the initial one.
+        """
+        fitted, adjusted = self.require_fitted(), self._adjusted()
+        samples, width = fitted.begin + len(fitted.record), fitted.record.sampling_time
+        time = self._times(0.0, samples)
+        spread = np.maximum(np.ptp(fitted.y_range, axis=0), adjusted.noise)
+        u = None if self.u is None else self.u[:samples]
+        count = enough_steps(adjusted, time, u, self.estimate.window, spread)
+        equation = FixedSteps(adjusted.simulator, adjusted.values, width, count)
+        start, nu = float(time[0]), fitted.record.nu
+
+        def moved(now: State, u: Array) -> State:
+            def later() -> Array:
+                return equation.advance(now["x"], start + width * now["at"], now["u"], u)
+
+            following = {"u": u, "at": now["at"] + 1}
+            if "begun" not in now:  # in a free run, see `merged`
+                return {"x": later(), **following}
+            x = cond(now["begun"] > 0, later, lambda: now["x"])
+            return {"x": x, **following, "begun": np.ones(())}
+
+        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
+            now = later = moved(state, u)
+            rows = [equation.observed(now["x"], u)]
+            for _ in range(ahead):  # with the same inputs
+                later = moved(later, u)
+                rows.append(equation.observed(later["x"], u))
+            return now, np.stack(rows)[..., None]
+
+        def initial(known: ForecastContext | None) -> State:
+            """Return the state before a history: simulated from the training record, or estimated.
+
+            Where nothing is known it is that of the equation, at the first training sample.
+            """
+            begin, begun, last = 0.0 if known is None else self._begin(known), 0.0, np.zeros(nu)
+            if known is not None and not self._anchored(known):
+                x = adjusted.beginning(self._experiment(known))
+            elif begin:
+                past = None if self.u is None else self.u[: int(begin)]
+                x = adjusted.response(self._times(0.0, int(begin)), past)[1][-1]
+                begun, last = 1.0, last if past is None else past[-1]
+            else:
+                x = adjusted.simulator.initial(adjusted.values)
+            return {"x": x, "u": last, "at": np.array(begin - 1.0), "begun": np.array(begun)}
+
+        def merged(state: State, settled: Array) -> State:
+            return {name: value for name, value in state.items() if name != "begun"}
+
+        return Part(row, initial, merged=merged)
+
     def _stepped(self, outside: bool = False) -> Recursion:
-        """Return the simulator, unless its state is estimated from the last samples."""
+        """Return the simulator, unless its state is estimated from the last samples.
+
+        A program begins with the estimate at the end of the history, and is not corrected later.
+        """
         if outside:
-            raise NotSteppedError(
-                f"{self.name} cannot be exported: its equation is your own code; integrate it "
-                "there, with the values that describe() prints, or export a hybrid on it, whose "
-                "network takes what the equation says as y_sim"
-            )
+            return self._as_program()
         if self.memory:
             raise NotSteppedError(f"{self.name} estimates its state from {self.memory} samples")
         return super()._stepped()
 
+    def _as_program(self) -> Recursion:
+        record = self.require_fitted().record
+        if isinstance(self.simulator, Absent):
+            self.simulator.simulate(None)  # raises the error that asks for it
+        if not self._writable:
+            method = getattr(self.simulator, "method", None)
+            why = f"with the method {method} " if method else ""
+            raise NotSteppedError(
+                f"{self.name} cannot be exported: its simulator {why}cannot be written as equal "
+                "steps of RK45; export a hybrid on it, which takes its output as y_sim"
+            )
+        recursion = recursion_of_part(self._written(), record.ny, record.nu)
+
+        def followed(known: ForecastContext) -> State:
+            return recursion.initial(None) | {"part": self._end(known)}
+
+        return replace(recursion, followed=followed)
+
+    def _end(self, known: ForecastContext) -> State:
+        """Return the state at the last sample of a history, as `extrapolate` finds it."""
+        adjusted, samples = self._adjusted(), len(known.y)
+        whole = self._experiment(replace(known, steps=0))
+        if 0 < self.memory < samples:
+            part = whole.part(samples - self.memory, samples)
+            x = adjusted.response(part.time, part.u, adjusted.beginning(part))[1]
+        else:
+            x = self._simulated(known, whole)[1]
+        u = np.zeros(0) if whole.u is None else whole.u[-1]
+        at = np.array(self._begin(known) + samples - 1.0)
+        return {"x": x[-1], "u": u, "at": at, "begun": np.ones(())}
+
     def describe(self) -> str:
         """Return the values with standard errors, and those that the record does not determine."""
         return str(self.estimate)
+
+    def _begin(self, known: ForecastContext) -> float:
+        """Return where a history begins, in samples after the first one of training."""
+        if known.begin is not None:
+            return float(known.begin)
+        # Of another record, which has its own clock.
+        start = None if known.grid is None else known.grid.start
+        since = origin(self.simulator, start) - float(self._times(0.0, 1)[0])
+        return since / self.require_fitted().record.sampling_time
 
     def _anchored(self, known: ForecastContext) -> bool:
         """Return whether all inputs since the first sample of the training record are known."""
@@ -266,13 +378,8 @@ class GreyBox(Forecaster):
 
     def _experiment(self, known: ForecastContext) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""
-        begin = known.begin
-        if begin is None:  # of another record, which has its own clock
-            start = None if known.grid is None else known.grid.start
-            since = origin(self.simulator, start) - float(self._times(0.0, 1)[0])
-            begin = since / self.require_fitted().record.sampling_time
         ahead = np.full((known.steps, known.y.shape[1]), np.nan)
-        time = self._times(begin, len(known.y) + known.steps)
+        time = self._times(self._begin(known), len(known.y) + known.steps)
         return Experiment(time, np.concatenate([known.y, ahead]), known.u)
 
     def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:

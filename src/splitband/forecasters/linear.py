@@ -246,10 +246,13 @@ def _driven(model: LinearModel, training: Array) -> Part:
     def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
         past, acting = delayed(state["line"], np.stack([u[i] for i in inputs]))
         acting = acting - model.mean[inputs]
-        x, answers = state["x"], state["answers"]
+        x = state["x"]
         y = model.c @ x + model.d @ acting + model.offset
-        rows = np.concatenate([y[:, None], model.c @ answers], axis=1)
         x = model.a @ x + model.b @ acting + model.drift
+        if "answers" not in state:  # in a free run, see `merged`
+            return {"line": past, "x": x}, y[None, :, None]
+        answers = state["answers"]
+        rows = np.concatenate([y[:, None], model.c @ answers], axis=1)
         return state | {"line": past, "x": x, "answers": model.a @ answers}, rows[None]
 
     def correct(state: State, rows: Array, y: Array) -> State:
@@ -270,10 +273,13 @@ def _driven(model: LinearModel, training: Array) -> Part:
         """Return the most probable initial state, as its deviation from the expected one."""
         return most_probable(state["information"], state["towards"], state["usual"])[None]
 
+    def merged(state: State, settled: Array) -> State:
+        return {"line": state["line"], "x": state["x"] + state["answers"] @ settled[0]}
+
     def after_training(state: State) -> State:
         return state | {"x": model.last - state["answers"] @ settle(state)[0]}
 
-    return Part(row, initial, correct, settle, after_training)
+    return Part(row, initial, correct, settle, after_training, merged=merged)
 
 
 def _inputs_before(training: Array, known: ForecastContext) -> Array | None:

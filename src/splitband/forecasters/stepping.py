@@ -50,11 +50,14 @@ class Part:
         next state, and the rows of the sample and of `ahead` more, `(1 + ahead, ny, n)`.
     initial : Returns the state before the first sample of a history; None is for another record.
     correct : Takes the state after a sample, its rows and what was measured, `(ny,)`, NaN where
-        nothing was; returns the updated state.
+        nothing was; returns the updated state, the same for NaN alone.
     settle : Returns the parameters estimated from the samples so far, `(ny, n - 1)`.
     after_training : Returns the state after the training record, to which a model is fitted.
     simulated_over : Returns a simulator's output over a history and `ahead` more samples,
         `(time, ny)`; None for a part that needs none.
+    merged : Takes the state and the estimated parameters; returns the state of a run in which
+        nothing is measured any more, with the parameters put into it: its rows have no
+        derivatives. None where parameters are kept beside it.
     """
 
     row: Callable[[State, Array, Array, int], tuple[State, Array]]
@@ -63,6 +66,24 @@ class Part:
     settle: Callable[[State], Array] = lambda state: np.zeros((1, 0))
     after_training: Callable[[State], State] = lambda state: state
     simulated_over: Callable[[ForecastContext, int], Array] | None = None
+    merged: Callable[[State, Array], State] | None = None
+
+
+@dataclass(frozen=True)
+class FreeRun:
+    """Define the run of a forecaster in which nothing is measured, for planning.
+
+    Attributes
+    ----------
+    begin : Takes the state of a recursion after measured samples; returns that of the run, an
+        ordinary state. Raises ValueError where too few have been measured.
+    step : Takes the state of the run, the inputs of the next sample, `(nu,)`, and a simulator's
+        output there, `(1, ny)`; returns the next state and the prediction, `(ny,)`. No value
+        depends on whether another one is NaN: the step is as smooth as the model.
+    """
+
+    begin: Callable[[State], State]
+    step: Callable[[State, Array, Array], tuple[State, Array]]
 
 
 @dataclass(frozen=True)
@@ -84,6 +105,7 @@ class Recursion:
     part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`.
     first_row : Returns the first sample of a history on which the forecast depends.
     followed : Returns the state after a history; by default that of a tick for each sample.
+    free_run : The run in which nothing is measured; None where each sample is predicted anew.
     """
 
     ny: int
@@ -98,6 +120,7 @@ class Recursion:
     part: Part | None = None
     first_row: Callable[[ForecastContext], int] = lambda known: 0
     followed: Callable[[ForecastContext], State] | None = None
+    free_run: FreeRun | None = None
 
     def after(self, known: ForecastContext) -> State:
         """Return the state after a history, from which a forecast starts."""
@@ -143,7 +166,45 @@ def recursion_of_part(part: Part, ny: int, nu: int) -> Recursion:
         after = {"part": part.correct(new, rows[0], y), "settled": settled, "stale": stale}
         return after, predicted, np.logical_not(np.isnan(predicted).any())
 
-    return Recursion(ny, nu, initial, tick, simulated=part.simulated_over is not None, part=part)
+    return Recursion(
+        ny,
+        nu,
+        initial,
+        tick,
+        simulated=part.simulated_over is not None,
+        part=part,
+        free_run=_run_of_part(part),
+    )
+
+
+def _run_of_part(part: Part) -> FreeRun:
+    """Return the free run of a part alone."""
+
+    def begin(state: State) -> State:
+        settled = part.settle(state["part"]) if state["stale"] > 0 else state["settled"]
+        if np.isnan(settled).any():
+            raise _too_few(1)
+        now, kept = _merged(part, state["part"], settled)
+        return {"part": now, "settled": kept}
+
+    def step(state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        now, rows = part.row(state["part"], u, y_sim, 0)
+        return {"part": now, "settled": state["settled"]}, read(rows, state["settled"])[0]
+
+    return FreeRun(begin, step)
+
+
+def _merged(part: Part, state: State, settled: Array) -> tuple[State, Array]:
+    """Return a part's state in a free run, and the parameters that are kept beside it."""
+    if part.merged is None:
+        return state, settled
+    return part.merged(state, settled), np.zeros((1, 0))
+
+
+def _too_few(needed: int) -> InputError:
+    return InputError(
+        f"{needed} measured sample(s) in a row must have been observed before a free run"
+    )
 
 
 def delay_line(delays: Sequence[int]) -> tuple[State, Callable[[State, Array], Any]]:
@@ -240,8 +301,50 @@ def recursion_of_network(
         return max(start - warmup - max(delays, default=0), 0)
 
     simulated = part.simulated_over is not None
+    free_run = _run_of_network(model, part, warmup, kept, delayed)
     return Recursion(ny, nu, initial, tick, ahead, simulated, warmup, part=part,
-                     first_row=first_row)  # fmt: skip
+                     first_row=first_row, free_run=free_run)  # fmt: skip
+
+
+def _run_of_network(model: Stepped, part: Part, warmup: int, kept: int, delayed: Any) -> FreeRun:
+    """Return the free run of a trained model; `kept` and `delayed` as in `recursion_of_network`."""
+    ny = len(model.y_mean)
+
+    def begin(state: State) -> State:
+        going = bool(state["running"] > 0)
+        if not going and state["count"] < warmup:
+            raise _too_few(warmup)
+        settled = state["settled"] if going else part.settle(state["part"])
+        slow = read(state["rows"], settled) if kept else np.zeros((warmup, ny))
+        run = state["run"] if going else model.paused(state["y"], state["u"], slow)
+        now, beside = _merged(part, state["part"], settled)
+        rows = state["rows"][-1:] if part.merged is None else slow[-1:, :, None]
+        return {
+            "line": state["line"],
+            "part": now,
+            "u": state["u"][-1],
+            "rows": rows if kept else np.zeros((0, ny, 1)),
+            "run": run,
+            "settled": beside,
+        }
+
+    def step(state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        now, rows = part.row(state["part"], u, y_sim, 0)
+        line, late = delayed(state["line"], u)
+        past = state["rows"] if kept else np.zeros((1, ny, 1))
+        signal = read(np.concatenate([past, rows]), state["settled"])
+        run, y = model.advance(state["run"], np.stack([state["u"], late]), signal)
+        new = {
+            "line": line,
+            "part": now,
+            "u": late,
+            "rows": rows if kept else state["rows"],
+            "run": run,
+            "settled": state["settled"],
+        }
+        return new, y
+
+    return FreeRun(begin, step)
 
 
 def recursion_of_median(members: Sequence[Recursion]) -> Recursion:
@@ -258,6 +361,18 @@ def recursion_of_median(members: Sequence[Recursion]) -> Recursion:
         predicted = median([each for _, each, _ in ticks], np.minimum, np.maximum)
         return {"members": [new for new, _, _ in ticks]}, predicted, ready
 
+    runs = [member.free_run for member in members if member.free_run]
+
+    def begin(state: State) -> State:
+        own = zip(runs, state["members"], strict=True)
+        return {"members": [run.begin(each) for run, each in own]}
+
+    def step(state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        own = zip(runs, state["members"], strict=True)
+        each = [run.step(one, u, y_sim) for run, one in own]
+        predicted = median([y for _, y in each], np.minimum, np.maximum)
+        return {"members": [new for new, _ in each]}, predicted
+
     return replace(
         members[0],
         initial=lambda known: {"members": [member.initial(known) for member in members]},
@@ -265,6 +380,7 @@ def recursion_of_median(members: Sequence[Recursion]) -> Recursion:
         followed=lambda known: {"members": [member.after(known) for member in members]},
         ahead=max(member.ahead for member in members),
         warmup=max(member.warmup for member in members),
+        free_run=FreeRun(begin, step) if len(runs) == len(members) else None,
     )
 
 
@@ -466,18 +582,40 @@ def _repredicted(forecaster: Forecaster) -> Recursion:
 def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: float) -> Recursion:
     """Return a recursion for prepared signals in measured units; time counts from the history."""
 
-    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        time = sampling_time * np.stack([state["samples"] + i for i in range(1 + inner.ahead)])
-        rows, inputs = y[None], u[None]
+    def given(state: State, u: Array, y_sim: Array) -> tuple[Array, Array, Array]:
+        """Return the times of a sample, prepared inputs and a prepared simulator's output."""
+        time = sampling_time * np.stack([state["samples"] + i for i in range(len(y_sim))])
+        inputs = u[None]
         for step in steps:
-            rows = step.transform("y", rows, time[:1])
             inputs = step.transform("u", inputs, time[:1]) if inner.nu else inputs
             y_sim = step.transform("y_sim", y_sim, time) if inner.simulated else y_sim
-        new, predicted, able = inner.tick(state["inner"], rows[0], inputs[0], y_sim)
-        predicted = predicted[None]
+        return time, inputs[0], y_sim
+
+    def restored(predicted: Array, time: Array) -> Array:
+        rows = predicted[None]
         for step in reversed(steps):
-            predicted = step.undo("y", predicted, time[:1])
-        return {"inner": new, "samples": state["samples"] + 1}, predicted[0], able
+            rows = step.undo("y", rows, time[:1])
+        return rows[0]
+
+    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
+        time, inputs, simulated = given(state, u, y_sim)
+        rows = y[None]
+        for step in steps:
+            rows = step.transform("y", rows, time[:1])
+        new, predicted, able = inner.tick(state["inner"], rows[0], inputs, simulated)
+        following = {"inner": new, "samples": state["samples"] + 1}
+        return following, restored(predicted, time), able
+
+    def free_run(run: FreeRun) -> FreeRun:
+        def begin(state: State) -> State:
+            return {"inner": run.begin(state["inner"]), "samples": state["samples"]}
+
+        def advance(state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+            time, inputs, simulated = given(state, u, y_sim)
+            new, predicted = run.step(state["inner"], inputs, simulated)
+            return {"inner": new, "samples": state["samples"] + 1}, restored(predicted, time)
+
+        return FreeRun(begin, advance)
 
     def followed(known: ForecastContext) -> State:
         return {"inner": inner.after(known), "samples": np.array(float(len(known.y)))}
@@ -485,4 +623,11 @@ def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: flo
     def initial(known: ForecastContext | None) -> State:
         return {"inner": inner.initial(known), "samples": np.zeros(())}
 
-    return replace(inner, initial=initial, tick=tick, followed=followed, prepared=True)
+    return replace(
+        inner,
+        initial=initial,
+        tick=tick,
+        followed=followed,
+        prepared=True,
+        free_run=inner.free_run and free_run(inner.free_run),
+    )

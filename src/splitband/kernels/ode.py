@@ -26,14 +26,15 @@ SHORTEST = 1e-12
 WORTH_COMPILING = 30_000
 """Steps after which an equation is compiled: they take about as long as compiling."""
 _OPTIONS: Any = {"error_model": "numpy"}
-_NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
-_WEIGHTS = np.zeros((7, 7))
-_WEIGHTS[1, :1] = 1 / 5
-_WEIGHTS[2, :2] = 3 / 40, 9 / 40
-_WEIGHTS[3, :3] = 44 / 45, -56 / 15, 32 / 9
-_WEIGHTS[4, :4] = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
-_WEIGHTS[5, :5] = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
-_WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
+NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
+WEIGHTS = np.zeros((7, 7))
+WEIGHTS[1, :1] = 1 / 5
+WEIGHTS[2, :2] = 3 / 40, 9 / 40
+WEIGHTS[3, :3] = 44 / 45, -56 / 15, 32 / 9
+WEIGHTS[4, :4] = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
+WEIGHTS[5, :5] = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
+WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
+"""Weights of the stages, whose nodes are `NODES`; the last stage is the step."""
 _ERRORS = np.array(
     [71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]
 )  # of order 5 less order 4
@@ -92,8 +93,8 @@ def solve(  # noqa: PLR0912  one loop, for Numba
                 for j in range(nx):
                     stage[j] = x[j]
                     for r in range(s):
-                        stage[j] += h * _WEIGHTS[s, r] * k[r, j]
-                share = begin + _NODES[s] * (end - begin)
+                        stage[j] += h * WEIGHTS[s, r] * k[r, j]
+                share = begin + NODES[s] * (end - begin)
                 for j in range(nu):
                     now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
                 slope = rhs(time[n] + share * width, stage, now, p)

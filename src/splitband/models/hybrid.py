@@ -89,6 +89,13 @@ class SteppedFiltered(Stepped):
         net = self.cell.begin(y, self._network_inputs(self._rows(u), slow))
         return self._filtered({"net": net, "low": low_state, "high": high_state}, low[warmup])
 
+    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+        pair, since = self.pair, len(y) - self.pair.order
+        low, low_state = one_way(pair.b_low, pair.a, slow, steady(pair, "low"))
+        high_state = state_after(pair.b_high, pair.a, y[since:], y[since:] - low[since:])
+        net = self.cell.paused(y, self._network_inputs(self._rows(u), slow))
+        return {"net": net, "low": low_state, "high": high_state}
+
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         low_state, low = filtered(self.pair.b_low, self.pair.a, run["low"], slow[1])
         net = self.cell.advance(run["net"], self._network_inputs(self._rows(u), slow)[0])
@@ -177,6 +184,9 @@ class SteppedResidual(Stepped):
     def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
         run = self.cell.begin(y - slow[: len(y)], self._network_inputs(self._rows(u), slow))
         return run, run["y"] + slow[len(y)]
+
+    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+        return self.cell.paused(y - slow, self._network_inputs(self._rows(u), slow))
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         run = self.cell.advance(run, self._network_inputs(self._rows(u), slow)[0])

@@ -81,6 +81,26 @@ class SteppedSplit(Stepped):
             )
         return self._combined(run)
 
+    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+        k, last = self.k, len(y) % self.k
+        low = both_ways(self.pair, y)
+        high = y - low if self.own_warmup else both_ways(self.pair, y, "high")
+        run: Run = {}
+        if self.at_once:
+            run["slow"], run["current"] = self.slow.paused(low, self._rows(u)), low[-1]
+        else:
+            means = self._means(np.concatenate([u, u[-1:]]), last)[: len(y) // k]
+            run["slow"] = self.slow.begin(low[last::k], means)
+            # The straight line to the slow network's next sample meets the low band here.
+            run["current"] = k * low[-1] - (k - 1) * run["slow"]["y"]
+        run |= {"phase": np.array(k - 1.0), "sum": u[len(u) - (k - 1) :].sum(axis=0)}
+        run["fast"] = self.fast.paused(high, self._network_inputs(self._rows(u), low))
+        if self.output is not None:
+            _, run["output"] = one_way(
+                self.output.b_high, self.output.a, high, steady(self.output, "high")
+            )
+        return run
+
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         before, run = self._low(run)[0], self._moved(run, u)
         run["fast"] = self.fast.advance(run["fast"], self._beside(before, run, u)[0])

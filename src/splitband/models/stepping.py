@@ -17,6 +17,7 @@ from splitband.filters import Band, ComplementaryPair
 from splitband.networks import Cell
 from splitband.networks.plain import in_numpy, values
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import scan
 
 Run = dict[str, Any]
@@ -61,9 +62,32 @@ class Stepped(ABC):
         run, following = self._advance(run, self._u(u), self._y(slow))
         return run, following * self.y_std + self.y_mean
 
+    def paused(self, y: Array, u: Array, slow: Array) -> Run:
+        """Return the run at the last measured sample, before the next inputs are known.
+
+        `advance` from there says what `begin` says.
+
+        Parameters
+        ----------
+        y, slow : The last measured samples and the slow component there, `(R, ny)`.
+        u : Inputs of these samples, `(R, nu)`.
+
+        Raises
+        ------
+        ValueError
+            For a model that must look ahead, or a network that does not go sample by sample.
+        """
+        if self.ahead:
+            raise InputError("a conditioned hybrid without inputs looks one sample ahead")
+        return self._paused(self._y(y), self._u(u), self._y(slow))
+
     @abstractmethod
     def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
         """Begin, in the networks' units."""
+
+    @abstractmethod
+    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+        """Pause, in the networks' units."""
 
     @abstractmethod
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
@@ -103,6 +127,10 @@ class SteppedCell:
         """Return its state after measured samples."""
         h = self.cell.initial_state(y, rows)
         return {"h": h, "y": self.cell.observe(h)}
+
+    def paused(self, y: Array, rows: Array) -> Run:
+        """Return its state before the last step of `begin`, with the inputs of the others."""
+        return {"h": self.cell.paused_state(y, rows), "y": y[-1]}
 
     def advance(self, run: Run, row: Array) -> Run:
         """Return its state one sample later."""

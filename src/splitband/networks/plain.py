@@ -1,7 +1,8 @@
 """Define the cells in NumPy, without a batch, for runs step by step and for export.
 
 Each has the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u` `(time, nu)` or
-`(nu,)`; without inputs `u` has no columns. The code can be traced, see `runtime.tracing`.
+`(nu,)`; without inputs `u` has no columns. `paused_state` is the state before the last step of
+`initial_state`, for which the inputs are missing. The code can be traced, see `runtime.tracing`.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ class PlainGRU(NamedTuple):
     def initial_state(self, y: Array, u: Array) -> Array:
         return _observed(self, np.zeros(self.of_state[0].shape[1]), y, u)
 
+    def paused_state(self, y: Array, u: Array) -> Array:
+        return self.initial_state(y[:-1], u)
+
     def step(self, h: Array, y: Array, u: Array) -> Array:
         n = self.of_state[0].shape[1]
         given = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
@@ -63,6 +67,12 @@ class PlainEulerMLP(NamedTuple):
     def initial_state(self, y: Array, u: Array) -> Array:
         seen = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
         return _dense(self.recognition, seen.reshape(-1))
+
+    def paused_state(self, y: Array, u: Array) -> Array:
+        raise InputError(
+            "an EulerMLP cannot be a CasADi function: it begins with all inputs of its warm-up at "
+            "once, that of the sample to predict included; GRU and StateSpace can"
+        )
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         *hidden, (weight, bias) = self.dynamics
@@ -91,6 +101,14 @@ class PlainStateSpace(NamedTuple):
             x = weight @ seen.reshape(-1) + x
         return _observed(self, self._with_output(x, u[0]), y, u)
 
+    def paused_state(self, y: Array, u: Array) -> Array:
+        if len(u) < max(self.encoded, 1):
+            raise InputError(
+                f"a StateSpace needs a warm-up of more than {max(self.encoded, 1)} samples to be a "
+                f"CasADi function, got {len(y)}"
+            )
+        return self.initial_state(y[:-1], u)
+
     def step(self, h: Array, y: Array, u: Array) -> Array:
         n = len(self.gain)
         moved = _mixed(self.f, self.transition, np.concatenate([h[:n], u]))
@@ -115,6 +133,9 @@ class TorchCell:
         with torch.no_grad():
             return self.cell.initial_state(self._tensor(y), self._inputs(u))
 
+    def paused_state(self, y: Array, u: Array) -> Any:
+        raise self._unwritten()
+
     def step(self, h: Any, y: Array, u: Array) -> Any:
         with torch.no_grad():
             return self.cell.step(h, self._tensor(y), self._inputs(u))
@@ -127,11 +148,14 @@ class TorchCell:
         try:
             values = np.array(x)
         except TypeError:  # a symbol, as an export is made
-            raise InputError(
-                f"the cell {type(self.cell).__name__} cannot be exported, as it is Python code of "
-                "your own; GRU, EulerMLP and StateSpace can"
-            ) from None
+            raise self._unwritten() from None
         return torch.from_numpy(values).to(self.like)[None]
+
+    def _unwritten(self) -> InputError:
+        return InputError(
+            f"the cell {type(self.cell).__name__} cannot be exported, as it is Python code of "
+            "your own; GRU, EulerMLP and StateSpace can"
+        )
 
     def _inputs(self, u: Array) -> Tensor | None:
         return self._tensor(u) if self.cell.nu else None

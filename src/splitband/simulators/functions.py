@@ -302,6 +302,17 @@ class Ode(UserCode):
         y, x, _, size = self._response(values, state, time, u, (np.empty(0), size))
         return y, x, size
 
+    def stepped(
+        self, values: Mapping[str, float], state: Any, time: Array, u: Array | None, count: int
+    ) -> tuple[Array, Array]:
+        """Return channels and states by `count` equal steps from each time to the next.
+
+        Arguments as of `advance`; the method must be RK45.
+        """
+        ends = np.tile(np.arange(1.0, count + 1) / count, len(time) - 1)
+        y, x, *_ = self._response(values, state, time, u, (ends, 0.0))
+        return y, x
+
     def _response(
         self,
         values: Mapping[str, float],
@@ -318,7 +329,7 @@ class Ode(UserCode):
             from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
 
             solve = solver(self.rhs, count_arguments(self.rhs) or 2)
-            p = self._p(values)
+            p = self.p(values)
             x, taken, size = solve(p, begin, time, (u, self.held), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
@@ -348,7 +359,8 @@ class Ode(UserCode):
         x0 = np.atleast_1d(np.asarray(self.x0, float)).tolist()
         return dict(zip(self._states, x0, strict=True))
 
-    def _p(self, values: Mapping[str, float]) -> Any:
+    def p(self, values: Mapping[str, float]) -> Any:
+        """Return the argument p of the functions, for values of all parameters."""
         names = tuple(name for name in self.known.given if not name.startswith(INITIAL))
         return parameters_class(names)(*(float(values[name]) for name in names))
 
@@ -358,7 +370,7 @@ class Ode(UserCode):
 
     def _scipy(self, values: Mapping[str, float], initial: Array, time: Array, u: Array) -> Array:
         """Return the states at the times by SciPy's solver, `(time, nx)`."""
-        p, count = self._p(values), count_arguments(self.rhs) or 2
+        p, count = self.p(values), count_arguments(self.rhs) or 2
         begin, step = float(time[0]), float(time[1] - time[0])
 
         def slope(t: float, x: Array) -> Any:
@@ -380,7 +392,7 @@ class Ode(UserCode):
     def _observed(self, x: Array, u: Array, values: Mapping[str, float]) -> Array:
         if self.observe is None:
             return x[:, :1]
-        arguments = (x, u, self._p(values))
+        arguments = (x, u, self.p(values))
         y = np.asarray(self.observe(*arguments[: count_arguments(self.observe) or 1]), dtype=float)
         return y[:, None] if y.ndim == 1 else y
 

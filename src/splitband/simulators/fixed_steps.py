@@ -1,0 +1,175 @@
+"""Integrate a fitted equation by equal steps, in code that can be traced (`runtime.tracing`).
+
+A program cannot adapt its steps at no cost, and need not: with enough equal steps a sample it is as
+exact as the solver. How many are enough is found on the inputs of the training record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
+from splitband.runtime.tracing import scan
+from splitband.simulators.code import count_arguments, failure
+from splitband.simulators.functions import Ode
+from splitband.simulators.shooting import Adjusted
+
+PRECISE = 1e-11, 1e-13
+"""Tolerances of the solution that equal steps are compared with. Rounding."""
+TARGET = 1e-9
+"""Difference from it that is aimed at, as a share of a channel's range. A convention."""
+MOST_STEPS = 64
+"""Most steps a sample. Bounds the time of a program."""
+MAX_NOISE_SHARE = 1e-3
+"""Where these are not enough for the target: largest difference, as a share of the model's error in
+training. By eye."""
+_INSTEAD = (
+    "; a hybrid on it can take its output as y_sim instead: save it, and export what "
+    "sb.load(folder) returns without the simulator"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedSteps:
+    """Integrate an equation by equal steps of the method of Dormand and Prince, of order 5.
+
+    Attributes
+    ----------
+    ode : The equation, for the channels of a record.
+    values : Values of all parameters.
+    width : Time between two samples in s.
+    count : Steps from one sample to the next.
+    """
+
+    ode: Ode
+    values: Mapping[str, float]
+    width: float
+    count: int
+
+    def advance(self, x: Array, time: Any, before: Array, u: Array) -> Array:
+        """Return the state one sample later, `(nx,)`.
+
+        Parameters
+        ----------
+        x : State at the sample before, `(nx,)`.
+        time : Time of that sample in s.
+        before, u : Inputs of that sample and of this one, `(nu,)` each.
+        """
+
+        def step(x: Array, row: Any) -> tuple[Array, None]:
+            return self._step(x, row[0], time, before, u), None
+
+        if self.count == 1:
+            return step(x, [0.0])[0]
+        found: Array = scan(step, x, [np.arange(self.count) / self.count])[0]
+        return found
+
+    def observed(self, x: Array, u: Array) -> Array:
+        """Return the channels of a state, `(ny,)`."""
+        observe: Any = self.ode.observe
+        given = x[None], u[None], self.ode.p(self.values)
+        with _traceable():
+            found = observe(*given[: count_arguments(observe) or 1])
+            rows: Array = found if hasattr(found, "ndim") else np.stack([*found])
+        return rows[0] if rows.ndim > 1 else rows
+
+    def _step(self, x: Array, begin: Any, time: Any, before: Array, u: Array) -> Array:
+        """Return the state after a step, which begins at a share of the interval."""
+        from splitband.kernels.ode import NODES, WEIGHTS  # noqa: PLC0415  which loads numba
+
+        size = self.width / self.count
+        slopes: list[Array] = []
+        for weights, node in zip(WEIGHTS[:-1], NODES[:-1], strict=True):
+            share = begin + node / self.count
+            now = before
+            if len(u) and not self.ode.held:
+                now = before + share * (u - before)
+            stage = _moved(x, size * weights, slopes)
+            slopes.append(self._slope(time + share * self.width, stage, now))
+        return _moved(x, size * WEIGHTS[-1], slopes)
+
+    def _slope(self, time: Any, x: Array, u: Array) -> Array:
+        """Return the right-hand side, `(nx,)`."""
+        rhs, states = self.ode.rhs, self.ode.states
+        given = time, x, u, self.ode.p(self.values)
+        with _traceable():
+            found = rhs(*given[: count_arguments(rhs) or 2])
+            slope: Array = np.stack([found[i] for i in range(len(found))])
+        if slope.shape != (states,):
+            raise InputError(
+                f"the equation must return {states} number(s) to be exported, got the shape "
+                f"{slope.shape}"
+            )
+        return slope
+
+
+def enough_steps(
+    adjusted: Adjusted, time: Array, u: Array | None, window: int, spread: Array
+) -> int:
+    """Return the fewest steps a sample that are as good as a precise solution.
+
+    Parameters
+    ----------
+    adjusted : A fitted `Ode` with the method RK45.
+    time, u : Times of the training record in s, `(time,)`, and its inputs, `(time, nu)`.
+    window : Samples after which the comparison goes on from the precise state; 0 for none.
+    spread : Range of each channel, `(ny,)`.
+
+    Raises
+    ------
+    ValueError
+        Where `MOST_STEPS` are not enough: the equation needs an adaptive solver.
+    """
+    ode: Ode = adjusted.simulator
+    y, x = replace(adjusted, simulator=replace(ode, tolerances=PRECISE)).response(time, u)
+    length, count = window or len(time) - 1, 1
+    while True:
+        left = np.zeros(y.shape[1])
+        for begin in range(0, len(time) - 1, length):
+            part = slice(begin, begin + length + 1)
+            inputs = None if u is None else u[part]
+            found, _ = ode.stepped(adjusted.values, x[begin], time[part], inputs, count)
+            differs = np.nan_to_num(np.abs(found - y[part]), nan=np.inf)
+            left = np.maximum(left, differs.max(axis=0))
+        if (left <= TARGET * spread).all():
+            return count
+        if count == MOST_STEPS:
+            break
+        count *= 2
+    if (left <= MAX_NOISE_SHARE * adjusted.noise).all():
+        return count
+    raise InputError(
+        f"the equation needs an adaptive solver, which a program has not: by {MOST_STEPS} steps a "
+        f"sample it is up to {np.max(left / spread):.1g} of the range beside the solution, as a "
+        f"stiff equation is, or one that jumps{_INSTEAD}"
+    )
+
+
+def _moved(x: Array, weights: Array, slopes: list[Array]) -> Array:
+    """Return a state, moved by weighted slopes."""
+    for weight, slope in zip(weights, slopes, strict=False):
+        if weight:
+            x = x + weight * slope
+    return x
+
+
+@contextmanager
+def _traceable() -> Iterator[None]:
+    """Turn errors of a user's equation into a ValueError that says how to write it."""
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"the equation cannot be exported: {failure(error)}; it must be written with NumPy's "
+            "functions (np.where for if, np.maximum for max, np.sin for math.sin) and return a "
+            f"list{_INSTEAD}"
+        ) from error

@@ -1,0 +1,162 @@
+"""A CasADi function says what a stream says, and its derivatives are those of differences."""
+
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+
+import splitband as sb
+from tests.export.test_grey_box import EQUATIONS, record_of
+from tests.streams import BANDS, SHORT, driven, fitted, free, in_double, rows
+
+KINDS = (
+    "mean", "persistence", "linear", "simulator", "gru", "state-space", "split",
+    "split, conditioned, +HP", "split at one rate", "filtered", "residual of linear", "ensemble",
+    "seasonal-naive, no inputs", "periodic, no inputs", "gru, no inputs", "residual, no inputs",
+)  # fmt: skip
+
+
+def flat(y: Any) -> Any:
+    return y.full().ravel()
+
+
+def given(at: dict[str, Any]) -> list[Any]:
+    return [np.ravel(at[name]) for name in ("u", "y_sim") if name in at]
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_casadi_says_what_a_stream_says(name: str) -> None:
+    forecaster, record = fitted(name)
+    step, stream = forecaster.as_casadi(), forecaster.stream()
+    at = rows(record, stream)
+    scale, state, worst = float(np.std(record.y)), step.state(), 0.0
+    for n in range(1000):
+        row = at(n % (len(record) - 1))
+        state, y = step(state, *given(row))
+        worst = max(worst, np.abs(flat(y) - stream.step(**row)).max())
+    assert worst < 1e-9 * scale
+    stream = forecaster.stream()
+    for n in range(150, 190):  # measured again, and a plan from there
+        step.stream.observe(record.y[n], **at(n))
+        stream.observe(record.y[n], **at(n))
+    state, y = step(step.state(), *given(at(190)))
+    np.testing.assert_allclose(flat(y), stream.step(**at(190)), atol=1e-9 * scale)
+    state, y = step(step.state(record[:190]), *given(at(190)))
+    u, y_sim = (None if s is None else s[190:192] for s in (record.u, record.y_sim))
+    wanted = forecaster.predict(2, record[:190], u, y_sim).y[0]
+    np.testing.assert_allclose(flat(y), wanted, atol=1e-9 * scale)
+
+
+def derivatives(step: Any, at: Any) -> tuple[Any, Any]:
+    """Of all outputs by all arguments: CasADi's, and central differences."""
+    sizes = [step.function.numel_in(i) for i in range(step.function.n_in())]
+    v, ends = casadi.MX.sym("v", sum(sizes)), np.cumsum([0, *sizes]).tolist()
+    out = casadi.vertcat(*step(*(v[a:b] for a, b in pairwise(ends))))
+    value = casadi.Function("value", [v], [out])
+    slope = casadi.Function("slope", [v], [casadi.jacobian(out, v)])
+    found = slope(at).full()
+    columns = []
+    for i in range(len(at)):
+        h = np.zeros(len(at))
+        h[i] = 1e-6 * (1 + abs(at[i]))
+        columns.append(flat(value(at + h) - value(at - h)) / (2 * h[i]))
+    return found, np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("name", ["linear", "gru", "state-space", "split", "filtered", "ensemble"])
+def test_derivatives_are_those_of_differences(name: str) -> None:
+    forecaster, record = fitted(name)
+    step = forecaster.as_casadi()
+    at = rows(record, forecaster.stream())(160)
+    start = np.concatenate([step.state(), *given(at)])
+    found, wanted = derivatives(step, start)
+    assert np.isfinite(found).all()
+    kept = slice(None)
+    if name == "split":  # the phase of its slow network is no continuous state
+        kept = slice(len(step.state()), None)
+    np.testing.assert_allclose(found[:, kept], wanted[:, kept], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gru", "split, conditioned, +HP", "filtered", "ensemble"])
+def test_large_networks_keep_their_matrices(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    forecaster, record = fitted(name)
+    small = forecaster.as_casadi()
+    monkeypatch.setattr("splitband.export.casadi_graph.MOST_IN_SX", 0)
+    large = forecaster.as_casadi()
+    assert small.function.is_a("SXFunction")
+    assert large.function.is_a("MXFunction")
+    at = given(rows(record, small.stream)(150))
+    for one, other in zip(small(small.state(), *at), large(large.state(), *at), strict=True):
+        np.testing.assert_allclose(flat(one), flat(other), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.usefixtures("compiled_soon")
+@pytest.mark.parametrize("hybrid", [False, True])
+def test_the_equation_of_a_grey_box_is_part_of_it(hybrid: bool) -> None:
+    ode = EQUATIONS["inputs on straight lines"]()
+    record: Any = record_of(ode, 1)
+    grey: sb.Forecaster = sb.GreyBox(ode, starts=1)
+    model = sb.Residual(grey, sb.GRU(3), conditioned=True, settings=SHORT) if hybrid else grey
+    model.fit(record[:150])
+    in_double(model)
+    step = model.as_casadi()
+    state, found = step.state(), []
+    for u in record.u[150:]:
+        state, y = step(state, u)
+        found.append(flat(y))
+    np.testing.assert_allclose(found, model.predict(50, u=record.u[150:]).y, atol=1e-9)
+    start = np.concatenate([step.state(), record.u[150]])
+    found, wanted = derivatives(step, start)
+    np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+
+
+def test_a_file_is_read_by_casadi(tmp_path: Path) -> None:
+    forecaster, record = fitted("filtered")
+    assert record.u is not None
+    assert record.y_sim is not None
+    path, begin = forecaster.export(tmp_path / "rig.casadi")
+    loaded = casadi.Function.load(str(path))
+    assert loaded.name_in() == ["state", "u", "y_sim"]
+    assert loaded.name_out() == ["state_next", "y"]
+    state = casadi.Function.load(str(begin))()["state"]
+    step = forecaster.as_casadi()
+    u, y_sim = record.u[150], record.y_sim[150]
+    for one, other in zip(loaded(state, u, y_sim), step(step.state(), u, y_sim), strict=True):
+        np.testing.assert_array_equal(flat(one), flat(other))
+
+
+def test_samples_are_those_that_are_measured() -> None:
+    raw = replace(driven(), start=1000.0)
+    assert raw.u is not None
+    model = sb.Linear().fit(raw.detrend(1)[:150])
+    step, stream = model.as_casadi(), model.stream()
+    state = step.state()
+    for u in raw.u[150:200]:
+        state, y = step(state, u)
+        np.testing.assert_allclose(flat(y), stream.step(u), rtol=1e-9)
+    with pytest.raises(ValueError, match="history must be given to as_casadi"):
+        step.state(raw[:190])
+
+
+def test_what_has_no_casadi_function_is_named() -> None:
+    record = free()
+    conditioned = sb.Filtered(None, sb.GRU(3), BANDS, conditioned=True, settings=SHORT)
+    rnn = sb.Single(sb.EulerMLP(hidden_size=5, recognition_size=4), SHORT)
+    for model, message in ((conditioned, "looks one sample ahead"), (rnn, "an EulerMLP cannot")):
+        with pytest.raises(ValueError, match=message):
+            model.fit(record[:150]).as_casadi()
+    gru = sb.Single(sb.GRU(3), SHORT).fit(record[:150])
+    with pytest.raises(ValueError, match=r"20 measured sample\(s\) in a row"):
+        gru.as_casadi(record[:5])
+
+
+def test_casadi_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "splitband.export.casadi_graph")
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(ValueError, match=r"pip install 'splitband\[casadi\]'"):
+        sb.Mean().fit(free()).as_casadi()

@@ -1,0 +1,217 @@
+"""An exported grey box integrates its equation as a stream does."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import scipy
+
+import splitband as sb
+from splitband.simulators.fixed_steps import FixedSteps
+from tests.export.test_c import Compiled
+from tests.export.test_fmu import Instance
+from tests.export.test_onnx import session
+from tests.streams import SHORT, in_double
+
+Array = npt.NDArray[np.float64]
+EXACT = 1e-11, 1e-13
+"""Tolerances of a solver that is as exact as a program."""
+
+pytestmark = pytest.mark.usefixtures("compiled_soon")
+
+
+def stiffening(t: float, x: Any, u: Any, p: Any) -> list[Any]:
+    return [x[1], p.k * (u[0] - x[0] - 0.3 * x[0] ** 3) - p.c * x[1]]
+
+
+def swinging(t: float, x: Any) -> Any:
+    return np.array([x[1], -4.0 * np.sin(x[0]) - 0.1 * x[1] * abs(x[1])])
+
+
+def timed(t: float, x: Any, u: Any, p: Any) -> Any:
+    slope = np.zeros_like(x)
+    slope[0] = p.k * (u[0] - x[0]) + 0.1 * np.cos(0.5 * t)
+    slope[1] = x[0] - x[1]
+    return slope
+
+
+def of_inputs(x: Any, u: Any, p: Any) -> Any:
+    return np.column_stack([x[:, 0] + 0.1 * u[:, 0], p.c * x[:, 1]])
+
+
+def inputs(samples: int = 200) -> Array:
+    held = np.repeat(np.random.default_rng(0).normal(size=samples // 10), 10)
+    return np.asarray(scipy.signal.lfilter([0.5], [1, -0.5], held)[:, None])
+
+
+RANGES = {"k": (1.0, 9.0), "c": (0.1, 2.0)}
+EQUATIONS: dict[str, Callable[[], sb.Ode]] = {
+    "inputs on straight lines": lambda: sb.Ode(
+        stiffening, [0.1, 0.0], parameters=RANGES, tolerances=EXACT
+    ),
+    "held inputs": lambda: sb.Ode(
+        stiffening, [0.1, 0.0], parameters=RANGES, held=True, tolerances=EXACT
+    ),
+    "time, and an array that is written to": lambda: sb.Ode(
+        timed, [0.0, 0.0], parameters={"k": (0.5, 5.0)}, tolerances=EXACT, start=3.0
+    ),
+    "channels of states, inputs and parameters": lambda: sb.Ode(
+        stiffening, [0.1, 0.0], of_inputs, RANGES, tolerances=EXACT
+    ),
+}
+
+
+def record_of(ode: sb.Ode, columns: int) -> sb.Record:
+    """The equation with values within the ranges, and noise."""
+    u = inputs()
+    matched = ode.matched([f"y{i}" for i in range(columns)], ["force"])
+    fixed = matched.fixed({name: 0.4 * low + 0.6 * high for name, (low, high) in RANGES.items()
+                           if name in matched.known.given})  # fmt: skip
+    start = float(ode.start)
+    y = np.asarray(fixed.simulate(start + 0.1 * np.arange(200.0), u))
+    rng = np.random.default_rng(1)
+    return sb.Record(y + rng.normal(0, 0.01, y.shape), 0.1, u=u)
+
+
+@pytest.mark.parametrize("kind", EQUATIONS)
+def test_c_integrates_the_equation(kind: str, tmp_path: Path) -> None:
+    ode = EQUATIONS[kind]()
+    record: Any = record_of(ode, 2 if "channels" in kind else 1)
+    model = sb.GreyBox(ode, starts=1).fit(record[:150])
+    model.memory = 0
+    compiled, stream = Compiled(model.export(tmp_path / "rig.c")[0]), model.stream()
+    worst = 0.0
+    for n in range(300):
+        u = record.u[n % 200]
+        if n % 50 < 5:  # what is measured does not change the state
+            compiled.observe(record.y[n % 200], u)
+            stream.observe(record.y[n % 200], u)
+        else:
+            worst = max(worst, np.abs(compiled.step(record.ny, u) - stream.step(u)).max())
+    assert worst < 1e-9 * np.ptp(record.y)
+
+
+def test_without_inputs_and_from_an_estimated_state(tmp_path: Path) -> None:
+    time = 0.1 * np.arange(200.0)
+    record = sb.Record(np.cos(1.9 * time), 0.1)
+    ode = sb.Ode(swinging, [1.0, 0.0], parameters={"x0_1": (0.5, 1.5)}, tolerances=EXACT)
+    model = sb.GreyBox(ode, starts=1).fit(record[:150])
+    model.memory = 30
+    compiled = Compiled(model.export(tmp_path / "rig.c")[0])
+    found = np.stack([compiled.step(1) for _ in range(50)])
+    np.testing.assert_allclose(found, model.predict(50).y, atol=1e-9)
+    later = Compiled(model.export(tmp_path / "later.c", history=record[:170])[0])
+    found = np.stack([later.step(1) for _ in range(30)])
+    np.testing.assert_allclose(found, model.predict(30, record[:170]).y, atol=1e-9)
+    compiled.call("clear")  # begins as the equation does
+    begin = model.parameters["used"]["x0_1"]
+    free = np.asarray(ode.fixed({"x0_1": begin}).simulate(time[:20]))
+    np.testing.assert_allclose([compiled.step(1) for _ in range(20)], free[:, :1], atol=1e-9)
+
+
+def test_a_hybrid_contains_the_equation_of_its_grey_box(tmp_path: Path) -> None:
+    ode = EQUATIONS["inputs on straight lines"]()
+    record: Any = record_of(ode, 1)
+    hybrid = sb.Residual(sb.GreyBox(ode, starts=1), sb.GRU(3), conditioned=True, settings=SHORT)
+    model = hybrid.fit(record[:150])
+    in_double(model)
+    compiled, stream = Compiled(model.export(tmp_path / "rig.c")[0]), model.stream()
+    for n in range(150, 200):
+        u = record.u[n]
+        if n < 180:
+            compiled.observe(record.y[n], u)
+            stream.observe(record.y[n], u)
+        else:
+            np.testing.assert_allclose(compiled.step(1, u), stream.step(u), atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("held", [False, True])
+def test_equal_steps_are_those_of_the_solver(count: int, held: bool) -> None:
+    ode = sb.Ode(timed, [0.3, 0.1], parameters={"k": 2.0}, held=held).matched(["y"], ["u"])
+    time, u = 0.1 * np.arange(20.0), inputs(20)
+    y, x = ode.stepped({"k": 2.0}, None, time, u, count)
+    steps, now = FixedSteps(ode, {"k": 2.0}, 0.1, count), x[0]
+    for n in range(19):
+        now = steps.advance(now, time[n], u[n], u[n + 1])
+        np.testing.assert_allclose(now, x[n + 1], atol=1e-14)
+        np.testing.assert_allclose(steps.observed(now, u[n + 1]), y[n + 1], atol=1e-14)
+
+
+def everything(x: Any) -> Any:
+    a, b = x[:, 0], x[:, 1]
+    return np.column_stack([
+        np.tan(a), np.arctan(a), np.arcsin(0.5 * a), np.arccos(0.5 * a), np.sinh(a), np.cosh(a),
+        np.arcsinh(a), np.arccosh(2 + a * a), np.arctanh(0.5 * a), np.expm1(a), np.log1p(a * a),
+        np.arctan2(a, b), np.hypot(a, b), np.sign(b), abs(a), a**3, (1 + a * a) ** 1.7, 2.0**a,
+        np.interp(a, [-1.0, 0.0, 0.5], [2.0, 0.0, 1.0]), np.remainder(5 * a, 2.0),
+        np.where((a > 0) & (b < 0), a, np.ceil(3 * b)), np.clip(a, None, 0.2), x[:, [1, 0]].sum(1),
+    ])  # fmt: skip
+
+
+def test_numpys_functions_of_an_equation_are_written_in_c(tmp_path: Path) -> None:
+    ode = sb.Ode(swinging, [0.9, 0.0], everything, {"x0_1": (0.8, 1.0)}, tolerances=EXACT)
+    time = 0.1 * np.arange(120.0)
+    y = np.asarray(ode.fixed({"x0_1": 0.9}).simulate(time))
+    model = sb.GreyBox(ode, starts=1).fit(sb.Record(y, 0.1)[:100])
+    model.memory = 0
+    compiled, stream = Compiled(model.export(tmp_path / "rig.c")[0]), model.stream()
+    for _ in range(50):
+        np.testing.assert_allclose(compiled.step(y.shape[1]), stream.step(), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("expression", "message"),
+    [
+        (lambda x: x if x > 0 else 0.0, "write np.where"),
+        (lambda x: max(x, 0.0), "np.maximum"),
+        (math.sin, "np.sin for math.sin"),
+        (lambda x: np.fft.fft(np.stack([x, x]))[0], "cannot be traced"),
+    ],
+)
+def test_what_cannot_be_written_is_told_with_its_line(
+    expression: Any, message: str, tmp_path: Path
+) -> None:
+    def rhs(t: float, x: Any, u: Any, p: Any) -> list[Any]:
+        return [p.k * (u[0] - 0.1 * np.real(expression(x[0])) - x[0])]
+
+    ode = sb.Ode(rhs, [0.5], parameters={"k": (0.5, 2.0)})
+    u = inputs()
+    record = sb.Record(np.cumsum(0.1 * u), 0.1, u=u)
+    model = sb.GreyBox(ode, starts=1).fit(record)
+    with pytest.raises(ValueError, match=rf"{message}.*test_grey_box.py, line"):
+        model.export(tmp_path / "rig.c")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_an_equation_that_needs_an_adaptive_solver_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ode = EQUATIONS["held inputs"]()
+    model = sb.GreyBox(ode, starts=1).fit(record_of(ode, 1)[:60])
+    for name, value in {"MOST_STEPS": 1, "MAX_NOISE_SHARE": 0.0}.items():
+        monkeypatch.setattr(f"splitband.simulators.fixed_steps.{name}", value)
+    with pytest.raises(ValueError, match=r"needs an adaptive solver.*sb\.load\(folder\) returns"):
+        model.export(tmp_path / "rig.c")
+    model.simulator = replace(ode, method="Radau")
+    with pytest.raises(ValueError, match="with the method Radau cannot"):
+        model.export(tmp_path / "rig.c")
+
+
+def test_an_fmu_and_onnx_integrate_it_too(tmp_path: Path) -> None:
+    ode = EQUATIONS["held inputs"]()
+    record: Any = record_of(ode, 1)
+    model = sb.GreyBox(ode, starts=1).fit(record[:150])
+    wanted = model.predict(50, u=record.u[150:]).y
+    model.export(tmp_path / "rig.fmu")
+    instance = Instance(tmp_path / "rig.fmu", tmp_path / "rig", record)
+    found = np.stack([instance.step(u=u) for u in record.u[150:]])
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    _, rollout = model.export(tmp_path / "rig.onnx")
+    signals = {"y": np.full((50, 1), np.nan), "u": record.u[150:]}
+    np.testing.assert_allclose(session(rollout).run(None, signals)[1], wanted, atol=1e-9)
