@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shlex
 import shutil
 import subprocess
 import tempfile
@@ -24,6 +23,7 @@ from splitband.data.signals import unit_of
 from splitband.export import c
 from splitband.export.program import Program
 from splitband.runtime.errors import InputError
+from splitband.runtime.system import split_command
 from splitband.simulators.fmu_unit import OPTIONAL
 
 COMPILERS = "cc", "gcc", "clang"
@@ -104,7 +104,7 @@ def _compiler() -> list[str]:
     """Return the C compiler with its options: those of the environment variable CC, if set."""
     given = os.environ.get("CC", "").strip()
     whole = shutil.which(given) if given else None
-    parts = shlex.split(given, posix=os.name != "nt")  # such as "ccache gcc -m64"
+    parts = split_command(given)  # such as "ccache gcc -m64"
     commands = [[whole]] if whole else [parts] if parts else [[word] for word in COMPILERS]
     for compiler, *options in commands:
         if found := shutil.which(compiler):
