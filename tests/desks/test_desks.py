@@ -156,7 +156,7 @@ def test_a_result_that_is_open_elsewhere_is_told_first_and_stays_whole(
     write("old")
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     monkeypatch.setattr(Path, "rename", opened)
-    monkeypatch.setattr(system, "PATIENCE", 0.0)
+    monkeypatch.setattr(system, "TRIES", 1)
     with pytest.raises(InputError, match=r"--out .*predictions\.csv"), locked(out, "--out"):
         pytest.fail("the command has begun")
     with pytest.raises(PermissionError, match=r"close it.*predictions\.csv"):

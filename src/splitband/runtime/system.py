@@ -23,8 +23,8 @@ from pathlib import Path
 _BUSY = 5, 32
 """Numbers of Windows' errors for a file that another program has open: "access denied" and "sharing
 violation". A convention."""
-PATIENCE, _AGAIN = 1.0, 0.05
-"""Seconds for which a file that is open elsewhere is tried again, and between two tries. Bounds the
+TRIES, _AGAIN = 20, 0.05
+"""Tries to replace a file that is open elsewhere, and seconds between two of them. Bounds the
 time."""
 
 
@@ -101,7 +101,7 @@ def move(source: Path, target: Path) -> None:
     """Rename a file, in place of an earlier one; raises OSError where that fails.
 
     Windows refuses it while another program has one of them open. Scanners open every new file for
-    a moment: it is tried again for `PATIENCE` seconds.
+    a moment: it is tried again for a second.
     """
     _patiently(source.replace, target)
 
@@ -123,16 +123,14 @@ def in_use(paths: Iterable[Path]) -> Path | None:
 
 
 def _patiently(rename: Callable[[Path], Path], target: Path) -> None:
-    until = time.monotonic() + PATIENCE
-    while True:
+    for left in reversed(range(TRIES)):
         try:
             rename(target)
+            return
         except PermissionError as error:
-            if not _is_busy(error) or time.monotonic() > until:
+            if not left or not _is_busy(error):
                 raise
             time.sleep(_AGAIN)
-        else:
-            return
 
 
 def _is_busy(error: PermissionError) -> bool:
