@@ -11,13 +11,17 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: axe demo test check kernels-float32 kernels-float64 format figures docs paper bench fuzz soak memory desks clean
+.PHONY: axe demo test suite check kernels-float32 kernels-float64 format figures docs paper bench fuzz soak memory desks clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
 
 test:
 	$(MAKE) --jobs=3 check kernels-float32 kernels-float64
+	$(BIN)/pytest -n auto
+
+# The tests alone, on a Python for which the checks have run elsewhere.
+suite: kernels-float32 kernels-float64
 	$(BIN)/pytest -n auto
 
 kernels-float32 kernels-float64: .venv/.ready
@@ -28,6 +32,8 @@ check: .venv/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/mypy
+	for each in win32 darwin; do $(BIN)/mypy --platform $$each --follow-imports=skip \
+	    --cache-dir .mypy_cache/$$each src/splitband/runtime/system.py || exit 1; done
 
 format: .venv/.ready
 	$(BIN)/ruff check --fix .

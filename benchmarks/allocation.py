@@ -22,7 +22,7 @@ import scipy
 
 import splitband as sb
 from benchmarks.timing import circumstances, write
-from splitband.runtime import memory
+from splitband.runtime import system
 from splitband.runtime.threads import use_one_thread
 
 SAMPLES = 65_000
@@ -39,7 +39,7 @@ def training(kept: bool) -> dict[str, float]:
     )
     model = sb.Single(sb.GRU(32), settings)
     if not kept:
-        memory._glibc = lambda: None
+        system.glibc = lambda: None
     before = resource.getrusage(resource.RUSAGE_SELF)
     model.fit(record, seed=0)
     after = resource.getrusage(resource.RUSAGE_SELF)

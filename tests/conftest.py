@@ -145,6 +145,8 @@ def one_core() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if hasattr(os, "sched_getaffinity"):
             patch.setattr(os, "sched_getaffinity", lambda _: {0})
+        else:
+            patch.setattr(os, "cpu_count", lambda: 1)
         yield
 
 

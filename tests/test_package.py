@@ -6,13 +6,16 @@ import sys
 import tarfile
 import tomllib
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import splitband as sb
 
 ROOT = Path(__file__).parents[1]
+RECORD = sb.Record(np.sin(0.3 * np.arange(60)), 0.1)
 
 
 def run(*command: str | Path, folder: Path) -> str:
@@ -60,7 +63,9 @@ def test_the_installed_wheel_runs_from_an_environment_of_its_own(
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("extras", ["", "[fmu]", "[everywhere]", "[docs]", "[cluster]"])
+@pytest.mark.parametrize(
+    "extras", ["", "[fmu]", "[everywhere]", "[docs]", "[cluster]", "[parquet,plot]"]
+)
 def test_the_wheel_and_its_extras_are_installed_into_an_empty_environment(
     extras: str, built: Path, tmp_path: Path
 ) -> None:
@@ -100,3 +105,26 @@ def test_a_name_that_is_gone_says_what_to_use_and_an_unknown_one_is_none() -> No
         sb.Known  # type: ignore[attr-defined]  # noqa: B018
     assert not hasattr(sb, "Unknown")
     assert "Known" not in dir(sb)
+
+
+@pytest.mark.parametrize(
+    ("module", "use", "said"),
+    [
+        ("pyarrow", lambda: sb.read("rig.parquet"), r'PyArrow: pip install "splitband\[parquet\]"'),
+        ("matplotlib.axes", lambda: sb.Mean().fit(RECORD).predict(3).plot(),
+         r'matplotlib: pip install "splitband\[plot\]"'),
+    ],
+)  # fmt: skip
+def test_a_missing_extra_says_how_it_is_installed(
+    module: str,
+    use: Callable[[], object],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("rig.parquet").write_bytes(b"PAR1")
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, "splitband.report.pictures", raising=False)
+    with pytest.raises(sb.InputError, match=said):
+        use()

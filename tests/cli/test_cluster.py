@@ -70,7 +70,7 @@ def test_a_missing_extra_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    says = "--cluster needs Dask: pip install 'splitband[cluster]'"
+    says = '--cluster needs Dask: pip install "splitband[cluster]"'
     assert_fails(f"{COMPARE} --cluster tcp://127.0.0.1:9", (says,), capsys)
 
 

@@ -132,7 +132,10 @@ def test_a_simulator_is_run_beside_the_record_and_longer_where_it_is_calibrated(
     [
         ({"methods": "filtered-gru"}, "simulator must be given for filtered-gru"),
         ({"methods": "linear"}, "inputs must be given for linear"),
-        ({"methods": "gru", "device": "meta"}, "device must be one that is there, got meta"),
+        (
+            {"methods": "gru", "device": "meta"},
+            "device must be one that is there and has float64, got meta",
+        ),
         ({"methods": "gru", "initial": 3}, "initial must be used with test records"),
         ({"simulator": "nothing.csv"}, "nothing.csv"),
     ],

@@ -116,13 +116,13 @@ def test_json_cut_short_by_a_full_disk_keeps_the_old_file(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path.write_text(OLD)
-    written = Path.write_text
+    written = Path.write_bytes
 
-    def cut_short(self: Path, text: str, encoding: str | None = None) -> int:
-        written(self, text[:5], encoding)
+    def cut_short(self: Path, data: bytes) -> int:
+        written(self, data[:5])
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_text", cut_short)
+    monkeypatch.setattr(Path, "write_bytes", cut_short)
     with pytest.raises(OSError, match="No space left"):
         write_json(path, {"rmse": 0.1})
     assert path.read_text() == OLD

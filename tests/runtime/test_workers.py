@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ import threadpoolctl
 import torch
 
 from splitband.runtime.deadlines import Deadline
-from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.runtime.workers import Workers, ended_from_outside, result_of, run_jobs
 
 # What the scripts below import instead of torch, which every process would take seconds to load.
 NO_TORCH = "def set_num_threads(count): pass\n\n\ndef get_num_threads(): return 1\n"
@@ -61,6 +61,14 @@ def test_this_process_does_other_work_while_workers_have_jobs() -> None:
     with ThreadPoolExecutor(1) as executor:
         ((_, future),) = run_jobs(waiting, [0], executor, meanwhile=meanwhile)
     assert future.result()
+
+
+def test_a_wait_for_a_result_ends_with_its_time() -> None:
+    with pytest.raises(TimeoutError):
+        result_of(Future(), 0.01)
+    done: Future[int] = Future()
+    done.set_result(3)
+    assert result_of(done) == result_of(done, 1.0) == 3
 
 
 def leave(job: int) -> str:

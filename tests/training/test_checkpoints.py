@@ -215,3 +215,15 @@ def test_a_training_that_a_deadline_cut_goes_on_as_if_it_had_not_been(
     again, history = trained_until(Deadline(), Checkpoint(tmp_path / "run"))
     assert history.losses == expected.losses
     assert_same(again, whole)
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="asks Linux what is mapped")
+def test_a_checkpoint_that_was_loaded_is_not_kept_open(tmp_path: Path) -> None:
+    """On Windows it could not be replaced."""
+    file = tmp_path / "training.safetensors"
+    checkpoint = Checkpoint(file)
+    checkpoint.offer("key", lambda: {"x": torch.ones(100_000), "none": torch.empty(0)}, last=True)
+    state = checkpoint.load("key")
+    assert state is not None
+    assert [len(state[name]) for name in ("x", "none")] == [100_000, 0]
+    assert str(file) not in Path("/proc/self/maps").read_text(encoding="utf-8")

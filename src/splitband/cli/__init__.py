@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
@@ -16,6 +17,7 @@ from typer.exceptions import TyperException
 from splitband import __version__
 from splitband.cli import clock
 from splitband.runtime.errors import InputError
+from splitband.runtime.system import expanded
 
 COMMANDS = {
     "demo": "See what the package does, in about a minute.",
@@ -136,7 +138,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     clock.begin(own_process=arguments is None)
     if arguments is None:  # SIGTERM, which ends batch jobs, is handled like Ctrl-C
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-    given = _global_first(sys.argv[1:] if arguments is None else arguments)
+        _print_anything()
+        arguments = expanded(sys.argv[1:])
+    given = _global_first(arguments)
     try:
         status = typer.main.get_command(app).main(
             given, prog_name="splitband", standalone_mode=False
@@ -157,6 +161,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "stopped; no file is half written, and the same command goes on from what is finished"
         )
     return status if isinstance(status, int) else 0
+
+
+def _print_anything() -> None:
+    """Print "?" for a sign that the encoding of a stream lacks, such as a Greek letter."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _global_first(arguments: Sequence[str]) -> list[str]:

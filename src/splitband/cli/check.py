@@ -11,6 +11,7 @@ from splitband.forecasters import saving as forecasters
 from splitband.report import results
 from splitband.report.page.parts import Usage
 from splitband.runtime.errors import InputError
+from splitband.runtime.system import quoted
 
 
 @options.with_groups
@@ -46,7 +47,7 @@ def check(
         found = model.check_residuals(past)
         with suppress(InputError):  # the model has no inputs, or needs a simulator
             responses = model.step_responses()
-    asked = f"splitband check {model_dir} --record {record}"
+    asked = f"splitband check {quoted(str(model_dir))} --record {quoted(str(record))}"
     results.save_check(found, out, model, responses, Usage(asked=asked))
     for line in str(found).splitlines():
         showing.console.print(line)

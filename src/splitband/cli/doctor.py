@@ -15,13 +15,15 @@ from splitband.evaluation.jobs import compile_kernels, kernels_of
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
-from splitband.runtime.threads import available_cores
+from splitband.runtime.system import available_cores
 
 EXTRAS = {
     "fmu": "fmpy",
     "everywhere": "ziglang",
     "onnx": "onnx",
     "casadi": "casadi",
+    "parquet": "pyarrow",
+    "plot": "matplotlib",
     "control": "control",
     "cluster": "distributed",
 }
@@ -47,7 +49,7 @@ def doctor() -> None:
         "extras": {
             extra: "installed"
             if find_spec(module)
-            else f"missing: pip install 'splitband[{extra}]'"
+            else f'missing: pip install "splitband[{extra}]"'
             for extra, module in EXTRAS.items()
         },
     }

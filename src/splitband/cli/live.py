@@ -21,9 +21,9 @@ from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import Run
 from splitband.report import results
 from splitband.report.table import of_trial
-from splitband.runtime.errors import InputError
+from splitband.runtime.errors import InputError, missing
 from splitband.runtime.files import CHECKPOINTS
-from splitband.runtime.threads import available_cores
+from splitband.runtime.system import available_cores
 
 
 class Display:
@@ -127,7 +127,7 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         from distributed import Client, KilledWorker  # noqa: PLC0415  an extra
         from distributed.client import ClosedClientError  # noqa: PLC0415
     except ImportError:
-        raise InputError("--cluster needs Dask: pip install 'splitband[cluster]'") from None
+        raise missing("--cluster", "Dask", "cluster") from None
     try:
         client = Client(cluster, timeout=5, set_as_default=False)
     except (OSError, TimeoutError, ValueError):

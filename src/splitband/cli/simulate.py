@@ -8,8 +8,9 @@ from typing import Annotated
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
 from splitband.metrics import leaves_range
+from splitband.report.results import csv_of
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import output_folder, replacing
+from splitband.runtime.files import output_folder, write_text
 
 
 @options.with_groups
@@ -83,8 +84,7 @@ def simulate(
             steps, past if history else None, u, level=level, other_record=other_run
         )
     output_folder(out.parent, "--out")
-    with replacing(out) as temporary:
-        found.to_frame().to_csv(temporary, index=False)
+    write_text(out, csv_of(found.to_frame()))
     showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
     for reason in found.warnings:
         showing.warn(reason)

@@ -10,9 +10,10 @@ import pandas as pd
 import typer
 
 from splitband.cli import showing
+from splitband.report.results import csv_of
 from splitband.report.table import COLUMNS, OVER_ALL, Column, Table, Unit
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import CHECKPOINTS, replacing, to_json
+from splitband.runtime.files import CHECKPOINTS, to_json, write_text
 from splitband.runtime.outputs import FACTS, FORMAT
 
 _TIME = "time (s)"
@@ -50,9 +51,7 @@ def summary(
     columns = [Column(h, units[h], values[h, line], line, ranked=False) for h, line in keys]
     showing.table(Table("", columns, said, "folder: recommended"))
     if out is not None:
-        text = pd.DataFrame(rows).to_csv(index=False) if out.suffix == ".csv" else to_json(rows)
-        with replacing(out) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(out, csv_of(pd.DataFrame(rows)) if out.suffix == ".csv" else to_json(rows))
     showing.as_json(rows)
 
 

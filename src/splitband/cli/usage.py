@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
 from splitband.report.results import MODEL_FOLDER
+from splitband.runtime.system import over_lines, quoted
 
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
@@ -77,16 +77,16 @@ def usage(
         given = {k: v for k, v in given.items() if k not in _REPLACED_BY_LIKE} | {"like": str(out)}
     if model.name in NAMES:
         if not plan.refit and plan.train < len(plan.record):
-            end = [f"--method {model.name}", f"--out {shlex.quote(str(out / 'model-of-all'))}"]
+            end = [f"--method {model.name}", f"--out {quoted(str(out / 'model-of-all'))}"]
             fit = _line("splitband fit", given, ["record", *_FIT], end[model.random :])
             commands.append(("Fit it to the whole record", fit))
         # A simulator cannot be exported, nor an equation that jumps or is stiff.
         if model.name in TRAINED or not ("simulator" in model.needs or model.parameters):
-            export = f"splitband export {shlex.quote(str(out / MODEL_FOLDER))} model.fmu"
+            export = f"splitband export {quoted(str(out / MODEL_FOLDER))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
     if given.get("test") and "simulator" not in model.needs:
-        tested = shlex.quote(str(given["test"][0]))
-        checked = f"splitband check {shlex.quote(str(out / MODEL_FOLDER))}"
+        tested = quoted(str(given["test"][0]))
+        checked = f"splitband check {quoted(str(out / MODEL_FOLDER))}"
         commands.append(("Check it on the test record", f"{checked} --record {tested}"))
     commands.sort(key=lambda each: "FILE" in each[1])  # those with a placeholder come last
     if "simulator" not in model.needs and not model.parameters:
@@ -119,7 +119,7 @@ def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster
         options["future_inputs"] = given.get("future_inputs") or (
             given["record"] if known else "FILE"
         )
-    begin, end = f"splitband simulate {shlex.quote(str(out / MODEL_FOLDER))}", [f"--steps {steps}"]
+    begin, end = f"splitband simulate {quoted(str(out / MODEL_FOLDER))}", [f"--steps {steps}"]
     return _line(begin, options, [*options], [*end, "--out ahead.csv"])
 
 
@@ -132,14 +132,14 @@ def _line(begin: str, given: Mapping[str, Any], names: Any, end: Sequence[str] =
         if none or _DEFAULTS.get(name) == value:
             continue
         if name == "record":
-            words.append(shlex.quote(str(value)))
+            words.append(quoted(str(value)))
             continue
         option = f"--{name.replace('_', '-')}"
         for each in value if isinstance(value, list | tuple) else [value]:
-            words.append(option if each is True else f"{option} {shlex.quote(str(each))}")
+            words.append(option if each is True else f"{option} {quoted(str(each))}")
     lines = [""]
     for word in [*words, *end]:
         if lines[-1] and len(lines[-1]) + len(word) > WIDTH:
             lines.append("   ")
         lines[-1] += f" {word}" if lines[-1] else word
-    return " \\\n".join(lines)
+    return over_lines(lines)

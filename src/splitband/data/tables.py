@@ -11,13 +11,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet  # type: ignore[import-untyped]
 import scipy
 from numpy.typing import NDArray
 
 from splitband.data.signals import Column, is_text
 from splitband.data.text import Layout, check_different, read_table
-from splitband.runtime.errors import InputError, one_line
+from splitband.runtime.errors import InputError, missing, one_line
 
 MOST_BYTES = 2**31
 """Limit of the size of a file's numbers in memory, in bytes. Bounds the memory."""
@@ -92,7 +91,11 @@ def of_frame(frame: pd.DataFrame) -> Table:
 
 
 def _read_parquet(path: Path) -> Table:
-    metadata = pyarrow.parquet.read_metadata(path)
+    try:
+        from pyarrow import parquet  # type: ignore[import-untyped]  # noqa: PLC0415  an extra
+    except ImportError:
+        raise missing("a Parquet file", "PyArrow", "parquet") from None
+    metadata = parquet.read_metadata(path)
     groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
     columns = [group.column(i) for group in groups for i in range(group.num_columns)]
     check_size(sum(max(8 * c.num_values, c.total_uncompressed_size) for c in columns))

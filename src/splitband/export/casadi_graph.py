@@ -24,13 +24,13 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import known_of
 from splitband.forecasters.stepping import FreeRun, Recursion, State, Stream, program_of
 from splitband.runtime.arrays import Array
-from splitband.runtime.errors import InputError
+from splitband.runtime.errors import InputError, missing
 from splitband.runtime.tracing import leaves, named_leaves
 
 try:
     import casadi
 except ImportError:
-    raise InputError("CasADi needs its package: pip install 'splitband[casadi]'") from None
+    raise missing("CasADi's format", "casadi", "casadi") from None
 
 Column = Any
 """A `casadi.DM`, `SX` or `MX` with one column."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import os
 import platform
-import shlex
 import shutil
 import struct
 import subprocess
@@ -21,6 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from splitband.runtime.errors import InputError
+from splitband.runtime.system import split_command
 
 _LOG = logging.getLogger("splitband")
 
@@ -140,7 +140,7 @@ def _for_this(folder: Path, files: Sequence[str], name: str) -> dict[str, bytes]
 
     here, library = fmpy.platform, f"{name}{fmpy.sharedLibraryExtension}"
     windows = here.startswith("win")
-    command = _compiler(windows)
+    command = _compiler()
     # On Windows all code is position-independent, and a compiler's own DLL would be missing
     # elsewhere.
     own = ["-static-libgcc"] if windows else ["-fPIC"]
@@ -166,11 +166,11 @@ def _mathematics(windows: bool) -> list[str]:
     return [] if windows else ["-lm"]
 
 
-def _compiler(windows: bool) -> list[str]:
+def _compiler() -> list[str]:
     """Return the C compiler with its options: those of the environment variable CC, if set."""
     given = os.environ.get("CC", "").strip()
     whole = shutil.which(given) if given else None
-    parts = shlex.split(given, posix=not windows)  # such as "ccache gcc -m64"
+    parts = split_command(given)  # such as "ccache gcc -m64"
     commands = [[whole]] if whole else [parts] if parts else [[word] for word in COMPILERS]
     for compiler, *options in commands:
         if Path(compiler).stem.lower() in ("cl", "clang-cl"):

@@ -22,7 +22,7 @@ from splitband.data.signals import unit_of
 from splitband.export import c
 from splitband.export.compiling import libraries
 from splitband.export.program import Program
-from splitband.runtime.errors import InputError
+from splitband.runtime.errors import InputError, missing
 from splitband.simulators.fmu_unit import SIGNALS
 
 HEADERS = "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"
@@ -86,7 +86,7 @@ def _sources(program: Program, numbers: Sequence[Variable]) -> tuple[dict[str, b
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise InputError('an FMU needs FMPy: pip install "splitband[fmu]"') from None
+        raise missing("an FMU", "FMPy", "fmu") from None
     # Its own names, which no file of the FMU and no header of FMI can have.
     model = f"{program.name}_model"
     header, source = c.render(replace(program, name=model), "double")

@@ -11,13 +11,13 @@ import numpy.typing as npt
 from splitband.export.c_statements import Precision
 from splitband.export.graph import Block, Node, Symbol
 from splitband.export.program import Program, size
-from splitband.runtime.errors import InputError
+from splitband.runtime.errors import InputError, missing
 
 try:
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 except ImportError:
-    raise InputError("ONNX needs the package onnx: pip install 'splitband[onnx]'") from None
+    raise missing("ONNX", "the package onnx", "onnx") from None
 
 OPSET, IR_VERSION = 18, 9
 """Versions of operators and file format, which onnxruntime reads from its version 1.16 on."""

@@ -38,7 +38,7 @@ from splitband.forecasters.simulation import simulations
 from splitband.runtime import outputs
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import replacing, to_json
+from splitband.runtime.files import replacing, to_json, write_text
 from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
 from splitband.simulators.base import Absent
@@ -95,8 +95,7 @@ def save(
         with replacing(weights) as new:
             new.write_bytes(content)
     try:
-        with replacing(folder / FILE) as new:
-            new.write_text(text, encoding="utf-8")
+        write_text(folder / FILE, text)
     finally:
         _remove_outdated(folder)
 

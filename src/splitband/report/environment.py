@@ -30,7 +30,13 @@ def _commit() -> str | None:
     try:
         commit, changed = (
             subprocess.run(
-                ["git", *command], cwd=root, capture_output=True, text=True, timeout=10, check=True
+                ["git", *command],
+                cwd=root,
+                capture_output=True,
+                encoding="utf-8",
+                errors="replace",
+                timeout=10,
+                check=True,
             ).stdout.strip()
             for command in (
                 ("rev-parse", "--short=12", "HEAD"),

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
@@ -21,7 +19,14 @@ from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, tenths
 from splitband.report.predicted import Predicted, predicted
 from splitband.report.table import labels_of, ordered
+from splitband.runtime.errors import missing
 from splitband.runtime.files import replacing
+
+try:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+except ImportError:
+    raise missing("a plot", "matplotlib", "plot") from None
 
 MEASURED = "black"
 SMALL_ACROSS = 4

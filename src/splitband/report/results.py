@@ -30,7 +30,7 @@ from splitband.report.page.parts import Usage
 from splitband.report.predicted import Predicted, predicted
 from splitband.report.table import Table, columns, tried
 from splitband.runtime.deadlines import now
-from splitband.runtime.files import replacing
+from splitband.runtime.files import write_text
 from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
 
 MODEL_FOLDER = "model"
@@ -53,8 +53,7 @@ def save(
         every, tests = predicted(comparison), len(comparison.tests)
         tables = {TEST_PREDICTIONS.format(i + 1): [every[i]] for i in range(tests)}
         for name, shown in {**tables, "predictions.csv": every[tests:]}.items():
-            with replacing(new / name) as temporary:
-                samples(shown, comparison.recommended).to_csv(temporary, index=False)
+            write_text(new / name, csv_of(samples(shown, comparison.recommended)))
         page = _page()
         page.of_comparison(comparison, new / PAGE, usage)
         comparison.model.save(new / MODEL_FOLDER)
@@ -157,6 +156,11 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
+def csv_of(table: pd.DataFrame) -> str:
+    """Return a table as CSV; its lines end alike on every system."""
+    return table.to_csv(index=False, lineterminator="\n")
+
+
 def save_check(
     check: ModelCheck, folder: Path, model: Forecaster, responses: Responses | None, usage: Usage
 ) -> None:
@@ -192,8 +196,7 @@ def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) ->
     """
     page = _page()
     with staged(folder) as new:
-        with replacing(new / "forecast.csv") as temporary:
-            result.prediction.to_frame().to_csv(temporary, index=False)
+        write_text(new / "forecast.csv", csv_of(result.prediction.to_frame()))
         page.of_forecast(result, new / PAGE, usage)
         result.model.save(new / MODEL_FOLDER)
         facts = forecast_facts(result) | {"time": result.clock.as_json()}

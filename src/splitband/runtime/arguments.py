@@ -47,7 +47,9 @@ def check_device(name: Any) -> None:
     import torch  # noqa: PLC0415  only where another device is asked for
 
     try:
-        torch.zeros(1, device=name).item()
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        torch.zeros(1, dtype=torch.float64, device=name).item()
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"device must be one that is there, got {name}: {reason}") from None
+        raise InputError(
+            f"device must be one that is there and has float64, got {name}: {reason}"
+        ) from None

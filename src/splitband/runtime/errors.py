@@ -11,6 +11,14 @@ class InputError(ValueError):
     """
 
 
+def missing(what: str, package: str, extra: str) -> InputError:
+    """Return the error for an optional package that is not installed, with the command for it.
+
+    The quotes are those that the shells of every system understand.
+    """
+    return InputError(f'{what} needs {package}: pip install "splitband[{extra}]"')
+
+
 def one_line(error: BaseException) -> str:
     """Return the message of another library's error on one line."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from splitband.runtime.errors import InputError
+from splitband.runtime.system import move
 
 CHECKPOINTS = ".splitband-checkpoints"
 """Folder for checkpoints, in that of the results; removed once the results are written."""
@@ -27,13 +28,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
     try:
         # The permissions are those of any new file, and an existing one, or a link, is refused.
-        temporary.open("x").close()
+        temporary.open("xb").close()
         try:
             yield temporary
-            # On the disk before it is renamed, so that a power cut leaves no empty file.
-            with temporary.open("rb") as written:
+            # On the disk before it is renamed, so that a power cut leaves no empty file. Windows
+            # does that only for a file that is open for writing.
+            with temporary.open("r+b") as written:
                 os.fsync(written.fileno())
-            temporary.replace(path)
+            move(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
@@ -43,18 +45,21 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text, with the same bytes on every system: UTF-8, lines that end with a newline."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode())
+
+
 def write_json(path: str | Path, value: Any) -> None:
     """Write `value` as indented JSON; NaN and infinity, which JSON lacks, are refused."""
-    text = to_json(value)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, to_json(value))
 
 
 def write_json_lines(path: str | Path, value: dict[str, Any]) -> None:
     """Write `value` as a JSON object with a line for each key: compact, and easy to diff."""
     lines = [f"{json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items()]
-    with replacing(path) as temporary:
-        temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def to_json(value: Any) -> str:

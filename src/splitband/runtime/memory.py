@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
-import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from splitband.runtime import system
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Numbers of M_TRIM_THRESHOLD and M_MMAP_THRESHOLD in malloc.h."""
@@ -28,7 +28,7 @@ def freed_memory_kept() -> Iterator[None]:
     threads train, the first to end lowers them for all. Other C libraries have none, and nothing
     is done.
     """
-    libc = _glibc()
+    libc = system.glibc()
     if libc is None:
         yield
         return
@@ -40,7 +40,3 @@ def freed_memory_kept() -> Iterator[None]:
         libc.mallopt(_MMAP_THRESHOLD, _USUAL)
         libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
         libc.malloc_trim(0)
-
-
-def _glibc() -> ctypes.CDLL | None:
-    return ctypes.CDLL(None) if platform.libc_ver()[0] == "glibc" else None

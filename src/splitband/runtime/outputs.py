@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -17,6 +18,7 @@ from filelock import BaseFileLock, FileLock, Timeout
 
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import output_folder, write_json
+from splitband.runtime.system import in_use, move
 
 FACTS = "results.json"
 """File that describes a result and lists its files; it is written last, so all of them exist."""
@@ -32,6 +34,8 @@ its model are removed."""
 DESCRIPTION, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
 """Files of a saved forecaster."""
 LOCK = ".splitband-lock"
+_OPEN = "Open in another program; close it there and give the same command again"
+"""What to say of a file of an earlier result that cannot be replaced."""
 _NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
 
 
@@ -86,7 +90,10 @@ def files_of_result(folder: Path) -> set[str]:
 
 
 def _replace(folder: Path, new: Path) -> None:
-    """Move the new files over those of the earlier result, results.json last."""
+    """Move the new files over those of the earlier result, results.json last.
+
+    Raises OSError, before anything is moved, for a file that another program has open.
+    """
     files = [path.relative_to(new) for path in new.rglob("*") if path.is_file()]
     names = {file.as_posix() for file in files}
     outdated = files_of_result(folder)
@@ -95,15 +102,17 @@ def _replace(folder: Path, new: Path) -> None:
         if file.name == DESCRIPTION:  # names of weights depend on their content
             weights = (folder / file.parent).glob(WEIGHTS.format("*"))
             outdated |= {path.relative_to(folder).as_posix() for path in weights}
+    if (busy := in_use(folder / name for name in sorted(names | outdated))) is not None:
+        raise PermissionError(errno.EACCES, _OPEN, str(busy))
     if (folder / FACTS).exists():
-        (folder / FACTS).replace(folder / _EARLIER)  # it still lists what to remove
+        move(folder / FACTS, folder / _EARLIER)  # it still lists what to remove
     # A model's description is moved after its weights, so that it always finds its own.
     for name in sorted(names - {FACTS}, key=lambda name: (name.endswith(".json"), name)):
-        (new / name).replace(folder / name)
+        move(new / name, folder / name)
     for name in outdated - names:
         (folder / name).unlink(missing_ok=True)
     if FACTS in names:
-        (new / FACTS).replace(folder / FACTS)
+        move(new / FACTS, folder / FACTS)
     (folder / _EARLIER).unlink(missing_ok=True)
 
 
@@ -123,11 +132,17 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
     try:
         output_folder(folder, argument)
         _lock(lock, folder, argument)
+        if (busy := in_use(folder / name for name in files_of_result(folder))) is not None:
+            raise InputError(
+                f"{argument} must not hold a result that another program has open, got {busy}: "
+                "close it there"
+            )
         yield
     finally:
         if lock.is_locked:
             lock.release()
-            (folder / LOCK).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # the next command may have opened it already
+                (folder / LOCK).unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # it holds results
             for path in created:
                 path.rmdir()

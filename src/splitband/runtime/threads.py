@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import threading
 import warnings
@@ -111,8 +110,3 @@ def without_warnings(category: type[Warning]) -> Iterator[None]:
     with _WARNING, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
         yield
-
-
-def available_cores() -> int:
-    """Return how many cores this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

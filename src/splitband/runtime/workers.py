@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
-import multiprocessing.resource_tracker
 import os
 import shutil
 import signal
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing.connection import wait as wait_for
 from typing import ParamSpec, TypeVar, final
 
 from pebble import ProcessExpired, ProcessPool
 
 from splitband.runtime.deadlines import NEVER, Deadline
+from splitband.runtime.system import interrupts_blocked, start_resource_tracker
 from splitband.runtime.threads import one_thread
 
 Job = TypeVar("Job")
@@ -59,8 +60,8 @@ class Workers(Executor):
             given = self._folder.name, dict(os.environ)
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPool(self._count, 0, _begin, given, context)
-            multiprocessing.resource_tracker.ensure_running()  # which unblocks signals
-        with _without_interrupts():
+            start_resource_tracker()
+        with interrupts_blocked():
             future: Future[Result] = self._pool.schedule(fn, args, kwargs)
         return future
 
@@ -73,26 +74,12 @@ class Workers(Executor):
             self._folder.cleanup()
 
 
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Block Ctrl-C in threads that start in this context, and so in the processes they start.
-
-    A process that Ctrl-C reaches while it loads would complain.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _begin(folder: str, environment: Mapping[str, str]) -> None:
     """Prepare a worker process."""
     os.environ.update(environment)
-    tempfile.tempdir = os.environ["TMPDIR"] = folder
+    tempfile.tempdir = folder
+    # By the names that programs look for on POSIX and on Windows.
+    os.environ.update(dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
@@ -104,6 +91,17 @@ def _end_with_parent(folder: str) -> None:
         wait_for([parent.sentinel])
         shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
+
+
+def result_of(future: Future[Result], seconds: float | None = None) -> Result:
+    """Return the result of a job, or raise its error; raises TimeoutError after so many seconds.
+
+    Ctrl-C is noticed within a `TICK`: on Windows nothing interrupts a wait.
+    """
+    until = math.inf if seconds is None else time.monotonic() + seconds
+    while not future.done() and (left := until - time.monotonic()) > 0:
+        wait([future], min(TICK, left))
+    return future.result(0)
 
 
 def run_jobs(

@@ -21,7 +21,11 @@ import numpy as np
 from splitband.data.signals import bare_name
 from splitband.runtime.errors import InputError
 
-_INSTALLED = "site-packages", "dist-packages"
+_INSTALLED = {"site-packages", "dist-packages"}
+# On Windows, Python's own compiled modules lie in a folder beside its library.
+_OWN = Path(__file__).parents[1], Path(get_path("stdlib")), Path(sys.base_prefix, "DLLs")
+_OURS = {each.resolve() for each in _OWN}
+"""Folders of this package and of Python."""
 
 
 # ---------------------------------------------------------------- arguments
@@ -155,8 +159,7 @@ def content_digest(files: Iterable[str | Path]) -> str:
 
 
 def _of_the_user(path: Path) -> bool:
-    known = {Path(__file__).resolve().parents[1], Path(get_path("stdlib")).resolve()}
-    return not (known & set(path.parents) or set(_INSTALLED) & set(path.parts))
+    return not (_OURS & set(path.parents) or _INSTALLED & set(path.parts))
 
 
 # ---------------------------------------------------------------- identity

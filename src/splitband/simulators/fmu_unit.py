@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from zipfile import ZipFile
 
 from splitband.data.signals import bare_name
-from splitband.runtime.errors import InputError
+from splitband.runtime.errors import InputError, missing
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"
 """Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs can be read at once."""
@@ -222,7 +222,7 @@ def _fmpy() -> Any:
     try:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
-        raise InputError('an FMU needs FMPy: pip install "splitband[fmu]"') from None
+        raise missing("an FMU", "FMPy", "fmu") from None
     return fmpy
 
 

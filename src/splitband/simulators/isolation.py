@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import runpy
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,8 @@ from pebble import ProcessExpired
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError, one_line
-from splitband.runtime.workers import Workers
+from splitband.runtime.system import end_group, lead_group
+from splitband.runtime.workers import Workers, result_of
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Start
 from splitband.simulators.code import content_digest, count_arguments, loaded_files
 from splitband.simulators.fmu import Fmu
@@ -77,20 +77,18 @@ class Isolated:
         Raises SimulatorTimeoutError after the timeout; the process is then killed. Raises
         SimulatorError if the simulator fails, with its message, or ends its process.
         """
-        workers, group = Workers(1), None
+        workers, head = Workers(1), None
         try:
-            group = workers.submit(_own_group).result()
-            values, self.files = workers.submit(_simulated, self, time, u).result(self.timeout)
+            head = result_of(workers.submit(lead_group))
+            task = workers.submit(_simulated, self, time, u)
+            values, self.files = result_of(task, self.timeout)
         except TimeoutError:
             raise SimulatorTimeoutError(f"within {self.timeout:g} s") from None
         except ProcessExpired as error:
-            code = error.exitcode
-            how = f"signal {-code}" if code < 0 else f"exit status {code}"
-            raise SimulatorError(f"it ended its process ({how})") from None
+            raise SimulatorError(f"it ended its process ({_how(error.exitcode)})") from None
         finally:
-            if group is not None:  # with the processes that it has started
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.killpg(group, signal.SIGKILL)
+            if head is not None:  # with the processes that it has started
+                end_group(head)
             workers.shutdown()
         return values
 
@@ -107,19 +105,19 @@ class Isolated:
         return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0}"
 
 
-def _own_group() -> int | None:
-    """Make this process the head of a group, which is killed as one, and return the group."""
-    if not hasattr(os, "setsid"):
-        return None
-    os.setsid()
-    return os.getpid()
+def _how(code: int) -> str:
+    """Return how a process ended: by a signal or, on Windows, by an error such as 0xC0000005."""
+    if code < 0:
+        return f"signal {-code}"
+    return f"exit status {code if code < 256 else f'0x{code:X}'}"
 
 
 def _simulated(
     task: Isolated, time: Array, u: Array | None = None
 ) -> tuple[npt.NDArray[Any], Sequence[str]]:
     """Return the output, and the files of the user's modules that were imported for it."""
-    os.dup2(_STDERR, _STDOUT)
+    with contextlib.suppress(OSError):  # a program without a console has neither
+        os.dup2(_STDERR, _STDOUT)
     try:
         values = np.asarray(simulate(task, time, u))
         values = values.astype(float) if values.dtype == object else values
@@ -129,7 +127,8 @@ def _simulated(
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
         raise SimulatorError(f"{kind}{one_line(error)}") from None
     finally:
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     return values, loaded_files()
 
 

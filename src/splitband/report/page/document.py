@@ -19,7 +19,7 @@ from splitband.report.colors import DARK, PALETTE
 from splitband.report.page import pages
 from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Page, Usage, template
-from splitband.runtime.files import replacing
+from splitband.runtime.files import write_text
 
 
 def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
@@ -34,9 +34,7 @@ def of_forecast(result: Forecast, path: str | Path, usage: Usage | None = None) 
 
 def write(page: Page, path: str | Path) -> None:
     """Write a page, whole or not at all."""
-    text = html(page)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, html(page))
 
 
 def html(page: Page) -> str:
