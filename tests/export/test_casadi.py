@@ -158,5 +158,5 @@ def test_what_has_no_casadi_function_is_named() -> None:
 def test_casadi_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "splitband.export.casadi_graph")
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(ValueError, match=r"pip install 'splitband\[casadi\]'"):
+    with pytest.raises(ValueError, match=r'pip install "splitband\[casadi\]"'):
         sb.Mean().fit(free()).as_casadi()

@@ -22,7 +22,7 @@ from splitband.data.signals import unit_of
 from splitband.export import c
 from splitband.export.compiling import libraries
 from splitband.export.program import Program
-from splitband.runtime.errors import InputError, missing
+from splitband.runtime.errors import missing
 from splitband.simulators.fmu_unit import SIGNALS
 
 HEADERS = "fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"
