@@ -79,9 +79,9 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
     kind = in_words(best, result.methods)
     why = " ".join(words.why(trial, plan.train))
     showing.console.print(f"\nrecommended: {words.named(best, kind)}. {why}")
-    method = result.methods[best]
-    if isinstance(method, Network) and method.bands is not None:
-        showing.console.print(words.of_bands(plan.bands, plan.training))
+    fitted = result.fits[best][0].fitted
+    if isinstance(fitted, Network) and fitted._trained_in is not None:
+        showing.console.print(words.of_bands(fitted._trained_in, plan.training))
     choice = plan.bands.choice
     if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
         showing.console.print("hybrid models are left out; --methods brings them back")
