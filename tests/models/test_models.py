@@ -36,7 +36,7 @@ def trained(method: str, trajectory: Record) -> Model:
 
 NAMES = [
     *("gru", "state-space", "split-gru", "split-gru-hp", "split-gru-conditioned"),
-    *("residual-gru", "filtered-gru-conditioned"),
+    *("residual-gru", "filtered-gru-conditioned", "filtered-high-gru-conditioned"),
 ]
 """One of each kind of model."""
 

@@ -69,7 +69,7 @@ class Network(Forecaster):
     bands: Bands | None = None
     """The frequency bands, where it filters."""
     conditioned: bool = False
-    """Whether the other component is an input of the network; of two, of the fast one."""
+    """Whether one component is an input of the network of the other."""
     simulator_band: Band = "low"
     """The band of the base, in a hybrid with filters."""
     model: Model | None = None

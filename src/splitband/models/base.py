@@ -69,7 +69,7 @@ class Model(nn.Module, ABC):
     feedthrough = False
     """Whether the step to a sample also uses the inputs of that sample."""
     conditioned = False
-    """Whether the slow component is an input of the fast network."""
+    """Whether one component is an input of the network of the other."""
     uses_simulator = False
     """Whether a simulator's output is a component of the model."""
     steps: ClassVar[type[Stepped] | None] = None
