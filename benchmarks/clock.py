@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
@@ -89,23 +89,34 @@ def main() -> None:
     parser.add_argument("--beside", type=int, default=0, metavar="N")
     parser.add_argument("--out", type=Path, default=Path("docs/results/benchmarks"))
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / FILE
-    there = {(row["record"], row["asked"], row["seed"], row["beside"]) for row in read(path)}
-    for name, budget, seed in product(given.records, given.budgets, range(given.seeds)):
-        key = (name, seconds(budget), seed, given.beside)
-        if key in there:
+    asked = product(given.records, given.budgets, range(given.seeds))
+    rows: list[Row] = [
+        {"record": name, "asked": seconds(budget), "seed": seed, "beside": given.beside}
+        for name, budget, seed in asked
+    ]
+    complete(given.out / FILE, rows, lambda row, to: measured(RECORDS[row["record"]](to), row, to))
+
+
+def complete(path: Path, rows: Iterable[Row], run: Callable[[Row, Path], Row]) -> None:
+    """Run what is missing in a file, and append each run as it ends.
+
+    A run is missing where no line has all the values of its row; `run` completes the row, with a
+    folder for its files.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    there = read(path)
+    for row in rows:
+        if any(row.items() <= each.items() for each in there):
             continue
-        row: Row = dict(zip(("record", "asked", "seed", "beside"), key, strict=True))
         with tempfile.TemporaryDirectory() as folder:
             try:
-                row = measured(RECORDS[name](Path(folder)), row, Path(folder))
+                found = run(row, Path(folder))
             except subprocess.SubprocessError as error:  # the next call tries it again
                 print(f"{row}: {error}", file=sys.stderr, flush=True)
                 continue
         with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-        print(row, flush=True)
+            file.write(json.dumps(found) + "\n")
+        print(found, flush=True)
 
 
 def read(path: Path) -> list[Row]:

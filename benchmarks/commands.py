@@ -31,7 +31,7 @@ def public(name: str, folder: Path) -> list[str]:
 
 def alone(make: Callable[[np.random.Generator], Record], folder: Path) -> list[str]:
     """Return the arguments for a drawn record, whose last quarter is forecast."""
-    return _written(make(np.random.default_rng(0)), folder / "record.csv")
+    return written(make(np.random.default_rng(0)), folder / "record.csv")
 
 
 def wiener_hammerstein(folder: Path) -> list[str]:
@@ -62,7 +62,8 @@ RECORDS: dict[str, Callable[[Path], list[str]]] = {
 }
 
 
-def _written(record: Record, path: Path) -> list[str]:
+def written(record: Record, path: Path) -> list[str]:
+    """Write a record to a CSV file, without its simulator; return the arguments that name it."""
     names = ["time", *record.inputs, *record.columns]
     u = np.empty((len(record), 0)) if record.u is None else record.u
     table = np.column_stack([record.sampling_time * np.arange(len(record)), u, record.y_with_gaps])
@@ -71,7 +72,7 @@ def _written(record: Record, path: Path) -> list[str]:
 
 
 def _with_tests(record: Record, tests: Sequence[Record], folder: Path) -> list[str]:
-    words = _written(record, folder / "record.csv")
+    words = written(record, folder / "record.csv")
     for i, test in enumerate(tests, 1):
-        words += ["--test", _written(test, folder / f"test{i}.csv")[0]]
+        words += ["--test", written(test, folder / f"test{i}.csv")[0]]
     return words

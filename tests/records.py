@@ -28,7 +28,9 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The method of that name."""
-        return with_defaults(named(name, self.sizes), self.settings, self.bands)
+        return with_defaults(
+            named(name, self.sizes), self.settings, self.bands, self.bands, self.bands
+        )
 
     @property
     def options(self) -> dict[str, Any]:

@@ -74,6 +74,12 @@ WITH_INPUTS: dict[str, Callable[[], sb.Forecaster]] = {
         sb.GRU(4), sb.GRU(5), sb.Bands(1.0, 1, 1), conditioned=True, settings=SHORT
     ),
     "filtered": lambda: sb.Filtered(None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT),
+    "filtered high": lambda: sb.Filtered(
+        None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT, simulator_band="high"
+    ),
+    "filtered high at one rate": lambda: sb.Filtered(
+        None, sb.GRU(5), sb.Bands(1.0, 2, 1), True, SHORT, simulator_band="high"
+    ),
     "residual of linear": lambda: sb.Residual(
         sb.Linear(), sb.GRU(5), conditioned=True, settings=SHORT
     ),
@@ -88,6 +94,9 @@ WITHOUT: dict[str, Callable[[], sb.Forecaster]] = {
         sb.GRU(4), sb.GRU(5), BANDS, conditioned=True, settings=SHORT
     ),
     "filtered": lambda: sb.Filtered(None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT),
+    "filtered high": lambda: sb.Filtered(
+        None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT, simulator_band="high"
+    ),
     "filtered periodic": lambda: sb.Filtered(
         sb.Periodic(), sb.GRU(5), BANDS, conditioned=True, settings=SHORT
     ),

@@ -89,3 +89,43 @@ def test_the_facts_of_a_record_are_made_once(recommendation: Any, tmp_path: Path
     assert facts["over_baselines"] == 1.0
     job.path.write_text(json.dumps(facts | {"regret": 7.0}), encoding="utf-8")
     assert recommendation._measured(job)["regret"] == 7.0
+
+
+def test_the_families_are_drawn_from_their_seeds_and_tabled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    families = importlib.import_module("benchmarks.families")
+    for make in families.FAMILIES.values():
+        one, again, other = (make(np.random.default_rng(seed)) for seed in (1000, 1000, 1001))
+        assert np.array_equal(one.y, again.y)
+        assert np.array_equal(one.y_sim, again.y_sim)
+        assert not np.array_equal(one.y, other.y)
+        assert len(one) == families.SAMPLES
+    row = {"draw": 1000, "cutoff": None, "recommended": "gru", "regret": 2.0}
+    rows = [
+        row | {"errors": {"gru": 1.0, "filtered-gru": 0.5}, "floors": {"low": 0.25}},
+        row | {"errors": {"filtered-gru": 0.4}, "cutoff": 0.2},
+    ]
+    table = families.table("crane", rows)
+    assert "| `filtered-gru` | 1 | 0.5 (0.5 to 0.5) |  |\n| `gru` | 1 | 1 (1 to 1) | 1 |" in table
+    assert "Regret of the recommendation: 2 (2 to 2)." in table
+    assert "low band: 0.25 (0.25 to 0.25). Error at the chosen" in table
+    assert "at the best: 1.25 (1.25 to 1.25)." in table
+
+
+def test_a_run_that_is_there_is_not_run_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    clock = importlib.import_module("benchmarks.clock")
+    rows, seen = [{"record": name, "asked": 30.0} for name in ("a", "b")], list[str]()
+
+    def run(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+        seen.append(row["record"])
+        return row | {"errors": [1.0]}
+
+    for some in (rows[:1], rows, [rows[0] | {"asked": 60.0}]):
+        clock.complete(tmp_path / "runs.jsonl", some, run)
+    assert seen == ["a", "b", "a"]
+    assert len(clock.read(tmp_path / "runs.jsonl")) == 3

@@ -8,7 +8,8 @@ from tests.streams import fitted
 KINDS = (
     "persistence", "linear", "rnn", "state-space", "split, conditioned, +HP", "filtered",
     "residual of linear", "ensemble", "seasonal-naive, no inputs", "periodic, no inputs",
-    "split, conditioned, no inputs", "filtered, no inputs",
+    "split, conditioned, no inputs", "filtered, no inputs", "filtered high",
+    "filtered high at one rate", "filtered high, no inputs",
 )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ class Instance:
         return self._tick(False, **signals)
 
 
-@pytest.mark.parametrize("name", ["linear", "filtered", "ensemble"])
+@pytest.mark.parametrize("name", ["linear", "filtered", "filtered high", "ensemble"])
 def test_an_fmu_says_what_a_stream_says(name: str, tmp_path: Path) -> None:
     forecaster, record = fitted(name)
     file = tmp_path / "rig.fmu"

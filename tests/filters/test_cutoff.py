@@ -167,6 +167,19 @@ def test_a_simulator_has_the_say_up_to_where_it_agrees() -> None:
     assert cutoffs[0] < cutoffs[-1]
 
 
+def test_a_simulator_that_drifts_has_the_say_from_where_it_agrees() -> None:
+    """Right at 2 Hz, and a slow error decides how far down the cut-off goes."""
+    y, right = sine(0.05) + sine(2.0), sine(2.0) + 3 + 0.01 * TIME[:, None]
+    slower, faster = (
+        choose_with_simulator(y, right + wrong, RATE, WARMUP, simulator_band="high")
+        for wrong in (0, sine(0.3, 0.3))
+    )
+    assert slower.simulator_helps
+    assert faster.simulator_helps
+    assert slower.cutoff < faster.cutoff < 2.0
+    assert "of the power that the high-pass filter passes" in slower.reason
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_a_simulator_that_knows_nothing_is_said_to_be_no_help(seed: int) -> None:
     choice = choose_with_simulator(sine(0.2) + sine(1.5, 0.5), noise(seed), RATE, WARMUP)

@@ -33,6 +33,9 @@ MODELS: dict[str, Callable[[], sb.Forecaster]] = {
     "median": lambda: sb.Ensemble([*(sb.Single(sb.GRU(n), SETTINGS) for n in (3, 2)), sb.Linear()]),
     "split": lambda: sb.Split(sb.GRU(3), sb.GRU(3), BANDS, settings=SETTINGS),
     "filtered": lambda: sb.Filtered(None, sb.GRU(3), BANDS, conditioned=True, settings=SETTINGS),
+    "filtered high": lambda: sb.Filtered(
+        None, sb.GRU(3), BANDS, conditioned=True, settings=SETTINGS, simulator_band="high"
+    ),
     "residual": lambda: sb.Residual(sb.Linear(), sb.GRU(3), settings=SETTINGS),
 }
 

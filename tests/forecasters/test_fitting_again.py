@@ -17,6 +17,9 @@ OPEN = {
     "split": sb.Split(GRU(3), GRU(3), settings=SETTINGS),
     "part of the bands": sb.Split(GRU(3), GRU(3), Bands(order=2), settings=SETTINGS),
     "filtered": sb.Filtered(sb.Function(lambda t: np.sin(2 * t)), GRU(3), settings=SETTINGS),
+    "filtered high": sb.Filtered(
+        sb.Function(lambda t: np.sin(31 * t) + t), GRU(3), settings=SETTINGS, simulator_band="high"
+    ),
     "settings": sb.Single(GRU(3)),
 }
 

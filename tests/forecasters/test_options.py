@@ -23,6 +23,7 @@ MADE: dict[str, Forecaster] = {
     "split": sb.Split(sb.GRU(2), sb.GRU(3), BANDS, filter_output=True, settings=SETTINGS),
     "open bands": sb.Split(sb.GRU(2), sb.GRU(3), conditioned=True, settings=SETTINGS),
     "filtered": sb.Filtered(sb.Calibrated(), sb.GRU(4), BANDS, settings=SETTINGS),
+    "filtered high": sb.Filtered(None, sb.GRU(4), settings=SETTINGS, simulator_band="high"),
     "on a baseline": sb.Residual(sb.Periodic(), sb.GRU(4), conditioned=True, settings=SETTINGS),
     "baseline": sb.Harmonic(),
     "simulator": sb.Calibrated(terms=["gain", "offset"]),

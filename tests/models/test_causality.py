@@ -10,7 +10,7 @@ import torch
 
 from splitband import GRU, ComplementaryPair, EulerMLP
 from splitband.filters import butterworth
-from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
+from splitband.models import Filtered, FilteredHigh, Model, Recurrent, Residual, Signals, Split
 from tests.support import Scripted
 from tests.support import simulated as summed
 
@@ -22,6 +22,7 @@ Y, Y_SIM = RNG.standard_normal((2, 50, NY)), RNG.standard_normal((47 + STEPS, NY
 U = RNG.standard_normal((47 + STEPS, NU))
 PAIR = ComplementaryPair.butterworth(0.2, 10.0)
 ONE_WAY = ComplementaryPair.perfect(*butterworth(0.5, 10.0, 2), 10.0)
+UPPER = ComplementaryPair.perfect(*butterworth(0.5, 10.0, 2, "high"), 10.0, "high")
 
 
 def gru(nu: int, told: int = 0) -> GRU:
@@ -43,6 +44,9 @@ FILTERED_AFTERWARDS = {"split + HP, k = 3": split(3, hp=True)}
 HYBRID: dict[str, Callable[[int], Model]] = {
     "filtered": lambda nu: Filtered(gru(nu), ONE_WAY),
     "residual": lambda nu: Residual(gru(nu)),
+    "filtered high, k = 1": lambda nu: FilteredHigh(gru(nu), UPPER),
+    "filtered high, k = 3": lambda nu: FilteredHigh(gru(nu), UPPER, 3),
+    "filtered high, k = 3, conditioned": lambda nu: FilteredHigh(gru(nu, 4), UPPER, 3, True),
 }
 CONDITIONED: dict[str, Callable[[int], Model]] = {
     "filtered, conditioned": lambda nu: Filtered(gru(nu, 4), ONE_WAY, conditioned=True),
@@ -59,6 +63,9 @@ AT_ONCE: dict[str, Callable[[int], Model]] = {
     ),
     "residual, feedthrough": lambda nu: Residual(gru(2 * nu), False, nu > 0),
     "filtered, feedthrough": lambda nu: Filtered(gru(2 * nu), ONE_WAY, False, nu > 0),
+    "filtered high, conditioned, feedthrough": lambda nu: FilteredHigh(
+        gru(2 * nu, 4), UPPER, 1, True, nu > 0
+    ),
 }
 ALL = LEARNED | FILTERED_AFTERWARDS | HYBRID | CONDITIONED | AT_ONCE
 
@@ -76,8 +83,7 @@ def built(name: str, nu: int) -> Model:
 def simulated(
     model: Model, warmup: int, u: Array | None, y_sim: Array = Y_SIM, steps: int = STEPS
 ) -> Array:
-    hybrid = isinstance(model, Filtered | Residual)
-    return summed(model, Y[0, :warmup], steps, u, y_sim if hybrid else None)
+    return summed(model, Y[0, :warmup], steps, u, y_sim if model.uses_simulator else None)
 
 
 @pytest.mark.parametrize("name", ALL)

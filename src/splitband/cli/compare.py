@@ -99,6 +99,6 @@ def _explain(result: Comparison, called: Mapping[str, str]) -> None:
     say(" ".join(words.why(result.require_trial(), plan.train, called)))
     for verdict in words.verdicts(result):
         say(f"residual tests: {verdict}")
-    method = result.methods[result.recommended]
-    if isinstance(method, Network) and method.bands is not None:
-        say(words.of_bands(plan.bands, plan.training))
+    fitted = result.fits[result.recommended][0].fitted
+    if isinstance(fitted, Network) and fitted._trained_in is not None:
+        say(words.of_bands(fitted._trained_in, plan.training))

@@ -11,8 +11,9 @@ from typing import Any
 
 from splitband.data import Record, require_records
 from splitband.evaluation.checks import check, check_limits, check_needs, check_train, check_trial
+from splitband.filters import Band
 from splitband.forecasters.backtest import BacktestSpec, Origin, first_origin, held_out_origins
-from splitband.forecasters.bands import Bands
+from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import (
@@ -57,6 +58,7 @@ class Plan:
     extended : Whether a network on the best baseline is a method, too, if it is the best one.
     tests : Records that nothing is fitted to, with distinct names.
     simulator : Simulator whose parameters are fitted, for methods without one.
+    high : Bands of hybrids with the simulator in the high band.
     train, horizon, others, initial, budget, rounds, seed, seeds, refit : See `plan`; decided.
     """
 
@@ -78,6 +80,7 @@ class Plan:
     seed: int = 0
     seeds: int | None = None
     refit: bool = False
+    high: Bands = field(default_factory=Bands)
 
     @property
     def training(self) -> Record:
@@ -128,13 +131,15 @@ class Plan:
 
     def as_json(self) -> dict[str, Any]:
         """Return what was decided, for a result file."""
-        bands = asdict(self.bands)
+        bands, high = asdict(self.bands), asdict(self.high)
+        choice, of_high = bands.pop("choice"), high.pop("choice")
         return (
             {"train": self.train, "settings": asdict(self.settings)}
-            | {name: bands[name] for name in ("cutoff", "order", "downsampling")}
+            | bands
+            | ({} if of_high is None else {"high": high})
             | asdict(self.sizes)
             | ({} if self.simulator is None else {"parameters": str(self.simulator.known)})
-            | {"choice": bands["choice"], "searched": [*self.searched]}
+            | {"choice": choice, "searched": [*self.searched]}
             | {name: getattr(self, name) for name in ("budget", "rounds", "seed", "seeds")}
         )
 
@@ -242,19 +247,22 @@ def plan(  # noqa: PLR0913
     listed = [_known(each) for each in asked]
     if names is not None:
         check_needs(listed, record, others)
-    chosen = chosen_bands(bands or Bands(), training, decided, listed)
+    chosen = chosen_bands(bands or OPEN, training, decided, listed)
+    high = OPEN
+    if (names is None and _wrong_below(chosen)) or _any_takes_bands(listed, "high"):
+        high = high_bands(bands or OPEN, training, decided)
     small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     named_sizes = sizes or small
     if names is None:
-        asked = _default_methods(record, chosen, fitted)
+        asked = _default_methods(record, chosen, high, fitted)
     if fitted is not None:
         check_runs(fitted, record)
     found = Plan(
         record, train, horizon, (), decided, chosen, named_sizes, others=tuple(others),
         tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
-        seeds=seeds, refit=refit,
+        seeds=seeds, refit=refit, high=high,
     )  # fmt: skip
-    found = _completed(found, asked, bands or Bands(), searched, sizes is None, device)
+    found = _completed(found, asked, bands or OPEN, searched, sizes is None, device)
     check_limits(budget, rounds, seed, seeds, bool(found.searched))
     limit = BUDGET if budget is None and rounds is None and found.searched else budget
     found = replace(
@@ -329,7 +337,7 @@ def _completed(
     made, names = list[Forecaster](), dict[str, bool]()
     for each in asked:
         method = _known(each, plan.sizes)
-        complete = with_defaults(method, plan.settings, plan.bands, given)
+        complete = with_defaults(method, plan.settings, plan.bands, given, plan.high)
         if isinstance(each, str) and plan.simulator is not None:
             complete = with_parts_changed(complete, partial(_with_simulator, plan.simulator))
         if searched and isinstance(complete, Network) and method.settings is None:
@@ -366,9 +374,9 @@ def chosen_bands(
     if methods is None:
         usual = default_names(training.y_sim is not None, training.nu > 0)
         methods = [known(name) for name in usual]
-    every = [part for method in methods for part in all_parts(method)]
-    if given.cutoff is None and not any(isinstance(p, Network) and p._takes_bands for p in every):
+    if given.cutoff is None and not _any_takes_bands(methods, "low"):
         return given
+    methods = [method for method in methods if not _any_takes_bands([method], "high")]
     below = [each for method in methods for part in parts_of(method) for each in all_parts(part)]
     y_sim, beside = None, [p for p in below if not parts_of(p) and "simulator" in p.needs]
     if training.y_sim is not None and beside:
@@ -378,6 +386,31 @@ def chosen_bands(
     with nullcontext() if given.cutoff is not None else suppress(ValueError):
         return given.chosen(training.y, training.sampling_rate, settings.warmup, y_sim)
     return given
+
+
+def high_bands(given: Bands, training: Record, settings: Settings | None = None) -> Bands:
+    """Return the bands of hybrids with the record's simulator in the high band.
+
+    What is given stays. The simulator is not calibrated: its drift would decide its gain. Settings
+    are by default the usual ones for such a record.
+    """
+    y, rate, y_sim = training.y, training.sampling_rate, training.y_sim
+    settings = settings or recipe_settings("default", training)
+    with nullcontext() if given.cutoff is not None else suppress(ValueError):
+        return given.chosen(y, rate, settings.warmup, y_sim, "high")
+    return given
+
+
+def _any_takes_bands(methods: Sequence[Forecaster], simulator_band: Band) -> bool:
+    """Return whether one of the methods takes a comparison's bands, of hybrids of this kind."""
+    every = [part for method in methods for part in all_parts(method)]
+    networks = [part for part in every if isinstance(part, Network)]
+    return any(p._takes_bands and p.simulator_band == simulator_band for p in networks)
+
+
+def _wrong_below(bands: Bands) -> bool:
+    """Return whether there is a simulator, and its low band does not help."""
+    return bands.choice is not None and bands.choice.simulator_helps is False
 
 
 def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
@@ -398,23 +431,29 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     return [*trained, "simulator", "simulator-calibrated", *naive]
 
 
-def usual_names(record: Record, bands: Bands) -> list[str]:
-    """Return `default_names`, without hybrids where the record's simulator does not help."""
+def usual_names(record: Record, bands: Bands, high: Bands = OPEN) -> list[str]:
+    """Return `default_names`, without hybrids where the record's simulator does not help.
+
+    Where it does not help in the low band, but in the high one, as a sensor that drifts, there is a
+    hybrid with the simulator there.
+    """
     names = default_names(record.y_sim is not None, record.nu > 0)
-    if bands.choice is None or bands.choice.simulator_helps is not False:
+    if not _wrong_below(bands):
         return names
     kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
     learned = default_names(False, record.nu > 0)
     trained = next(i for i, name in enumerate(learned) if name in QUICK)
-    return [*learned[:trained], *kept, *learned[trained:]]
+    helps = high.choice is not None and high.choice.simulator_helps
+    hybrids = ["filtered-high-gru-conditioned"] if helps else []
+    return [learned[0], *hybrids, *learned[1:trained], *kept, *learned[trained:]]
 
 
 def _default_methods(
-    record: Record, bands: Bands, simulator: Adjustable | None
+    record: Record, bands: Bands, high: Bands, simulator: Adjustable | None
 ) -> list[Forecaster | str]:
     """Return the default methods for a record; a simulator is also compared before its fit."""
     if simulator is None:
-        return [*usual_names(record, bands)]
+        return [*usual_names(record, bands, high)]
     middle = simulator.fixed(simulator.known.middle())
     names = with_base(default_names(True, record.nu > 0), GREY_BOX)
     at = names.index(GREY_BOX)

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from splitband.filters import ComplementaryPair
+from splitband.filters import Band, ComplementaryPair
 from splitband.filters.resampling import check_downsampling
 from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
@@ -36,9 +36,10 @@ MOST_ALIASED = 1e-3
 """Largest share of the power beyond the Nyquist frequency of the down-sampled low band. By eye."""
 LEFT_BY_NETWORK = 0.02
 """Share of the power that a network conditioned on the simulator is expected not to predict. From
-held-out errors of hybrids on (v) and (vi) (docs/results/rules.md)."""
+held-out errors of hybrids on (v) and (vi), with the simulator in the low band
+(docs/results/rules.md)."""
 WORTH_USING = 0.5
-"""The error of a simulator's low band must have less than this share of the power in that band.
+"""The error of a simulator's band must have less than this share of the power in that band.
 By eye."""
 _CUTOFFS = 24
 """Number of cut-offs that are tried, evenly spaced on a logarithmic scale. Bounds the time."""
@@ -58,8 +59,8 @@ class Candidate:
     cutoff : In Hz.
     order : Of each Butterworth filter.
     downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
-    passed : Share of the power that passes the low-pass filter. It differs from the share below
-        the cut-off, as the filter is not steep.
+    passed : Share of the power that passes the low-pass filter or, with a simulator, the filter of
+        its band. It differs from the share on that side of the cut-off, as the filter is not steep.
     loss : Criterion, as a share of the power, see `choose` and `choose_with_simulator`.
     """
 
@@ -81,7 +82,7 @@ class Choice:
     reason : Reason of the choice, in words.
     loss : Meaning of `Candidate.loss`, in words.
     candidates : All pairs that were considered, including the chosen one.
-    simulator_helps : Whether the simulator's low band is worth using; None without a simulator.
+    simulator_helps : Whether the simulator's band is worth using; None without a simulator.
     """
 
     cutoff: float
@@ -149,13 +150,14 @@ def choose_with_simulator(  # noqa: PLR0913
     cutoff: float | None = None,
     order: int | None = None,
     downsampling: int | None = None,
+    simulator_band: Band = "low",
 ) -> Choice:
-    """Choose the filter pair of a hybrid model whose low band comes from the simulator.
+    """Choose the filter pair of a hybrid model, one band of which comes from the simulator.
 
-    The pair minimises the expected error of the hybrid: the simulator's error after the low-pass
-    filter, plus the network's expected error (`LEFT_BY_NETWORK`) after the high-pass filter. Both
-    filters run one way, as in the model. A simulator that is wrong even in the chosen low band
-    (`WORTH_USING`) is better left out.
+    The pair minimises the expected error of the hybrid: the simulator's error after its filter,
+    plus the network's expected error (`LEFT_BY_NETWORK`) in the other band. Both filters run one
+    way, as in the model. A simulator that is wrong even in its own band (`WORTH_USING`) is better
+    left out.
 
     Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if the model uses the
     calibrated simulator.
@@ -167,16 +169,19 @@ def choose_with_simulator(  # noqa: PLR0913
     total = float(spectrum.density[1:].sum()) or 1.0
     power, error = (s.density.sum(axis=1) / total for s in (spectrum, errors))
     power[0] = error[0] = 0.0
-    offset = float(np.mean(wrong.mean(axis=0) ** 2))
+    below = simulator_band == "low"
+    # A high-pass filter removes an offset.
+    offset = float(np.mean(wrong.mean(axis=0) ** 2)) if below else 0.0
     candidates, wrongness = [], {}
     for f, pair in _pairs(y, sampling_rate, warmup, cutoff, order, downsampling):
-        response, _ = pair.one_way().response(spectrum.frequencies)
-        low, high = abs(response) ** 2, abs(1 - response) ** 2
-        k = downsampling or _downsampling(power * low, spectrum.frequencies, f, warmup)
-        passed, wrong_low = float(np.sum(low * power)), float(np.sum(low * error)) + offset
-        left = wrong_low + LEFT_BY_NETWORK * float(np.sum(high * power))
+        response = pair.one_way().response(spectrum.frequencies)[0 if below else 1]
+        own, rest = abs(response) ** 2, abs(1 - response) ** 2
+        low = power * (own if below else rest)
+        k = downsampling or _downsampling(low, spectrum.frequencies, f, warmup)
+        passed, wrong_own = float(np.sum(own * power)), float(np.sum(own * error)) + offset
+        left = wrong_own + LEFT_BY_NETWORK * float(np.sum(rest * power))
         candidates.append(Candidate(f, pair.order, k, passed, left))
-        wrongness[f, pair.order] = wrong_low / (passed or 1.0)
+        wrongness[f, pair.order] = wrong_own / (passed or 1.0)
     lowest = min(c.order for c in candidates)
     best = min((c for c in candidates if c.order == lowest), key=lambda c: c.loss)
     other = min(candidates, key=lambda c: c.loss)
@@ -184,14 +189,15 @@ def choose_with_simulator(  # noqa: PLR0913
     share = wrongness[best.cutoff, best.order]
     helps = share < WORTH_USING
     rule = "as given" if cutoff is not None else "where the least error is expected"
+    side = "up to" if below else "from"
     reason = (
-        f"{rule}: the simulator is wrong by {share:.0%} of the power that the low-pass filter "
-        f"passes, a network conditioned on it by {LEFT_BY_NETWORK:.0%} of the rest"
+        f"{rule}: the simulator is wrong by {share:.0%} of the power that the "
+        f"{simulator_band}-pass filter passes, a network conditioned on it by "
+        f"{LEFT_BY_NETWORK:.0%} of the rest"
         if helps
-        else f"no band of the simulator is worth using: up to {best.cutoff:g} Hz it is wrong by "
+        else f"no band of the simulator is worth using: {side} {best.cutoff:g} Hz it is wrong by "
         f"{share:.0%} of the power"
     )
-
     loss, listed = "expected error, as a share of the power", tuple(candidates)
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, helps)
 

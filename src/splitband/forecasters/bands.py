@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from splitband.filters import ComplementaryPair, butterworth
+from splitband.filters import Band, ComplementaryPair, butterworth
 from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.arrays import Array
@@ -38,11 +38,16 @@ class Bands(WithRepr):
                 object.__setattr__(self, name, whole(name, value, 1, LARGEST_SIZE))
 
     def chosen(
-        self, y: Array, sampling_rate: float, warmup: int, y_sim: Array | None = None
+        self,
+        y: Array,
+        sampling_rate: float,
+        warmup: int,
+        y_sim: Array | None = None,
+        simulator_band: Band = "low",
     ) -> Bands:
         """Return the bands with missing parameters chosen on the training samples `(time, ny)`.
 
-        `y_sim` is the output of the simulator of the low band; None for a network in the low band.
+        `y_sim` is the output of the simulator of `simulator_band`; None for networks in both bands.
         If the simulator does not help, the bands are chosen as for networks, and
         `choice.simulator_helps` is False.
         """
@@ -50,7 +55,7 @@ class Bands(WithRepr):
         learned = choose(y, sampling_rate, warmup, *given)
         choice = learned
         if y_sim is not None:
-            choice = choose_with_simulator(y, y_sim, sampling_rate, warmup, *given)
+            choice = choose_with_simulator(y, y_sim, sampling_rate, warmup, *given, simulator_band)
             if not choice.simulator_helps:
                 reason = f"{choice.reason}; chosen for networks alone: {learned.reason}"
                 choice = replace(learned, reason=reason, simulator_helps=False)
@@ -61,11 +66,15 @@ class Bands(WithRepr):
         cutoff, order = self._filter()
         return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
 
-    def one_way_pair(self, sampling_rate: float) -> ComplementaryPair:
-        """Return the pair of a hybrid, which filters forwards only."""
+    def one_way_pair(self, sampling_rate: float, simulator_band: Band = "low") -> ComplementaryPair:
+        """Return the pair of a hybrid, which filters forwards only.
+
+        The simulator's filter is a Butterworth filter, that of the network the rest: only then
+        does a high-pass filter of order n remove a drift up to the power n - 1 of time.
+        """
         cutoff, order = self._filter()
-        b, a = butterworth(cutoff, sampling_rate, order)
-        return ComplementaryPair.perfect(b, a, sampling_rate, cutoff=cutoff)
+        b, a = butterworth(cutoff, sampling_rate, order, simulator_band)
+        return ComplementaryPair.perfect(b, a, sampling_rate, simulator_band, cutoff=cutoff)
 
     def _filter(self) -> tuple[float, int]:
         """Return cut-off and order; raises ValueError where they are not known."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, final, get_args
 
 from splitband import models
 from splitband.data import Record
+from splitband.filters import Band
 from splitband.filters.resampling import Alignment
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.bands import OPEN, Bands
@@ -153,18 +154,22 @@ def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
 
 @final
 class Filtered(Network):
-    """Combine a base in the low band with a network in the high band (paper, Sec. 4.3).
+    """Combine a base in one band with a network in the other (paper, Sec. 4.3).
 
     Parameters
     ----------
-    base : The model of the low band: a simulator (with parameters to fit, it becomes a `GreyBox`),
-        or a forecaster with a `trajectory`, such as `Calibrated()` or `Linear()`, which is fitted
-        first; None for the simulator's output in the record.
+    base : The model of its band: a simulator (with parameters to fit, it becomes a `GreyBox`), or a
+        forecaster with a `trajectory`, such as `Calibrated()` or `Linear()`, which is fitted first;
+        None for the simulator's output in the record.
     cell : The network's, such as `GRU(64)`.
-    bands : Cut-off and order; by default chosen by where base and training samples agree.
-    conditioned : Use the base's output, value and slope, as an input of the network. Not in the
-        paper.
+    bands : Cut-off and order, and the down-sampling of a network in the low band; by default chosen
+        by where base and training samples agree.
+    conditioned : Use the base's output, value and slope, as an input of the network; with
+        `simulator_band="high"` only the high band of it. Not in the paper.
     settings, name : See `Single`.
+    simulator_band : The band of the base: `"low"`, as in the paper, or `"high"` for one that is
+        right in its details and drifts, such as an integrated rate. The network then simulates the
+        low band, down-sampled.
 
     Examples
     --------
@@ -175,12 +180,21 @@ class Filtered(Network):
     >>> prediction = model.fit(record[:120], seed=0).predict(30)
     >>> sorted(prediction.components)
     ['network, high band', 'simulator, low band']
+
+    A sensor that drifts, with a reference over the training samples:
+
+    >>> drifting = sb.Function(lambda t: np.sin(t) + 0.2 * np.sin(9 * t) + 0.3 * t)
+    >>> bands = sb.Bands(0.5, 1, downsampling=2)
+    >>> model = sb.Filtered(drifting, sb.GRU(4), bands, settings=short, simulator_band="high")
+    >>> prediction = model.fit(record[:120], seed=0).predict(30)
+    >>> sorted(prediction.components)
+    ['network, low band', 'simulator, high band']
     """
 
     base: Forecaster
     bands: Bands
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         base: Forecaster | Simulator | None,
         cell: Template,
@@ -188,27 +202,56 @@ class Filtered(Network):
         conditioned: bool = False,
         settings: Settings | None = None,
         name: str | None = None,
+        simulator_band: Band = "low",
     ) -> None:
         super().__init__(settings, name)
+        if simulator_band not in get_args(Band):
+            raise InputError(
+                f"simulator_band must be one of {get_args(Band)}, got {simulator_band!r}"
+            )
+        self.simulator_band = simulator_band
         self.base, self.cell = as_slow_part(base), as_template(cell)
         self.bands, self.conditioned = bands, conditioned
 
     def _build(self, record: Record, settings: Settings) -> Model:
-        """Return a model with a network and a high-pass filter."""
+        """Return a model with a network and a filter pair."""
         bands = self._bands_for(record, settings)
-        pair = bands.one_way_pair(record.sampling_rate)
-        cell = self._sized(self.cell, record, settings)
-        return models.Filtered(cell, pair, self.conditioned, record.nu > 0)
+        pair, driven = bands.one_way_pair(record.sampling_rate, self.simulator_band), record.nu > 0
+        if not self._above:
+            cell = self._sized(self.cell, record, settings)
+            return models.Filtered(cell, pair, self.conditioned, driven)
+        k = bands.downsampling
+        assert k is not None
+        # With k = 1 the network also runs at every sample, with this input and the next.
+        nu = record.nu * (2 if k == 1 else 1) + 2 * record.ny * self.conditioned
+        cell = self.cell.sized(record.ny, nu, max(settings.warmup // k, 1))
+        return models.FilteredHigh(cell, pair, k, self.conditioned, driven)
+
+    @property
+    def _above(self) -> bool:
+        """Return whether the base has the high band."""
+        return self.simulator_band == "high"
 
     def in_words(self) -> str:
         """Return which part has which band."""
-        return self._of_bands(self.base._slow_part or self.base._slow_label, words_of(self.cell))
+        base, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
+        return self._of_bands(*((network, base) if self._above else (base, network)))
 
     def _shortest_warmup(self) -> int:
-        return (self.bands.order or 1) - 1
+        """Return one sample less than the filter needs, or the down-sampled network."""
+        return ((self.bands.downsampling or 2) if self._above else (self.bands.order or 1)) - 1
+
+    def _filters_in_words(self) -> str:
+        k = f"a down-sampling by {self.bands.downsampling or 2}"
+        return k if self._above else super()._filters_in_words()
 
     def _remarks(self, record: Record) -> list[str]:
-        """Return a remark where the training samples favour a network whose output is zero."""
+        """Return a remark where the training samples favour a network whose output is zero.
+
+        A high-pass filter does not delay, and there is no such case.
+        """
+        if self._above:
+            return []
         bands = self._bands_for(record, self._settings_for(record))
         assert record.y_sim is not None
         reachable = oracle(record.y, record.y_sim, record.sampling_rate, *bands._filter(),
@@ -219,7 +262,8 @@ class Filtered(Network):
         return [reachable.describe() + advice]
 
     def _derived_name(self) -> str:
-        return _name("filtered", self.base, self.cell, self.conditioned)
+        kind = "filtered-high" if self._above else "filtered"
+        return _name(kind, self.base, self.cell, self.conditioned)
 
 
 @final

@@ -90,6 +90,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
         Split(of_low, of_high),
         Split(of_low, of_high, filter_output=True),
         *(kind(None, cell) for kind in (Filtered, Residual) for cell in cells),
+        *(Filtered(None, cell, simulator_band="high") for cell in cells),
         Simulation(),
         Calibrated(terms=AFFINE),
         Calibrated(),

@@ -19,6 +19,7 @@ from splitband import models, training
 from splitband.baselines.delays import delayed, input_delays
 from splitband.data import Record
 from splitband.data.signals import first_after, last_before
+from splitband.filters import Band
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, Training, cells_of, with_parts_changed
 from splitband.forecasters.fitted import FitReport
@@ -27,7 +28,7 @@ from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import NotSteppedError, Recursion, recursion_of_network
-from splitband.models.labels import FAST, SLOW
+from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
@@ -68,7 +69,9 @@ class Network(Forecaster):
     bands: Bands | None = None
     """The frequency bands, where it filters."""
     conditioned: bool = False
-    """Whether the slow component is an input of the fast network."""
+    """Whether one component is an input of the network of the other."""
+    simulator_band: Band = "low"
+    """The band of the base, in a hybrid with filters."""
     model: Model | None = None
     """The trained model."""
     _trained_by: Settings | None = None
@@ -216,9 +219,9 @@ class Network(Forecaster):
             self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise InputError(
-                f"warmup must have more than {shortest} samples for filters of order "
-                f"{(self.bands and self.bands.order) or 1}, got {settings.warmup}; a record too "
-                "short for that is one for methods without filters"
+                f"warmup must have more than {shortest} samples for {self._filters_in_words()}, "
+                f"got {settings.warmup}; a record too short for that is one for methods without "
+                "filters"
             )
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
@@ -329,7 +332,7 @@ class Network(Forecaster):
         """Return the results of the base's fit, the training settings, and remarks."""
         fitted, base = self.require_fitted(), self._fitted_base
         said = []
-        if base is not None and (base._slow_label != SLOW or base._calibrates):
+        if base is not None and (base._slow_label != SIMULATOR or base._calibrates):
             said = [f"{base._slow_label}: {base.describe()}"]
         said += [self._training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
@@ -378,6 +381,10 @@ class Network(Forecaster):
         """Return the number of samples that a warm-up must exceed for the filters."""
         return 0
 
+    def _filters_in_words(self) -> str:
+        """Return what needs these samples."""
+        return f"filters of order {(self.bands and self.bands.order) or 1}"
+
     def _bands_for(self, record: Record, settings: Settings) -> Bands:
         """Return the bands; those that are not given are chosen on the training record."""
         assert self.bands is not None
@@ -386,7 +393,9 @@ class Network(Forecaster):
         if None not in (self.bands.cutoff, self.bands.order, self.bands.downsampling):
             return self.bands
         slow = None if self.base is None else record.y_sim
-        return self.bands.chosen(record.y, record.sampling_rate, settings.warmup, slow)
+        return self.bands.chosen(
+            record.y, record.sampling_rate, settings.warmup, slow, self.simulator_band
+        )
 
     def _sized(self, cell: Template, record: Record, settings: Settings) -> Cell:
         """Return the cell of the network that runs at every sample.
@@ -423,11 +432,11 @@ class Network(Forecaster):
         found = {}
         for part, values in simulate(y, since + known.steps, u, slow).items():
             label = part
-            if self._fitted_base is not None and part.startswith(SLOW):
+            if self._fitted_base is not None and part.startswith(SIMULATOR):
                 # The base may have the label of the fast component; labels must differ.
                 slow_label = self._fitted_base._slow_label
-                label = "base" if slow_label == FAST else slow_label
-                label += part.removeprefix(SLOW)
+                label = "base" if slow_label == NETWORK else slow_label
+                label += part.removeprefix(SIMULATOR)
             found[label] = values[since:]
         return found
 
@@ -456,11 +465,16 @@ class Network(Forecaster):
 
 
 def with_defaults(
-    forecaster: Forecaster, settings: Settings, bands: Bands, given: Bands = OPEN
+    forecaster: Forecaster,
+    settings: Settings,
+    bands: Bands,
+    given: Bands = OPEN,
+    high: Bands = OPEN,
 ) -> Forecaster:
     """Return a forecaster with a comparison's settings and bands, where its own are not set.
 
-    What is `given` of the bands also holds for a hybrid whose fit chooses the rest.
+    `high` are the bands of hybrids with the simulator in the high band. What is `given` of the
+    bands also holds for a hybrid whose fit chooses the rest.
     """
 
     def changed(part: Forecaster) -> Forecaster:
@@ -469,7 +483,8 @@ def with_defaults(
         shared: dict[str, Any] = {} if part.settings is not None else {"settings": settings}
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if part.bands == OPEN:
-            shared["bands"] = bands if part._takes_bands else given
+            of_band = high if part.simulator_band == "high" else bands
+            shared["bands"] = of_band if part._takes_bands else given
         return part.clone().set_params(**shared) if shared else part
 
     return with_parts_changed(forecaster, changed)

@@ -15,7 +15,7 @@ from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import NotSteppedError, Part, State
-from splitband.models.labels import SLOW
+from splitband.models.labels import SIMULATOR
 from splitband.runtime.arrays import Array
 from splitband.runtime.caching import cached, key_of
 from splitband.runtime.errors import InputError
@@ -126,7 +126,7 @@ class SimulatorForecaster(Forecaster):
     affine = True
     applied = Calibration()
     """The calibration of the output."""
-    _slow_label = SLOW
+    _slow_label = SIMULATOR
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator

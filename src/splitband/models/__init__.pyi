@@ -4,6 +4,7 @@ from .base import Task as Task
 from .base import with_next_input as with_next_input
 from .base import with_weights as with_weights
 from .hybrid import Filtered as Filtered
+from .hybrid import FilteredHigh as FilteredHigh
 from .hybrid import Hybrid as Hybrid
 from .hybrid import Residual as Residual
 from .recurrent import Recurrent as Recurrent

@@ -69,7 +69,7 @@ class Model(nn.Module, ABC):
     feedthrough = False
     """Whether the step to a sample also uses the inputs of that sample."""
     conditioned = False
-    """Whether the slow component is an input of the fast network."""
+    """Whether one component is an input of the network of the other."""
     uses_simulator = False
     """Whether a simulator's output is a component of the model."""
     steps: ClassVar[type[Stepped] | None] = None
@@ -191,8 +191,16 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
     scale : Of each channel's slope, `(ny,)`, see `slope_scale`.
     driven : Whether the slow signal may depend on known inputs.
     """
-    values = torch.cat([slow, _slope(slow, driven) / scale.to(slow)], dim=-1)[..., 1:, :]
+    values = value_and_slope(slow, scale, driven)[..., 1:, :]
     return torch.cat([values, values[..., -1:, :]], dim=-2)
+
+
+def value_and_slope(signal: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
+    """Return a signal and its scaled slope at the same sample, `(..., time, 2 ny)`.
+
+    Arguments as for `conditioning`.
+    """
+    return torch.cat([signal, _slope(signal, driven) / scale.to(signal)], dim=-1)
 
 
 def with_next_input(u: Tensor) -> Tensor:

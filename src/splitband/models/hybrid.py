@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from splitband.data import Record
 from splitband.filters import ComplementaryPair
+from splitband.filters.resampling import check_downsampling
 from splitband.models.base import (
     Model,
     Signals,
@@ -20,8 +22,10 @@ from splitband.models.base import (
     conditioning,
     inputs_of,
     slope_scale,
+    value_and_slope,
 )
-from splitband.models.labels import FAST, SLOW
+from splitband.models.downsampled import LowBand, SteppedLowBand
+from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.models.stepping import (
     Run,
     Stepped,
@@ -59,8 +63,11 @@ class Hybrid(Model):
         """Set the scaling from the training records, that of the simulator's slope included."""
         super().adapt_to(records, normalize)
         if not self.units_kept:
-            simulated = [_required(self.normalised(record)) for record in records]
-            self.slope_scale.copy_(slope_scale(simulated, driven=self.nu > 0))
+            self.slope_scale.copy_(self._slope_scale([*map(self.normalised, records)]))
+
+    def _slope_scale(self, records: Sequence[Signals]) -> Tensor:
+        """Return the scale of the slopes of what conditions the network, `(ny,)`."""
+        return slope_scale([*map(_required, records)], driven=self.nu > 0)
 
     def _conditioned(self, known: Signals) -> Signals:
         """Return the signals with the network's inputs, including the simulator if conditioned."""
@@ -132,20 +139,19 @@ class Filtered(Hybrid):
         feedthrough: bool = False,
     ) -> None:
         super().__init__(cell, conditioned, feedthrough)
-        if pair.zero_phase:
-            raise InputError("the hybrid model's pair must filter one way (zero_phase=False)")
+        _check_one_way(pair)
         self.pair = pair
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return L(simulator) and H(network)."""
         filtered = self._low_passed(known)
         low, high = _after_warmup(filtered, steps), self._high(filtered, steps)
-        return {f"{SLOW}, low band": low, f"{FAST}, high band": high}
+        return {f"{SIMULATOR}, low band": low, f"{NETWORK}, high band": high}
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the outputs of the simulator and of the network, before the filters."""
         network = rollout(self.cell, known.y, steps, self._conditioned(known).u)
-        return {SLOW: _after_warmup(known, steps), FAST: network}
+        return {SIMULATOR: _after_warmup(known, steps), NETWORK: network}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the record (paper, Eq. 12, hybrid loss).
@@ -153,7 +159,7 @@ class Filtered(Hybrid):
         L(simulator) is filtered once, as a whole.
         """
         known = self._low_passed(record)
-        return [Task(FAST, as_module(self.cell), known, record.y, self._combined)]
+        return [Task(NETWORK, as_module(self.cell), known, record.y, self._combined)]
 
     def _low_passed(self, known: Signals) -> Signals:
         """Return the conditioned signals, with L(simulator) in place of the simulator's output."""
@@ -172,6 +178,133 @@ class Filtered(Hybrid):
         network = rollout(self.cell, filtered.y, steps, filtered.u)
         high = self.pair.highpass_from(torch.cat([measured, network], dim=1), first)
         return high[:, order:]
+
+
+class SteppedFilteredHigh(Stepped):
+    """Step a network in the low band, and a given component in the high band."""
+
+    def __init__(self, model: Any) -> None:
+        super().__init__(model)
+        self.pair: ComplementaryPair = model.pair
+        self.low = SteppedLowBand(model.low_band)
+        self.ahead = 0  # the network has no later samples of the simulator as inputs
+
+    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+        pair, warmup = self.pair, len(y)
+        low, _ = one_way(pair.b_low, pair.a, y, steady(pair, "low"))
+        high, state = one_way(pair.b_high, pair.a, slow[: warmup + 1], steady(pair, "high"))
+        run = self.low.begin(low, self._of_low(u, high))
+        return self._combined({**run, "state": state, "high": high[warmup]})
+
+    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+        low, _ = one_way(self.pair.b_low, self.pair.a, y, steady(self.pair, "low"))
+        high, state = one_way(self.pair.b_high, self.pair.a, slow, steady(self.pair, "high"))
+        run = self.low.paused(low, self._of_low(u, high))
+        return {**run, "state": state, "high": high[-1]}
+
+    def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
+        state, high = filtered(self.pair.b_high, self.pair.a, run["state"], slow[1])
+        rows = self._of_low(u, np.stack([run["high"], high]))
+        return self._combined({**self.low.moved(run, rows[-1]), "state": state, "high": high})
+
+    def _of_low(self, u: Array, high: Array) -> Array:
+        """Return the network's inputs: of the samples or, `at_once`, of the steps."""
+        if self.low.at_once:
+            return self._network_inputs(self._rows(u), high)
+        if not self.conditioned:
+            return u
+        steps = high[1:] - high[:-1]
+        slope = np.concatenate([steps[:1], steps]) / self.slope_scale
+        return np.concatenate([u, high, slope], axis=1)
+
+    def _combined(self, run: Run) -> tuple[Run, Array]:
+        return run, self.low.values(run)[0][0] + run["high"]
+
+
+class FilteredHigh(Hybrid):
+    """Add the simulator in the high band and a network on the down-sampled low band.
+
+    H(simulator) + network, the reverse of `Filtered`. The network simulates L(y) of the measured
+    signal at every k-th sample, and its free run is interpolated, as in `Split`. In the paper only
+    the example of its introduction, a gyroscope, is such a case.
+
+    Both filters run one way and start in the steady state of the warm-up's first sample, in
+    training, too: for a simulator that is right but for an offset, L(y) + H(simulator) is then y
+    from there on, whatever the length of the warm-up. The loss is that of the sum: the network can
+    correct what the high-pass filter leaves of a drift.
+
+    Parameters
+    ----------
+    cell : The network.
+    pair : One-way filters, with L + H = 1. H should be the steep one: a Butterworth filter of order
+        n removes a drift of the simulator up to the power n - 1 of time.
+    downsampling : k: the network sees every k-th sample.
+    conditioned : H(simulator), value and slope of each channel, is an input of the network: 2 ny
+        additional inputs. A drift takes the simulator's whole output, or its low band, out of the
+        range of training, but not its high band.
+    feedthrough : As for `Recurrent`, where the network sees every sample.
+
+    Raises
+    ------
+    ValueError
+        For filters of both directions, and for a down-sampling that cannot carry the low band.
+    """
+
+    steps = SteppedFilteredHigh
+
+    def __init__(
+        self,
+        cell: Cell,
+        pair: ComplementaryPair,
+        downsampling: int = 1,
+        conditioned: bool = False,
+        feedthrough: bool = False,
+    ) -> None:
+        super().__init__(cell, conditioned, feedthrough and downsampling == 1)
+        _check_one_way(pair)
+        check_downsampling(downsampling, pair.cutoff or 0.0, pair.sampling_rate)
+        self.pair, self.downsampling = pair, downsampling
+
+    @property
+    def low_band(self) -> LowBand:
+        """Return what runs the network."""
+        return LowBand(self.cell, self.downsampling, self.feedthrough and self.nu > 0)
+
+    def _slope_scale(self, records: Sequence[Signals]) -> Tensor:
+        """Return that of H(simulator)."""
+        return slope_scale([_required(self._high_passed(record)) for record in records], True)
+
+    def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """Return the network's low band and H(simulator)."""
+        known = self._high_passed(known)
+        low = self.low_band.at_full_rate(self.pair.lowpass(known.y), steps, self._of_low(known))
+        high = _after_warmup(known, steps)
+        return {f"{NETWORK}, low band": low, f"{SIMULATOR}, high band": high}
+
+    def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
+        """Return the simulator's output before the filter."""
+        return {SIMULATOR: _after_warmup(known, steps)}
+
+    def tasks(self, record: Signals) -> list[Task]:
+        """Reproduce the record (paper, Eq. 12, hybrid loss), windows filtered one by one."""
+        return [Task(NETWORK, as_module(self.cell), record, record.y, self._combined)]
+
+    def _combined(self, known: Signals, steps: int) -> Tensor:
+        low, high = self.components(known, steps).values()
+        return low + high
+
+    def _high_passed(self, known: Signals) -> Signals:
+        """Return the signals with H(simulator) in place of the simulator's output."""
+        return replace(known, y_sim=self.pair.highpass(_required(known)))
+
+    def _of_low(self, known: Signals) -> Tensor | None:
+        """Return the network's inputs, if conditioned with those of H(simulator) behind them."""
+        rows, high = self._rows(known.u), _required(known)
+        if not self.conditioned:
+            return rows
+        # A row of a step has what is known at its end, one of a sample what is known there.
+        given = conditioning if self.low_band.at_once else value_and_slope
+        return concat_inputs(rows, given(high, self.slope_scale, driven=True))
 
 
 class SteppedResidual(Stepped):
@@ -204,16 +337,21 @@ class Residual(Hybrid):
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the outputs of the simulator and of the network."""
         residual = self._simulate(self._conditioned(known), steps)
-        return {SLOW: _after_warmup(known, steps), FAST: residual}
+        return {SIMULATOR: _after_warmup(known, steps), NETWORK: residual}
 
     def tasks(self, record: Signals) -> list[Task]:
         """Reproduce the simulator's residual."""
         known, target = self._conditioned(record), record.y - _required(record)
-        return [Task(FAST, as_module(self.cell), known, target, self._simulate)]
+        return [Task(NETWORK, as_module(self.cell), known, target, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:
         warmup = known.y.shape[1]
         return rollout(self.cell, known.y - _required(known)[:, :warmup], steps, known.u)
+
+
+def _check_one_way(pair: ComplementaryPair) -> None:
+    if pair.zero_phase:
+        raise InputError("the hybrid model's pair must filter one way (zero_phase=False)")
 
 
 def _after_warmup(known: Signals, steps: int) -> Tensor:

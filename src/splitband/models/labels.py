@@ -1,4 +1,4 @@
 """Name the components of hybrids."""
 
-SLOW, FAST = "simulator", "network"
+SIMULATOR, NETWORK = "simulator", "network"
 """Beginnings of the labels of the two components."""

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from splitband.data import Record
 from splitband.filters import ComplementaryPair
-from splitband.filters.resampling import Alignment, check_downsampling, downsample, upsample
+from splitband.filters.resampling import Alignment, check_downsampling
 from splitband.models.base import (
     Model,
     Signals,
@@ -22,8 +22,8 @@ from splitband.models.base import (
     conditioning,
     inputs_of,
     slope_scale,
-    with_next_input,
 )
+from splitband.models.downsampled import LowBand, SteppedLowBand
 from splitband.models.stepping import (
     Run,
     Stepped,
@@ -36,17 +36,12 @@ from splitband.models.stepping import (
 from splitband.networks import Cell, rollout
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.tracing import cond
 
 LOW, HIGH = "low band", "high band"
 
 
 class SteppedSplit(Stepped):
-    """Step two networks, each on its band.
-
-    Unless `at_once`, the slow network is one of its steps ahead, and the low band is interpolated
-    between its last two samples. That needs no future input, see `models.Split`.
-    """
+    """Step two networks, each on its band."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -58,23 +53,14 @@ class SteppedSplit(Stepped):
             raise InputError('a split model with alignment="paper" cannot be stepped')
         self.pair: ComplementaryPair = model.pair
         self.own_warmup: bool = model.own_warmup
-        self.slow, self.fast = (SteppedCell(network) for network in model.networks)
-        self.k: int = model.downsampling
+        self.low, self.fast = SteppedLowBand(model.low_band), SteppedCell(model.fast)
         self.output = model.pair.one_way() if model.filter_output else None
-        self.at_once = self.feedthrough and self.driven and self.k == 1
 
     def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        k, warmup = self.k, len(y)
         low = both_ways(self.pair, y)
         high = y - low if self.own_warmup else both_ways(self.pair, y, "high")
-        means = self._rows(u) if self.at_once else self._means(u, warmup % k)
-        run: Run = {"slow": self.slow.begin(low[warmup % k :: k], means[: warmup // k])}
-        run["current"] = run["slow"]["y"]
-        if not self.at_once:
-            run["slow"] = self.slow.advance(run["slow"], means[warmup // k])
-        run |= {"phase": np.zeros(()), "sum": np.zeros(len(self.u_mean))}
-        given = self._beside(low, run, u)
-        run["fast"] = self.fast.begin(high, given)
+        run = self.low.begin(low, self._of_low(u))
+        run["fast"] = self.fast.begin(high, self._beside(low, run, u))
         if self.output is not None:
             _, run["output"] = one_way(
                 self.output.b_high, self.output.a, high, steady(self.output, "high")
@@ -82,18 +68,9 @@ class SteppedSplit(Stepped):
         return self._combined(run)
 
     def _paused(self, y: Array, u: Array, slow: Array) -> Run:
-        k, last = self.k, len(y) % self.k
         low = both_ways(self.pair, y)
         high = y - low if self.own_warmup else both_ways(self.pair, y, "high")
-        run: Run = {}
-        if self.at_once:
-            run["slow"], run["current"] = self.slow.paused(low, self._rows(u)), low[-1]
-        else:
-            means = self._means(np.concatenate([u, u[-1:]]), last)[: len(y) // k]
-            run["slow"] = self.slow.begin(low[last::k], means)
-            # The straight line to the slow network's next sample meets the low band here.
-            run["current"] = k * low[-1] - (k - 1) * run["slow"]["y"]
-        run |= {"phase": np.array(k - 1.0), "sum": u[len(u) - (k - 1) :].sum(axis=0)}
+        run = self.low.paused(low, self._of_low(u))
         run["fast"] = self.fast.paused(high, self._network_inputs(self._rows(u), low))
         if self.output is not None:
             _, run["output"] = one_way(
@@ -102,54 +79,26 @@ class SteppedSplit(Stepped):
         return run
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        before, run = self._low(run)[0], self._moved(run, u)
+        before, run = self.low.values(run)[0], self.low.moved(run, self._of_low(u)[-1])
         run["fast"] = self.fast.advance(run["fast"], self._beside(before, run, u)[0])
         return self._combined(run)
+
+    def _of_low(self, u: Array) -> Array:
+        """Return the slow network's inputs: of the samples or, `at_once`, of the steps."""
+        return self._rows(u) if self.low.at_once else u
 
     def _beside(self, before: Array, run: Run, u: Array) -> Array:
         """Return the inputs of the fast network, after the low band `before`."""
         rows = self._rows(u)
-        return self._network_inputs(
-            rows, np.concatenate([before, *self._low(run)]) if self.conditioned else before
-        )
-
-    def _moved(self, run: Run, u: Array) -> Run:
-        """Return the run with the low band advanced by one sample."""
-        if self.at_once:
-            moved = self.slow.advance(run["slow"], self._rows(u)[0])
-            return {**run, "slow": moved, "current": moved["y"]}
-        total, phase = run["sum"] + u[1], run["phase"] + 1
-
-        def stepped() -> list[Any]:
-            moved = self.slow.advance(run["slow"], total / self.k)
-            return [moved, run["slow"]["y"], np.zeros(()), np.zeros(len(self.u_mean))]
-
-        moved, current, phase, total = cond(
-            phase >= self.k, stepped, lambda: [run["slow"], run["current"], phase, total]
-        )
-        return {**run, "slow": moved, "current": current, "phase": phase, "sum": total}
-
-    def _low(self, run: Run) -> list[Array]:
-        """Return the low band at the sample to predict and `ahead` later ones, each `(1, ny)`."""
-        current = run["current"]
-        if self.at_once:
-            return [current[None]]
-        rise = run["slow"]["y"] - current
-        return [(current + rise * ((run["phase"] + i) / self.k))[None]
-                for i in range(1 + self.ahead)]  # fmt: skip
+        low = [before, *self.low.values(run, self.ahead)] if self.conditioned else [before]
+        return self._network_inputs(rows, np.concatenate(low))
 
     def _combined(self, run: Run) -> tuple[Run, Array]:
         high = run["fast"]["y"]
         if self.output is not None:
             state, high = filtered(self.output.b_high, self.output.a, run["output"], high)
             run = {**run, "output": state}
-        return run, self._low(run)[0][0] + high
-
-    def _means(self, u: Array, offset: int) -> Array:
-        """Return the mean inputs of the slow steps, see `_mean_before`."""
-        before = np.broadcast_to(u[:1], (self.k - 1 - offset, u.shape[1]))
-        blocks = np.concatenate([before, u]) if len(before) else u
-        return blocks.reshape(len(blocks) // self.k, self.k, u.shape[1]).sum(axis=1) / self.k
+        return run, self.low.values(run)[0][0] + high
 
 
 class Split(Model):
@@ -229,6 +178,12 @@ class Split(Model):
         """Return the network of the high band."""
         return self.networks[1]  # type: ignore[return-value]
 
+    @property
+    def low_band(self) -> LowBand:
+        """Return what runs the slow network."""
+        k = self.downsampling
+        return LowBand(self.slow, k, self.feedthrough and self.nu > 0 and k == 1)
+
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return both bands at the full rate (paper, Eq. 11, prediction)."""
         return self.components_of(self._bands(known), steps)
@@ -265,20 +220,16 @@ class Split(Model):
 
     def slow_run(self, known: Signals, steps: int) -> Tensor:
         """Return `steps` samples of the low band at its rate, the first right after the warm-up."""
-        k, u = self.downsampling, known.u
-        offset = known.y.shape[1] % k
-        if u is not None:
-            at_once = self.feedthrough and k == 1
-            u = with_next_input(u) if at_once else _mean_before(u, k, offset)
-        return rollout(self.slow, downsample(known.y[..., : self.ny], k, offset), steps, u)
+        return self.low_band.run(known.y[..., : self.ny], steps, self._of_low(known.u))
 
     def low(self, known: Signals, steps: int) -> Tensor:
         """Return `steps` samples of the low band at the full rate."""
-        k = self.downsampling
-        if k == 1:
-            return self.slow_run(known, steps)
-        # Interpolation needs a sample at or beyond the last one.
-        return upsample(self.slow_run(known, (steps - 2) // k + 2), k, steps, self.alignment)
+        low, rows = known.y[..., : self.ny], self._of_low(known.u)
+        return self.low_band.at_full_rate(low, steps, rows, self.alignment)
+
+    def _of_low(self, u: Tensor | None) -> Tensor | None:
+        """Return the slow network's inputs: of the samples or, `at_once`, of the steps."""
+        return self._rows(u) if self.low_band.at_once else u
 
     def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
         """Return `steps` samples of the high band, given the low one."""
@@ -309,14 +260,3 @@ class Split(Model):
             with torch.no_grad():
                 low = self.low(known.map(lambda signal: signal.to(dtype)), steps).to(low.dtype)
         return self.high(known, steps, low)
-
-
-def _mean_before(u: Tensor, k: int, offset: int) -> Tensor:
-    """Return the mean of the k inputs up to every k-th sample from `offset` < k on.
-
-    The low band's sample n + k, and with it the interpolation from n on, must not depend on inputs
-    after n. Before the first sample, the first input is assumed.
-    """
-    before = u[:, :1].expand(-1, k - 1 - offset, -1)
-    blocks = torch.cat([before, u], dim=1).transpose(1, 2)
-    return nn.functional.avg_pool1d(blocks, k).transpose(1, 2)

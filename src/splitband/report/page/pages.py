@@ -19,7 +19,7 @@ from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
-from splitband.models.labels import SLOW
+from splitband.models.labels import SIMULATOR
 from splitband.report import table, words
 from splitband.report.environment import environment
 from splitband.report.numbers import complex_in_words, number, percent
@@ -209,11 +209,16 @@ def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[S
 
 
 def _bands(result: Comparison) -> Section:
-    """Return the section of the spectrum and the cut-off between the bands."""
+    """Return the section of the spectrum and the cut-offs between the bands."""
     bands, part = result.plan.bands, result.record[: result.plan.train]
-    text = [words.of_bands(bands, part)]
+    text, choices = [words.of_bands(bands, part)], [bands.choice]
+    for name, fits in result.fits.items():
+        own: Bands | None = getattr(fits[0].fitted, "_trained_in", None)
+        if own is not None and own.cutoff != bands.cutoff:
+            text.append(f"{name}: {words.of_bands(own, part)}")
+            choices.append(own.choice)
     drawn = plots.spectrum(part, bands.cutoff, _bases(result))
-    drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
+    drawn += [plots.cutoffs(each) for each in dict.fromkeys(choices) if each is not None]
     return Section("spectrum", "Spectrum and cut-off", text, plots=drawn, folded=True)
 
 
@@ -228,7 +233,7 @@ def _bases(result: Comparison) -> dict[str, Array]:
         run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
         slow = [part._slow_label for part in parts_of(method)]
-        for label in [each for each in slow if each in parts and each != SLOW]:
+        for label in [each for each in slow if each in parts and each != SIMULATOR]:
             whole = record.y.copy()
             whole[len(whole) - len(parts[label]) :] = parts[label]
             found.setdefault(label, whole[:train])

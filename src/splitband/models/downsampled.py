@@ -1,0 +1,134 @@
+"""Run a network on every k-th sample of a low band: for whole signals, and sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from splitband.filters.resampling import Alignment, downsample, upsample
+from splitband.models.stepping import Run, SteppedCell
+from splitband.networks import Cell, rollout
+from splitband.runtime.arrays import Array
+from splitband.runtime.tracing import cond
+
+
+@dataclass(frozen=True, eq=False)
+class LowBand:
+    """Simulate a low band by a network that sees every k-th sample of it (paper, Sec. 4.2).
+
+    Inputs act on no sample before them: the step from n to n + k uses the mean of the k rows up to
+    n, as the interpolation from n on needs the sample n + k.
+
+    Attributes
+    ----------
+    cell : The network.
+    k : Down-sampling.
+    at_once : With k = 1: a row of inputs is that of a step, and may hold those at its end, too.
+    """
+
+    cell: Cell
+    k: int
+    at_once: bool
+
+    def run(self, low: Tensor, steps: int, rows: Tensor | None) -> Tensor:
+        """Return `steps` samples at the network's rate, the first right after `low`.
+
+        `low` is the low band of the warm-up, `(batch, R, ny)`; `rows` are the network's inputs over
+        warm-up and simulation, `(batch, R + samples, n)`.
+        """
+        offset = low.shape[1] % self.k
+        if rows is not None and not self.at_once:
+            rows = _mean_before(rows, self.k, offset)
+        return rollout(self.cell, downsample(low, self.k, offset), steps, rows)
+
+    def at_full_rate(
+        self, low: Tensor, steps: int, rows: Tensor | None, alignment: Alignment = "time"
+    ) -> Tensor:
+        """Return `steps` samples at the full rate, `(batch, steps, ny)`; arguments as for `run`."""
+        if self.k == 1:
+            return self.run(low, steps, rows)
+        # Interpolation needs a sample at or beyond the last one.
+        run = self.run(low, (steps - 2) // self.k + 2, rows)
+        return upsample(run, self.k, steps, alignment)
+
+
+class SteppedLowBand:
+    """Step such a network.
+
+    Unless `at_once`, it is one of its steps ahead, and the low band is interpolated between its
+    last two samples. That needs no future input, see `LowBand`.
+    """
+
+    def __init__(self, network: LowBand) -> None:
+        self.cell, self.k, self.at_once = SteppedCell(network.cell), network.k, network.at_once
+
+    def begin(self, low: Array, rows: Array) -> Run:
+        """Return the run after the low band of measured samples, `(R, ny)`.
+
+        `rows` are the inputs of these samples and of the one to predict or, `at_once`, those of the
+        R steps.
+        """
+        k, warmup = self.k, len(low)
+        means = rows if self.at_once else self._means(rows, warmup % k)
+        slow = self.cell.begin(low[warmup % k :: k], means[: warmup // k])
+        run: Run = {"slow": slow, "current": slow["y"]}
+        if self.at_once:
+            return run
+        slow = self.cell.advance(slow, means[warmup // k])
+        return {**run, "slow": slow, "phase": np.zeros(()), "sum": np.zeros(rows.shape[1])}
+
+    def paused(self, low: Array, rows: Array) -> Run:
+        """Return the run at the last of the measured samples `(R, ny)`; `rows` are their inputs."""
+        k, last = self.k, len(low) % self.k
+        if self.at_once:
+            return {"slow": self.cell.paused(low, rows), "current": low[-1]}
+        means = self._means(np.concatenate([rows, rows[-1:]]), last)[: len(low) // k]
+        slow = self.cell.begin(low[last::k], means)
+        # The straight line to the network's next sample meets the low band here.
+        current = k * low[-1] - (k - 1) * slow["y"]
+        recent = rows[len(rows) - (k - 1) :].sum(axis=0)
+        return {"slow": slow, "current": current, "phase": np.array(k - 1.0), "sum": recent}
+
+    def moved(self, run: Run, row: Array) -> Run:
+        """Return the run one sample later; `row` is of that sample or, `at_once`, of the step."""
+        if self.at_once:
+            moved = self.cell.advance(run["slow"], row)
+            return {**run, "slow": moved, "current": moved["y"]}
+        total, phase = run["sum"] + row, run["phase"] + 1
+
+        def stepped() -> list[Any]:
+            moved = self.cell.advance(run["slow"], total / self.k)
+            return [moved, run["slow"]["y"], np.zeros(()), np.zeros(row.shape[0])]
+
+        moved, current, phase, total = cond(
+            phase >= self.k, stepped, lambda: [run["slow"], run["current"], phase, total]
+        )
+        return {**run, "slow": moved, "current": current, "phase": phase, "sum": total}
+
+    def values(self, run: Run, ahead: int = 0) -> list[Array]:
+        """Return the low band at the sample to predict and `ahead` later ones, each `(1, ny)`."""
+        current = run["current"]
+        if self.at_once:
+            return [current[None]]
+        rise = run["slow"]["y"] - current
+        return [(current + rise * ((run["phase"] + i) / self.k))[None] for i in range(1 + ahead)]
+
+    def _means(self, rows: Array, offset: int) -> Array:
+        """Return the mean inputs of the steps, see `_mean_before`."""
+        before = np.broadcast_to(rows[:1], (self.k - 1 - offset, rows.shape[1]))
+        blocks = np.concatenate([before, rows]) if len(before) else rows
+        return blocks.reshape(len(blocks) // self.k, self.k, rows.shape[1]).sum(axis=1) / self.k
+
+
+def _mean_before(rows: Tensor, k: int, offset: int) -> Tensor:
+    """Return the mean of the k rows up to every k-th sample from `offset` < k on.
+
+    Before the first sample, the first row is assumed.
+    """
+    before = rows[:, :1].expand(-1, k - 1 - offset, -1)
+    blocks = torch.cat([before, rows], dim=1).transpose(1, 2)
+    return nn.functional.avg_pool1d(blocks, k).transpose(1, 2)
