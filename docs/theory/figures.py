@@ -130,7 +130,7 @@ def trap() -> Figure:
     segments = json.loads((RESULTS / "segments/segments.json").read_text("utf-8"))
     at = np.arange(len(segments))
     for axes, prefix, title in zip(
-        panels, ("", "calibrated "), ("simulator as it comes", "simulator calibrated"), strict=True
+        panels, ("", "calibrated "), ("unmodified simulator", "simulator calibrated"), strict=True
     ):
         for shift, name in ((-0.2, "nothing learned"), (0.2, "exactly right")):
             heights = [of[prefix + name] for of in segments.values()]

@@ -88,7 +88,7 @@ def test_what_cannot_be_differentiated_says_so() -> None:
     with pytest.raises(ValueError, match="history must go on from the training record for harmon"):
         sb.Harmonic().fit(record).as_torch(record[:50], other_record=True)
     simulator = sb.Simulation().fit(record).as_torch(driven()[:390])
-    with pytest.raises(ValueError, match=r"y_sim must hold the 25 samples to come"):
+    with pytest.raises(ValueError, match=r"y_sim must hold the 25 samples to predict"):
         simulator(futures(1))
     with pytest.raises(ValueError, match="fitted to a record as it was measured"):
         sb.Persistence().fit(record.detrend()).as_torch()

@@ -56,11 +56,14 @@ def mean() -> Forecaster:
         (lambda: mean().predict(0), "steps must be at least 1, got 0"),
         (lambda: mean().predict(3, u=np.ones(3)), "u must be left out: the record has no inputs"),
         (lambda: mean().predict(3, two_channels()), r"1 channel\(s\) and 0 .*, got 2 and 0"),
-        (lambda: fitted("linear").predict(LENGTH), r"u must hold the 100 samples to come in 1 ch"),
+        (
+            lambda: fitted("linear").predict(LENGTH),
+            r"u must hold the 100 samples to predict in 1 ch",
+        ),
         (lambda: fitted("simulator").predict(9, y_sim=np.ones(8)), r"y_sim must .* got \(8, 1\)"),
         (
             lambda: fitted("simulator").predict(9, y_sim=record().y_sim),
-            f"y_sim must hold the 9 samples to come alone, got the {TRAIN} of the history first",
+            f"y_sim must hold the 9 samples to predict alone, got the {TRAIN} of the history first",
         ),
         (
             lambda: fitted("simulator").predict(

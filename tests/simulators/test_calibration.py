@@ -104,10 +104,10 @@ def test_the_terms_that_pay_are_found_together(delay: float, clock: float, ny: i
 
 def test_a_perfect_simulator_is_left_as_it_comes() -> None:
     exact = calibrate(simulation(), simulation()[:TRAIN], DT)
-    assert str(exact) == "as it comes"
+    assert str(exact) == "unmodified"
     for seed in range(2):
         noisy = calibrate(simulation(), measured(seed=seed)[:TRAIN], DT)
-        assert str(noisy) == "as it comes"
+        assert str(noisy) == "unmodified"
 
 
 def test_unrelated_noise_gets_no_delay_and_no_clock() -> None:

@@ -38,7 +38,7 @@ def compare(
 
     Every method is trained on the first --train samples and predicts the rest, and with --test
     other records. The answer comes first, then a table of fit % and RMSE; --verbose adds why a
-    method is recommended and what each fit has chosen. OUT gets a page to send on (report.html),
+    method is recommended and what each fit has chosen. OUT gets a page to share (report.html),
     predictions and results.json.
 
     The recommended method is chosen on training samples only: trained on three quarters of them,

@@ -170,7 +170,7 @@ ModelArgument = Annotated[
     ),
 ]
 FutureInputs = Annotated[
-    Path | None, panel("Record")("Known inputs of the samples to come.", "FILE", False)
+    Path | None, panel("Record")("Planned inputs of the samples to predict.", "FILE", False)
 ]
 Calibrate = Annotated[
     bool,

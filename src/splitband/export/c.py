@@ -8,7 +8,7 @@ from splitband.export.program import Program
 
 _BEGINS = {
     False: "Go on from the end of the training record.",
-    True: "Begin with nothing measured: the simulator was not at hand when this was exported.",
+    True: "Begin with nothing measured: the simulator was not available when this was exported.",
 }
 
 

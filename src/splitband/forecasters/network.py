@@ -293,7 +293,7 @@ class Network(Forecaster):
         if self._short(known):
             short = (
                 f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
-                "what came before is estimated"
+                "the missing history is estimated"
             )
             doubts = [*dict.fromkeys([*doubts, short])]
         return doubts

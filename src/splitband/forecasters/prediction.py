@@ -81,13 +81,14 @@ def continued(
     values = past[:0] if ahead is None else signal_of(name, ahead)
     if len(values) < steps or values.shape[1] != channels:
         raise InputError(
-            f"{name} must hold the {steps} samples to come in {channels} channel(s), got "
+            f"{name} must hold the {steps} samples to predict in {channels} channel(s), got "
             f"{'none' if ahead is None else values.shape}"
         )
     whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
     if whole and n and np.ptp(past):
         raise InputError(
-            f"{name} must hold the {steps} samples to come alone, got the {n} of the history first"
+            f"{name} must hold the {steps} samples to predict alone, got the {n} of the history "
+            "first"
         )
     return np.concatenate([past, values if more else values[:steps]])
 

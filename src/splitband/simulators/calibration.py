@@ -134,7 +134,7 @@ class Calibration:
                  for name, values in scales.items() if values]  # fmt: skip
         parts += [f"delay {self.delay:.4g} s"] if self.delay else []
         parts += [f"clock {self.clock:.5g}"] if self.clock != 1 else []
-        return "; ".join(parts) or "as it comes"
+        return "; ".join(parts) or "unmodified"
 
     @property
     def stays(self) -> bool:
