@@ -58,7 +58,7 @@ def mean() -> Forecaster:
         (lambda: mean().predict(3, two_channels()), r"1 channel\(s\) and 0 .*, got 2 and 0"),
         (
             lambda: fitted("linear").predict(LENGTH),
-            r"u must hold the 100 samples to predict in 1 ch",
+            r"u must hold the 100 samples to predict in 1",
         ),
         (lambda: fitted("simulator").predict(9, y_sim=np.ones(8)), r"y_sim must .* got \(8, 1\)"),
         (
