@@ -50,6 +50,11 @@ def export(
     files = forecaster.export(out, precision)
     names = ", ".join(map(str, files))
     showing.console.print(f"{forecaster.name} is written to {names}")
+    needed = max(forecaster.warmup, 1)
+    showing.console.print(
+        "It begins at the end of the training record; to begin elsewhere, let it observe "
+        f"{needed} measured sample{'s' if needed > 1 else ''} first."
+    )
     facts: dict[str, Any] = {"model": str(model_dir), "method": forecaster.name}
     facts |= {"precision": precision, "files": [str(file) for file in files]}
     if out.suffix.lower() == ".fmu":

@@ -100,6 +100,7 @@ def _sources(program: Program, numbers: Sequence[Variable]) -> tuple[dict[str, b
         "OUTPUTS": str(program.record.ny),
         "STARTS": ", ".join(repr(float(v.start or 0.0)) for v in numbers),
         "GIVEN": _given(program),
+        "NEEDED": str(_needed(program)),
     }.items():
         wrapper = wrapper.replace(f"@{word}@", value)
     texts = {f"{model}.c": source, "fmu.c": wrapper, f"{model}.h": header}
@@ -179,6 +180,11 @@ def _numbers(program: Program) -> list[Variable]:
     return [*found, *channels("_measured", "what is observed")]
 
 
+def _needed(program: Program) -> int:
+    """Return how many samples in a row must be observed after `begin_empty`."""
+    return max(program.forecaster.warmup, 1)
+
+
 def _given(program: Program) -> str:
     """Return C arguments that point to inputs and simulator's output in the list of numbers."""
     at, arguments = program.record.ny, ""
@@ -213,7 +219,10 @@ def _description(
     add(root, "DefaultExperiment", stepSize=repr(record.sampling_time))
     _annotate(root, numbers, record.ny)
     variables = add(root, "ModelVariables")
-    for kind, listed in (("Real", numbers), ("Boolean", FLAGS)):
+    observe, empty = FLAGS
+    said = f"{empty.description}: {_needed(program)} samples in a row must then be observed"
+    flags = observe, replace(empty, description=said)
+    for kind, listed in (("Real", numbers), ("Boolean", flags)):
         for reference, variable in enumerate(listed):
             scalar = add(
                 variables, "ScalarVariable", name=variable.name, valueReference=str(reference),

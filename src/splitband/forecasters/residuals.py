@@ -107,8 +107,13 @@ class ResidualTests:
         """
         if self.p >= SIGNIFICANT:
             return []
+        return self._alone or [each.of for each in self.inputs]
+
+    @property
+    def _alone(self) -> list[str]:
+        """Return the inputs that are significant beside the others."""
         least = SIGNIFICANT / max(len(self.inputs), 1)
-        return [each.of for each in self.inputs if each.p < least] or [i.of for i in self.inputs]
+        return [each.of for each in self.inputs if each.p < least]
 
     @property
     def outcome(self) -> Outcome:
@@ -139,6 +144,8 @@ class ResidualTests:
         """Return which inputs the residuals depend on, and how large they are."""
         *first, last = (f"`{name}`" for name in self.dependent)
         names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
+        if not self._alone:
+            names += f", if only nonlinearly (all tests together: p = {self.p:.1g})"
         said = (
             f"Rejected at {100 * CONFIDENCE:.0f} %: the residuals of {self.output} still "
             f"depend on {names}, so the model does not capture {whose} full effect."

@@ -33,8 +33,10 @@ def lead(record: Record) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital and a full stop."""
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", ".)")) else ".")
+    """Return a text with a capital and a full stop; a name at its beginning stays as it is."""
+    first = text.split(maxsplit=1)[0] if text else ""
+    capital = text[:1].upper() if first.isalpha() else text[:1]
+    return capital + text[1:] + ("" if text.endswith((".", ".)")) else ".")
 
 
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
