@@ -136,13 +136,13 @@ class Extrapolation:
     farthest: float
     after: int
 
-    def describe(self, name: str = "") -> str:
-        """Describe it in words, with the input's name."""
+    def describe(self, name: str = "", of: str = "") -> str:
+        """Describe it in words, with the input's name, and what its samples are counted in."""
         trained = f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g} only"
         return (
             f"input {name or f'u{self.channel}'} is beyond its range in training ({trained}) from "
-            f"sample {self.after} on, up to {self.farthest:g}: predictions from there on are "
-            "extrapolations"
+            f"sample {self.after}{of} on, {'down' if self.farthest < self.low else 'up'} to "
+            f"{self.farthest:g}: predictions from there on are extrapolations"
         )
 
 

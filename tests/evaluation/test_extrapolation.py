@@ -45,7 +45,9 @@ def test_a_forecaster_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path)
     model = Single(GRU(4), Settings(30, 10, 1)).fit(training)
     model.save(tmp_path / "model")
     for trained in (model, load(tmp_path / "model")):
-        with pytest.warns(ExtrapolationWarning, match=r"u .* from sample 19 on, up to 10000"):
+        with pytest.warns(
+            ExtrapolationWarning, match=r"u .* from sample 19 of the prediction on, up to 10000"
+        ):
             trained.predict(20, u=np.r_[u[:19], [[1e4]]])
         assert not any("beyond" in said for said in trained.predict(20, u=u[:20]).warnings)
 
@@ -67,7 +69,7 @@ def test_commands_warn_of_inputs_beyond_training(
          "--methods gru,mean", Path("out"))  # fmt: skip
     shown = capsys.readouterr().out
     assert said in shown
-    assert "from sample 20 on, up to 50" in shown
+    assert "from sample 20 of the prediction on, up to 50" in shown
     assert [e["after"] for e in results(Path("out"))["inputs_beyond_training"]] == [20]
 
     call(

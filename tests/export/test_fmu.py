@@ -216,3 +216,20 @@ def test_an_exported_fmu_is_matched_by_the_columns_that_it_was_trained_on(tmp_pa
     assert found is not None
     wanted = model.predict(60, record[:150], ahead.u).y
     np.testing.assert_allclose(found[:, ::-1], wanted, atol=1e-9 * float(np.std(record.y)))
+
+
+def test_too_few_observed_samples_are_said_in_the_log(tmp_path: Path) -> None:
+    """The outputs are NaN until then."""
+    forecaster, record = fitted("gru")
+    forecaster.export(tmp_path / "rig.fmu")
+    said: list[str] = []
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "rig.fmu"),
+        start_values={"begin_empty": True},
+        stop_time=3 * record.sampling_time,
+        output_interval=record.sampling_time,
+        logger=lambda env, name, status, category, message: said.append(message.decode()),
+    )
+    assert np.isnan(found["y"] if "y" in found.dtype.names else found[found.dtype.names[1]]).all()
+    needed = f"{forecaster.warmup} in a row are needed"
+    assert [needed in message for message in said] == [True]

@@ -360,9 +360,19 @@ class GreyBox(Forecaster):
         return since / self.require_fitted().record.sampling_time
 
     def _anchored(self, known: ForecastContext) -> bool:
-        """Return whether all inputs since the first sample of the training record are known."""
+        """Return whether all inputs since the first sample of the training record are known.
+
+        A history with other inputs than those of the training record at the same times is of
+        another run, although its time stamps may be alike, as those of loggers that begin at 0.
+        """
         begin, most = known.begin, np.inf if self.u is None else len(self.u)
-        return begin is not None and begin % 1 == 0 and 0 <= begin <= most
+        if begin is None or begin % 1 or not 0 <= begin <= most:
+            return False
+        if self.u is None or known.u is None:
+            return True
+        ours = self.u[int(begin) :][: len(known.y)]
+        rounding = 1e-6 * np.ptp(self.u, axis=0)  # as those of a file may be
+        return bool((abs(known.u[: len(ours)] - ours) <= rounding).all())
 
     def _times(self, first: float, samples: int) -> Array:
         """Return the simulator's times of samples, in s; `first` is counted from training."""

@@ -297,7 +297,7 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
     fitted, steps = forecaster.require_fitted(), known.steps
     y, parts = extrapolated(forecaster, known)
     beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
-    messages = [each.describe(past.inputs[each.channel]) for each in beyond]
+    messages = [each.describe(past.inputs[each.channel], " of the prediction") for each in beyond]
     messages += (doubts := forecaster.doubts(known))
     if zones_differ(past.start, fitted.record.start):
         messages.append(

@@ -271,7 +271,9 @@ def of_bands(bands: Bands, training: Record) -> str:
 def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
     """Return a sentence for each input that leaves its training range."""
     return [
-        each.describe(record.inputs[each.channel] if each.channel < record.nu else "")
+        each.describe(
+            record.inputs[each.channel] if each.channel < record.nu else "", " of the prediction"
+        )
         for each in beyond
     ]
 
