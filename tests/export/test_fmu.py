@@ -218,6 +218,16 @@ def test_an_exported_fmu_is_matched_by_the_columns_that_it_was_trained_on(tmp_pa
     np.testing.assert_allclose(found[:, ::-1], wanted, atol=1e-9 * float(np.std(record.y)))
 
 
+def test_columns_may_be_called_as_what_an_fmu_of_ours_has_besides(tmp_path: Path) -> None:
+    record = replace(driven(), columns=("begin_empty", "y"), inputs=("observe", "u"), y_sim=None)
+    model = sb.Linear().fit(record[:150])
+    model.export(tmp_path / "rig.fmu")
+    ahead = record[150:210]
+    found = sb.Simulation(sb.Fmu(tmp_path / "rig.fmu")).fit(ahead).on(ahead).y_sim
+    wanted = model.predict(60, record[:150], ahead.u).y
+    np.testing.assert_allclose(found, wanted, atol=1e-9 * float(np.std(record.y)))
+
+
 def test_too_few_observed_samples_are_said_in_the_log(tmp_path: Path) -> None:
     """The outputs are NaN until then."""
     forecaster, record = fitted("gru")

@@ -189,6 +189,16 @@ def test_what_cannot_be_written_is_told_with_its_line(
     assert not [*tmp_path.iterdir()]
 
 
+def test_an_output_that_depends_on_other_samples_is_refused(tmp_path: Path) -> None:
+    def from_the_first(x: Any) -> Any:
+        return x[:, 0] - x[0, 0]
+
+    ode = sb.Ode(stiffening, [0.1, 0.0], from_the_first, RANGES, tolerances=EXACT)
+    model = sb.GreyBox(ode, starts=1).fit(record_of(ode, 1)[:150])
+    with pytest.raises(ValueError, match="observe must map each sample by itself"):
+        model.export(tmp_path / "rig.c")
+
+
 def test_an_equation_that_needs_an_adaptive_solver_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -264,6 +264,7 @@ class GreyBox(Forecaster):
         count = enough_steps(adjusted, time, u, self.estimate.window, spread)
         equation = FixedSteps(adjusted.simulator, adjusted.values, width, count)
         start, nu = float(time[0]), fitted.record.nu
+        _check_rows(equation, *adjusted.response(time, u), u, spread)
 
         def moved(now: State, u: Array) -> State:
             def later() -> Array:
@@ -427,3 +428,14 @@ class GreyBox(Forecaster):
                 best, chosen = found, length
             length *= GROWTH
         return chosen
+
+
+def _check_rows(equation: FixedSteps, y: Array, x: Array, u: Array | None, spread: Array) -> None:
+    """Raise ValueError where `observe` maps a sample `(nx,)` not as in a whole run `(time, nx)`."""
+    for n in np.linspace(0, len(x) - 1, 20).astype(int):
+        alone = equation.observed(x[n], np.zeros(0) if u is None else u[n])
+        if not (abs(alone - y[n]) <= 1e-6 * spread).all():
+            raise InputError(
+                "observe must map each sample by itself for a program, got other values from one "
+                f"row of states than from all of them (sample {n})"
+            )

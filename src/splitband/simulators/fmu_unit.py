@@ -117,7 +117,8 @@ class Variables:
 
 def _by_name(wanted: Sequence[str], known: Sequence[str], labels: Mapping[str, str]) -> list[str]:
     """Return the known names with these labels or names, if need be without units; else ""."""
-    by_label = {labels[name]: name for name in known}
+    # A label counts before a name of ours that is like it, such as `observe`.
+    by_label = {labels[name]: name for name in sorted(known, key=lambda n: labels[n] != n)}
     for names in (by_label, dict(zip(known, known, strict=True))):
         if {*wanted} <= {*names}:
             return [names[name] for name in wanted]
