@@ -224,6 +224,7 @@ def test_columns_may_be_called_as_what_an_fmu_of_ours_has_besides(tmp_path: Path
     model.export(tmp_path / "rig.fmu")
     ahead = record[150:210]
     found = sb.Simulation(sb.Fmu(tmp_path / "rig.fmu")).fit(ahead).on(ahead).y_sim
+    assert found is not None
     wanted = model.predict(60, record[:150], ahead.u).y
     np.testing.assert_allclose(found, wanted, atol=1e-9 * float(np.std(record.y)))
 
