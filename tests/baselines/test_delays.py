@@ -12,7 +12,7 @@ import splitband as sb
 from benchmarks import kinds as records
 from splitband import Record, Settings
 from splitband.baselines.delays import delayed, input_delays
-from splitband.metrics import rmse
+from splitband.metrics import leaves_range, rmse
 
 Array = npt.NDArray[np.float64]
 TRAIN, SAMPLES, DT = 600, 900, 0.02
@@ -70,6 +70,21 @@ def test_a_delay_is_found_although_the_state_at_the_beginning_is_forgotten_withi
     assert model.delays == (40,)
     ahead = model.predict(SAMPLES - TRAIN, record[:TRAIN]).y
     assert rmse(np.asarray(ahead), y[TRAIN:, None]) < 2e-3
+
+
+def test_before_the_delayed_inputs_a_fast_system_is_where_it_usually_is() -> None:
+    """What it has forgotten by then, the record does not show; a network is trained on the rest."""
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(400)
+    y = scipy.signal.lfilter([0.0] * 21 + [1.0], [1, -0.3], u) + 0.1 * rng.standard_normal(400)
+    record = Record(y, DT, u=u)
+    model = sb.Linear().fit(record[:300])
+    assert model.delays == (21,)
+    for first in (True, False):
+        simulated = model.on(record[:300], first).y_sim
+        assert simulated is not None
+        assert leaves_range(record.y, simulated) is None
+        assert rmse(simulated[21:], record.y[21:300]) < 0.12
 
 
 def test_each_input_has_a_delay_of_its_own() -> None:

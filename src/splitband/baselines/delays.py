@@ -89,13 +89,17 @@ class Units:
         return cls(np.nanmean(y, axis=0), spread(y), np.nanmean(u, axis=0), spread(u))
 
     def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
-        """Return a record with delayed inputs for a fit."""
+        """Return a record with delayed inputs for a fit, from where all that act are known.
+
+        Before that nothing tells the state: a fast one would have to begin far away to show later.
+        """
         outputs = ((y - self.y_mean) / self.y_scale).T
         inputs = (delayed(u, delays) - self.u_mean) / self.u_scale
+        late = max(delays, default=0)
+        begin = late if late < len(y) // 2 else 0
         measured = (~np.isnan(outputs)).astype(np.float64)
-        if 0 < (late := max(delays, default=0)) < len(y) // 2:
-            measured[:, :late] = 0.0  # the inputs that act here are not known
-        return Run(np.ascontiguousarray(inputs.T), np.where(measured > 0, outputs, 0.0), measured)
+        run = Run(inputs.T, np.where(measured > 0, outputs, 0.0), measured)
+        return Run(*(np.ascontiguousarray(signal[:, begin:]) for signal in run))
 
     def outputs(self, some: Sequence[int]) -> Units:
         """Return the units of some outputs."""

@@ -131,7 +131,8 @@ def _of_outputs(
         errors = accuracy_of(at, fitted, at.matrices)
         model = replace(model, accuracy=replace(errors, delay_errors=late))
     noisy = at.scale.max() > _EXACT and not current().over
-    if noisy and not integrators and feedback(at.errors, [u.T for _, u in records]):
+    known = [u[-len(e.T) :].T for (_, u), e in zip(records, at.errors, strict=True)]
+    if noisy and not integrators and feedback(at.errors, known):
         by_prediction = _by_prediction(model, at, runs)
         if not _unstable_by_chance(by_prediction):
             model = by_prediction
@@ -139,7 +140,9 @@ def _of_outputs(
         model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
         values=search.values,
     )  # fmt: skip
-    return model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
+    model = model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
+    u = records[0][1]
+    return model.begun(u, len(u) - runs[0].u.shape[1])
 
 
 def _delay_errors(

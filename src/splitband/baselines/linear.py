@@ -42,7 +42,7 @@ class LinearModel:
     mean : Mean of each input, `(nu,)`.
     taps : Input and delay in samples of each column of B and D.
     late : Longest delay that acts on each output, `ny` of them.
-    first : State at the first sample of the first record, `(n,)`.
+    first : State at the first sample of the first record, `(n,)`; see `held`.
     last : State after the last sample of it, by the Kalman filter, `(n,)`.
     centre, root : Mean of the states in training, and a root R of their covariance R R', `(n, n)`.
     error : RMS error of the simulation of the training records, `(ny,)`.
@@ -121,6 +121,25 @@ class LinearModel:
         """Return the least delay of each input over the outputs, `nu` of them."""
         return tuple(min(d for i, d in self.taps if i == j) for j in range(self.nu))
 
+    @property
+    def held(self) -> Array:
+        """Return from which sample on the inputs that act on each state are in the record, `(n,)`.
+
+        Until then a state keeps its distance from that of a simulation from `centre`: the dynamics
+        would make it so small that the record tells nothing of it, or begin it far away.
+        """
+        return np.where(self.c != 0, np.asarray(self.late)[:, None], 0).max(axis=0)
+
+    def begun(self, u: Array, begin: int) -> LinearModel:
+        """Return the model of a record whose state at the sample `begin` is now in `first`."""
+        tapped = self.tapped(u)[: max(self.late)]
+        if not len(tapped):
+            return self
+        free = np.zeros(self.order)
+        late = self._run(tapped[begin:], self.first, free)[1]
+        usual = self._run(tapped, self.centre, free)[1]
+        return replace(self, first=self.centre + late - usual)
+
     def tapped(self, u: Array) -> Array:
         """Return the delayed inputs minus their means, `(time, taps)`."""
         inputs = [i for i, _ in self.taps]
@@ -131,22 +150,29 @@ class LinearModel:
     ) -> Array:
         """Simulate from a state at the row `begin` of `u` on, `(time, ny)`.
 
-        By default that is the state at the first training sample. `before` are earlier inputs,
-        which act with a delay.
+        By default that is the state at the first training sample. `before` are earlier inputs from
+        there on, which act with a delay.
         """
         since = u if before is None else np.concatenate([before, u])
-        tapped = self.tapped(since)[len(since) - len(u) + begin :]
-        return self._run(tapped, self.first if state is None else state)[0]
+        age = len(since) - len(u) + begin
+        tapped = self.tapped(since)[age:]
+        away = self.first - self.centre
+        return self._run(tapped, self.first if state is None else state, away, age)[0]
 
     def state_after(self, u: Array) -> Array:
         """Return the state after these inputs, from the first training sample on, `(n,)`."""
-        return self._run(self.tapped(u), self.first)[1]
+        return self._run(self.tapped(u), self.first, self.first - self.centre)[1]
 
-    def _run(self, tapped: Array, first: Array) -> tuple[Array, Array]:
-        """Return the outputs of a simulation, and the state after it."""
+    def _run(self, tapped: Array, first: Array, away: Array, age: int = 0) -> tuple[Array, Array]:
+        """Return the outputs of a simulation, and the state after it.
+
+        `away` is the distance that states keep (`held`) in a record that began `age` samples ago.
+        """
         if not len(tapped):
             return np.zeros((0, self.ny)), first
         forced = tapped @ self.b.T + self.drift
+        ages = age + np.arange(len(tapped))[:, None]
+        forced += np.where(ages < self.held, away - self.a @ away, 0.0)
         x = states(self.a, forced, first)
         return x @ self.c.T + tapped @ self.d.T + self.offset, self.a @ x[-1] + forced[-1]
 
@@ -190,14 +216,17 @@ class LinearModel:
         expected = before is not None
         tapped = self.tapped(since)
         known = 0 if before is None else len(before)
-        x = self._run(tapped[:known], self.first)[1] if expected else self.centre
+        x, away = self.centre, np.zeros(self.order)
+        if expected:
+            away = self.first - self.centre
+            x = self._run(tapped[:known], self.first, away)[1]
         tapped = tapped[known:]
         ages = np.arange(len(y))[:, None] + known
         measured = ~np.isnan(y) & (ages >= np.asarray(self.late))
-        if not measured.any():
-            return self._run(tapped, x)[0], x
         usual = np.array(0.0 if expected else 1.0)
-        if measured.all():
+        if not measured.any():
+            found, after = self._run(tapped[: len(y)], x, away, known)
+        elif measured.all():
             errors, _ = self._observed(tapped[: len(y)], y, x)
             answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
             white = self.whitener()
@@ -207,10 +236,12 @@ class LinearModel:
             errors, after = self._observed(tapped[: len(y)], y, x)
             found = y - errors
         else:
-            *_, information, towards = self._with_gaps(tapped, y, measured, x)
-            x = x + self.root @ most_probable(information, towards, usual)
-            found, after, *_ = self._with_gaps(tapped, y, measured, x)
-        return np.concatenate([found, self._run(tapped[len(y) :], after)[0]]), after
+            *_, information, towards = self._with_gaps(tapped, y, measured, x, away, known)
+            more = self.root @ most_probable(information, towards, usual)
+            x, away = x + more, away + more
+            found, after, *_ = self._with_gaps(tapped, y, measured, x, away, known)
+        ahead, _ = self._run(tapped[len(y) :], after, away, known + len(y))
+        return np.concatenate([found, ahead]), after
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
@@ -221,9 +252,10 @@ class LinearModel:
         return left - x @ self.c.T, a @ x[-1] + forced[-1]
 
     def _with_gaps(
-        self, tapped: Array, y: Array, measured: Any, x: Array
+        self, tapped: Array, y: Array, measured: Any, x: Array, away: Array, age: int
     ) -> tuple[Array, Array, Array, Array]:
         """Return predictions from the state x, the state after, and what `most_probable` takes."""
+        held, kept = self.held, away - self.a @ away
         answers, white, found = self.root, self.whitener(), np.empty(y.shape)
         information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
         for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, measured, strict=True)):
@@ -233,8 +265,10 @@ class LinearModel:
             counted = white @ response
             information += counted.T @ counted
             towards += counted.T @ (white @ left)
-            answers = self.a @ answers - self.gain @ response
+            free = age + n >= held
+            answers = np.where(free[:, None], self.a @ answers, answers) - self.gain @ response
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
+            x = np.where(free, x, x + kept)
         return found, x, information, towards
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:

@@ -226,6 +226,7 @@ def _driven(model: LinearModel, training: Array) -> Part:
     line, delayed = delay_line(delays)
     white, n = model.whitener(), model.order
     unknown = np.array(model.late, dtype=np.float64)
+    held, waits = model.held.astype(np.float64), max(model.late) > 0
 
     def initial(known: ForecastContext | None) -> State:
         """Return the expected state: simulated from the training record, or the training mean."""
@@ -233,6 +234,7 @@ def _driven(model: LinearModel, training: Array) -> Part:
         past = line
         for u in [] if before is None else before[max(len(before) - max(delays, default=0), 0) :]:
             past, _ = delayed(past, u[inputs])
+        away = np.zeros(n) if before is None else model.first - model.centre
         return {
             "line": past,
             "x": model.centre if before is None else model.state_after(before),
@@ -241,7 +243,7 @@ def _driven(model: LinearModel, training: Array) -> Part:
             "towards": np.zeros(n),
             "age": np.array(0.0 if before is None else float(len(before))),
             "usual": np.array(1.0 if before is None else 0.0),
-        }
+        } | ({"away": away} if waits else {})
 
     def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
         past, acting = delayed(state["line"], np.stack([u[i] for i in inputs]))
@@ -249,15 +251,24 @@ def _driven(model: LinearModel, training: Array) -> Part:
         x = state["x"]
         y = model.c @ x + model.d @ acting + model.offset
         x = model.a @ x + model.b @ acting + model.drift
+        if waits:
+            kept = state["away"] - model.a @ state["away"]
+            x = np.where(state["age"] >= held, x, x + kept)
+        now = state | {"line": past, "x": x}
+        if "age" in state:
+            now["age"] = state["age"] + 1
         if "answers" not in state:  # in a free run, see `merged`
-            return {"line": past, "x": x}, y[None, :, None]
+            return now, y[None, :, None]
         answers = state["answers"]
         rows = np.concatenate([y[:, None], model.c @ answers], axis=1)
-        return state | {"line": past, "x": x, "answers": model.a @ answers}, rows[None]
+        later = model.a @ answers
+        if waits:
+            later = np.where((state["age"] >= held)[:, None], later, answers)
+        return now | {"answers": later}, rows[None]
 
     def correct(state: State, rows: Array, y: Array) -> State:
         left = y - rows[:, 0]
-        seen = np.logical_not(np.isnan(left)) & (state["age"] >= unknown)
+        seen = np.logical_not(np.isnan(left)) & (state["age"] > unknown)
         left = np.where(seen, left, 0.0)
         response = np.where(seen[:, None], rows[:, 1:], 0.0)
         counted = white @ response
@@ -266,7 +277,6 @@ def _driven(model: LinearModel, training: Array) -> Part:
             "answers": state["answers"] - model.gain @ response,
             "information": state["information"] + counted.T @ counted,
             "towards": state["towards"] + counted.T @ (white @ left),
-            "age": state["age"] + 1,
         }
 
     def settle(state: State) -> Array:
@@ -274,7 +284,11 @@ def _driven(model: LinearModel, training: Array) -> Part:
         return most_probable(state["information"], state["towards"], state["usual"])[None]
 
     def merged(state: State, settled: Array) -> State:
-        return {"line": state["line"], "x": state["x"] + state["answers"] @ settled[0]}
+        now = {"line": state["line"], "x": state["x"] + state["answers"] @ settled[0]}
+        away = (
+            {"age": state["age"], "away": state["away"] + model.root @ settled[0]} if waits else {}
+        )
+        return now | away
 
     def after_training(state: State) -> State:
         return state | {"x": model.last - state["answers"] @ settle(state)[0]}
