@@ -285,10 +285,9 @@ def _driven(model: LinearModel, training: Array) -> Part:
 
     def merged(state: State, settled: Array) -> State:
         now = {"line": state["line"], "x": state["x"] + state["answers"] @ settled[0]}
-        away = (
-            {"age": state["age"], "away": state["away"] + model.root @ settled[0]} if waits else {}
-        )
-        return now | away
+        if waits:
+            now |= {"age": state["age"], "away": state["away"] + model.root @ settled[0]}
+        return now
 
     def after_training(state: State) -> State:
         return state | {"x": model.last - state["answers"] @ settle(state)[0]}
