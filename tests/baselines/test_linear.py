@@ -92,6 +92,15 @@ def test_the_poles_are_those_of_the_system() -> None:
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(np.roots(a)), atol=1e-6)
 
 
+def test_the_order_of_a_short_record_is_chosen() -> None:
+    u = np.random.default_rng(0).standard_normal((62, 1))
+    y = scipy.signal.lfilter(
+        [0.5, -0.2], polynomial([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j)]), u, 0
+    )
+    found = identified([(np.asarray(y), u)])
+    np.testing.assert_allclose(found.simulate(u), y, atol=1e-5)
+
+
 def test_lightly_damped_modes_are_found_all_at_once() -> None:
     """Six modes, two inputs and outputs, noise of 1 %: a subspace method has more than 99.5 %."""
     rng = np.random.default_rng(4)

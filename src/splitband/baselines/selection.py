@@ -341,7 +341,10 @@ def _subspaces(runs: Sequence[Run], most: int) -> Iterator[Subspace]:
     records = [(np.where(run.measured > 0, run.y, np.nan).T, run.u.T) for run in runs]
     samples = sum(run.u.shape[1] for run in runs)
     for stride in _STRIDES:
-        fits = samples // stride // (3 * (ny + nu))
+        count = samples // stride
+        # As many as have the windows that `subspace` asks for.
+        enough = int((count + len(runs)) / (2 * len(runs) + 2.4 * (ny + nu)))
+        fits = min(count // (3 * (ny + nu)), enough)
         rows = min(most // ny + 2, 42) if stride == 1 else 12
         rows = min(max(rows, 10), fits, 60)
         if rows < 2 or (stride > 1 and rows < 8):
