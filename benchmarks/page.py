@@ -84,7 +84,7 @@ def _all(rows: Sequence[clock.Row]) -> str:
             _spread(row["used"] for row in of),
             f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
             clock.usual(of),
-            " / ".join(_spread(each) for each in zip(*_errors(of), strict=True)),
+            "above" if name in SETS else _spread(row["errors"][0] for row in of),
             str(len(of)),
         ]
         for (name, asked, beside), of in clock.groups(rows).items()

@@ -46,7 +46,8 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     (
         "README.md",
         "Simulator and network combined: "
-        "{results/demo[table][0][values][residual-gru-conditioned]:.0f} %",
+        "{results/demo[table][0][values][residual-gru-conditioned]:.0f} %; through the filter pair "
+        "{results/demo[table][0][values][filtered-gru-conditioned]:.0f} %",
     ),
     (
         "docs/howto/embed.md",

@@ -34,49 +34,49 @@ def _panels(count: int, height: float = 3.0, **options: Any) -> tuple[Figure, li
 
 
 def pair() -> Figure:
-    """What the two filters let through, and what they add up to."""
-    figure, (left, right) = _panels(2, height=3.6)
+    """How far one-way pairs are from adding up."""
+    figure, (axes,) = _panels(1)
     freqs = np.geomspace(1e-3, 10, 400)
-    shared = sb.ComplementaryPair.butterworth(0.25, 20)
-    low, high = shared.response(freqs)
-    left.semilogx(freqs, low, label="L")
-    left.semilogx(freqs, high, label="H")
-    left.semilogx(freqs, low + high, "k--", lw=1, label="L + H")
-    left.set_ylim(0, 1.1)
-    left.set(title="order 1, both directions", xlabel="frequency (Hz)", ylabel="gain")
     for order in (1, 2, 3):
         one_way = sb.ComplementaryPair.butterworth(0.25, 20, order=order, zero_phase=False)
         wrong = abs(np.sum(one_way.response(freqs), axis=0) - 1)
         # The first order's is zero and lies below that of the perfect pair.
         style: dict[str, Any] = {"lw": 5, "alpha": 0.5} if order == 1 else {}
-        right.semilogx(freqs, wrong, label=f"Butterworth pair, order {order}", **style)
+        axes.semilogx(freqs, wrong, label=f"Butterworth pair, order {order}", **style)
     two = sb.ComplementaryPair.butterworth(0.25, 20, order=2)
     perfect = sb.ComplementaryPair.perfect(two.b_low, two.a, 20).response(freqs)
     wrong = abs(np.sum(perfect, axis=0) - 1)
-    right.semilogx(freqs, wrong, "k--", lw=1, label="perfect pair, order 2")
-    right.set(title="one way: |L + H - 1|", xlabel="frequency (Hz)")
-    for axes in (left, right):
-        axes.axvline(0.25, color="0.7", lw=1, zorder=0)
-        axes.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
+    axes.semilogx(freqs, wrong, "k--", lw=1, label="perfect pair, order 2")
+    axes.set(ylabel="|L + H - 1|, one way", xlabel="frequency (Hz)")
+    axes.axvline(0.25, color="0.7", lw=1, zorder=0)
+    axes.legend()
     return figure
 
 
 def bands() -> Figure:
-    """The two bands of system (i), and the samples that the slower network lives on."""
-    figure, (axes,) = _panels(1)
+    """Gains of a pair; the two bands of system (i), and the samples of the slower network."""
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    gains, axes = figure.subplots(1, 2, width_ratios=(1, 1.7))
     record = double_mass_spring(samples=1000)
     assert record.y_true is not None
     y = record.y_true[:, 0]
     split = sb.ComplementaryPair.butterworth(record.sampling_rate * 0.02, record.sampling_rate)
+    freqs = np.geomspace(1e-3, 5, 400)
+    low, high = split.response(freqs)
+    gains.semilogx(freqs, low, label="low-pass L")
+    gains.semilogx(freqs, high, label="high-pass H")
+    gains.semilogx(freqs, low + high, "k--", lw=1, label="L + H")
+    gains.set(ylim=(0, 1.1), xlabel="frequency (Hz)", ylabel="gain")
     low, high = split.split(y)
     shown = slice(100, 300)
-    axes.plot(record.time[shown], y[shown], "k", lw=1, label="y")
-    axes.plot(record.time[shown], low[shown], label="L(y)")
+    axes.plot(record.time[shown], y[shown], "k", lw=1, label="record y")
+    axes.plot(record.time[shown], low[shown], label="low band L(y)")
     kept = slice(100, 300, 5)
-    axes.plot(record.time[kept], low[kept], "C0o", ms=4, label="every fifth sample of it")
-    axes.plot(record.time[shown], high[shown], "C1", lw=1, label="H(y)")
-    axes.set(xlabel="time (s)", ylabel="y")
-    axes.legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    axes.plot(record.time[kept], low[kept], "C0o", ms=4, label="every fifth sample")
+    axes.plot(record.time[shown], high[shown], "C1", lw=1, label="high band H(y)")
+    axes.set(xlabel="time (s)")
+    for each, columns in ((gains, 2), (axes, 4)):
+        each.legend(ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     return figure
 
 
