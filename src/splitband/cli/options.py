@@ -299,6 +299,10 @@ class SimulatorOptions:
         None, "Its time in s at the record's first sample, or `record` for its time stamp there.",
         "SECONDS|record", "0",
     )  # fmt: skip
+    held: bool = _simulator(
+        False, "Hold its inputs until the next sample (zero-order hold), as a D/A converter does, "
+        "where an equation or an FMU for model exchange interpolates them.", None, True, "--held",
+    )  # fmt: skip
     simulator_timeout: float = _simulator(
         600.0, "Give up on a simulator after this time.", "SECONDS", min=0.0
     )

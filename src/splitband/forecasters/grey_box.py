@@ -120,7 +120,9 @@ class GreyBox(Forecaster):
         """Return the estimate, and all values in use, fixed ones included."""
         if self.adjusted is None:
             return {}
-        return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
+        found = {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
+        held = getattr(self.simulator, "held", None)
+        return found if self.u is None or held is None else {**found, "held": held}
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for unsuitable records, and where it has no simulator."""
@@ -350,6 +352,10 @@ class GreyBox(Forecaster):
     def describe(self) -> str:
         """Return the values with standard errors, and those that the record does not determine."""
         return str(self.estimate)
+
+    def doubts(self, known: ForecastContext) -> list[str]:
+        """Return that the record favours the other course of inputs between samples, if it does."""
+        return [self.estimate.doubt] if self.estimate.doubt else []
 
     def _begin(self, known: ForecastContext) -> float:
         """Return where a history begins, in samples after the first one of training."""
