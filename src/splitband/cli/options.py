@@ -165,7 +165,7 @@ ModelArgument = Annotated[
     Path,
     typer.Argument(
         metavar="MODEL_DIR",
-        help="What `fit` wrote, or `compare` and `forecast` (OUT/model).",
+        help="What `fit`, `compare` or `forecast` wrote.",
         show_default=False,
     ),
 ]
