@@ -125,7 +125,7 @@ def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
     ("options", "message"),
     [
         ("--simulator plant.py:decay --parameters level=1 --held", "the inputs alone"),
-        ("--held", "must be an .fmu or FILE.py:FUNCTION where --held is given"),
+        ("--held", "must be given where --held is"),
         ("--simulator plant.py:lag --parameters rate=1:x", "parameters must be given as NAME="),
         ("--simulator plant.py:lag --parameters rate=0.1:1", "how many states"),
         ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),

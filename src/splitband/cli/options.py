@@ -169,6 +169,16 @@ ModelArgument = Annotated[
         show_default=False,
     ),
 ]
+History = Annotated[
+    Path | None,
+    plain("Measured samples up to now, with the columns of the training record; the last ones "
+          "warm the model up.", "FILE", "the training record"),
+]  # fmt: skip
+OtherRun = Annotated[
+    bool,
+    plain("The history is of another run: its time stamps are not compared with those of the "
+          "training record. Refused where a forecast depends on them.", None, True, "--other-run"),
+]  # fmt: skip
 FutureInputs = Annotated[
     Path | None, panel("Record")("Planned inputs of the samples to predict.", "FILE", False)
 ]

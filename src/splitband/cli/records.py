@@ -228,7 +228,7 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
     if (name is None or name in BASES) and any(given.values()):
         option = next(option for option in given if given[option])
         raise InputError(
-            f"--simulator must be an .fmu or FILE.py:FUNCTION where {option} is given, got "
+            f"--simulator must be given where {option} is, as an .fmu or FILE.py:FUNCTION, got "
             f"{name or 'none'}"
         )
     if options.parameters is None and (name is None or name in BASES):
