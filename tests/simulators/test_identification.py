@@ -124,7 +124,11 @@ def test_inputs_are_held_or_interpolated(held: bool) -> None:
     assert not found.doubt
     noisy = sb.Record(y + np.random.default_rng(1).normal(0, 0.1, 100), DT, u=u)
     model = sb.GreyBox(replace(simulator, held=not held), starts=1).fit(noisy)
-    assert f"fit it again with held={held}" in str(model.estimate)
+    assert f"the record favours inputs that are {'held' if held else 'inter'}" in str(
+        model.estimate
+    )
+    known = replace(model.simulator, parameters=dict(found.values))
+    assert f"held={held}" in identify(known, noisy).doubt
     with pytest.warns(ExtrapolationWarning, match="the record favours"):
         model.predict(1, u=[[0.0]])
 

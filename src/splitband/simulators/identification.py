@@ -129,9 +129,11 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
-    if not shooting.names:
-        return _build_estimate(shooting, shooting.divide(10**9, np.empty(0)), 0)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
+    if not shooting.names:
+        unknowns = shooting.divide(longest, np.empty(0))
+        estimate = _build_estimate(shooting, unknowns, 0)
+        return replace(estimate, doubt=_doubt(shooting, unknowns, longest, deadline))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
         over = "the time was over before the first one was done"
@@ -253,7 +255,7 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     try:
         with within(min(current(), deadline)):
             at = other.divide(window, unknowns[: len(shooting.names)])
-            if _runs(other, at):
+            if len(at) and _runs(other, at):
                 at, _ = descend(other, at, _ROUNDS)
     except DeadlineError:
         return ""
@@ -264,8 +266,8 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     here, there = (f"{np.sqrt(np.nanmean(each**2)):.2g}" for each in found)
     better, how = ("held", "--held") if simulator.held else ("interpolated", "without --held")
     return (
-        f"the record favours inputs that are {better} between samples (error {there} in place of "
-        f"{here} of its deviation): fit it again with held={simulator.held} ({how})"
+        f"the record favours inputs that are {better} between samples, held={simulator.held} "
+        f"({how}): error {there} in place of {here} of its deviation"
     )
 
 
