@@ -100,8 +100,12 @@ def test_export_says_where_an_fmu_runs(
 
 
 def test_export_says_what_it_writes(
-    driven_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    driven_model: Path, workspace: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    history = f"--history {workspace}/record.csv --other-run"
+    call(f"export {driven_model} {tmp_path}/later.c {history}")
+    assert "begins at the end of " in capsys.readouterr().out
+    assert "Go on from the end of the history" in (tmp_path / "later.h").read_text()
     call(f"export {driven_model} {tmp_path}/new/rig.c --precision float")
     assert sorted(file.name for file in (tmp_path / "new").iterdir()) == ["rig.c", "rig.h"]
     said = " ".join(capsys.readouterr().out.split())

@@ -102,9 +102,30 @@ def test_a_saved_grey_box_simulates_with_its_values(
     assert_fails(f"{line} --out other.csv --simulator plant.py:slip", says, capsys)
 
 
+def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call(f"fit {RIG} --method grey-box --held --jobs 1", tmp_path / "held")
+    assert "warning: the record favours inputs that are interpolated" in capsys.readouterr().out
+    found = results(tmp_path / "held")["parameters"]
+    assert found["held"] is True
+    for held in ("", "--held"):  # without it, too, the saved model is run as it was fitted
+        call(f"simulate {tmp_path}/held --history history.csv --future-inputs coming.csv --steps 5 "
+             f"--simulator plant.py:lag {held}", tmp_path / f"ahead{held}.csv")  # fmt: skip
+    assert (tmp_path / "ahead.csv").read_text() == (tmp_path / "ahead--held.csv").read_text()
+    capsys.readouterr()
+    call(f"fit {RIG} --method grey-box --jobs 1", tmp_path / "straight")
+    assert "the record favours" not in capsys.readouterr().out
+    line = f"check {tmp_path}/straight --record record.csv --simulator plant.py:lag --held"
+    says = ("--simulator must have held=False",)
+    assert_fails(f"{line} --out {tmp_path}/check", says, capsys)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ("--simulator plant.py:decay --parameters level=1 --held", "the inputs alone"),
+        ("--held", "must be given where --held is"),
         ("--simulator plant.py:lag --parameters rate=1:x", "parameters must be given as NAME="),
         ("--simulator plant.py:lag --parameters rate=0.1:1", "how many states"),
         ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),

@@ -108,10 +108,43 @@ def test_without_inputs_and_from_an_estimated_state(tmp_path: Path) -> None:
     later = Compiled(model.export(tmp_path / "later.c", history=record[:170])[0])
     found = np.stack([later.step(1) for _ in range(30)])
     np.testing.assert_allclose(found, model.predict(30, record[:170]).y, atol=1e-9)
+    clear = "in the model's initial state, and a step needs no observed sample. */"
+    assert f"{clear}\nvoid rig_clear" in (tmp_path / "rig.h").read_text()
     compiled.call("clear")  # begins as the equation does
     begin = model.parameters["used"]["x0_1"]
     free = np.asarray(ode.fixed({"x0_1": begin}).simulate(time[:20]))
     np.testing.assert_allclose([compiled.step(1) for _ in range(20)], free[:, :1], atol=1e-9)
+
+
+def test_another_run_begins_in_a_state_of_its_own(tmp_path: Path) -> None:
+    """Its stamps are those of the training record, as a logger's that begin at 0, its y are not."""
+    time = 0.1 * np.arange(200.0)
+    ode = sb.Ode(swinging, [1.0, 0.0], parameters={"x0_1": (0.5, 1.5)}, tolerances=EXACT)
+    noise = np.random.default_rng(0).normal(0, 0.001, 200)
+    one, other = (
+        sb.Record(np.asarray(replace(ode, parameters={"x0_1": begin}).simulate(time))[:, 0] + noise,
+                  0.1, start=0.0) for begin in (1.2, 0.6)
+    )  # fmt: skip
+    model = sb.GreyBox(ode, starts=1).fit(one[:150])
+    model.memory = 0
+    wanted = model.predict(50, other[:150]).y
+    np.testing.assert_allclose(wanted, other.y[150:], atol=0.01)
+    for other_record in (False, True):
+        files = model.export(tmp_path / "rig.c", history=other[:150], other_record=other_record)
+        assert "end of the history with which" in files[1].read_text()
+        compiled = Compiled(files[0])
+        found = np.stack([compiled.step(1) for _ in range(50)])
+        np.testing.assert_allclose(found, wanted, atol=1e-8)
+    step = model.as_casadi(other[:150], other_record=True)
+    np.testing.assert_allclose(float(step(step.state())[1]), wanted[0, 0], atol=1e-8)
+    np.testing.assert_allclose(step.state(one[:150])[:2], model.as_casadi().state()[:2], atol=1e-8)
+
+
+def test_coarse_tolerances_are_said(tmp_path: Path) -> None:
+    ode = replace(EQUATIONS["held inputs"](), tolerances=(1e-3, 1e-5))
+    model = sb.GreyBox(ode, starts=1).fit(record_of(ode, 1)[:150])
+    with pytest.warns(UserWarning, match=r"\(0.001, 1e-05\), are too coarse"):
+        model.export(tmp_path / "rig.c")
 
 
 def test_a_hybrid_contains_the_equation_of_its_grey_box(tmp_path: Path) -> None:
@@ -172,6 +205,8 @@ def test_numpys_functions_of_an_equation_are_written_in_c(tmp_path: Path) -> Non
         (lambda x: max(x, 0.0), "np.maximum"),
         (math.sin, "np.sin for math.sin"),
         (lambda x: np.fft.fft(np.stack([x, x]))[0], "cannot be traced"),
+        (lambda x: np.stack([x, x]).mean(), r"write np\.mean\(x\)"),
+        (lambda x: x.copy(), "write x itself"),
     ],
 )
 def test_what_cannot_be_written_is_told_with_its_line(

@@ -196,6 +196,13 @@ def test_a_class_that_could_not_be_loaded_is_refused(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- damage
 
 
+def test_the_folder_of_a_result_stands_for_its_model_unless_it_holds_another(folder: Path) -> None:
+    assert np.array_equal(ahead(sb.load(folder.parent)).y, ahead(small()).y)
+    small().save(folder.parent)
+    with pytest.raises(ValueError, match=r"must hold one model, got two.*remove"):
+        sb.load(folder.parent)
+
+
 def test_a_missing_file_is_named(folder: Path, tmp_path: Path) -> None:
     weights(folder).unlink()
     with pytest.raises(FileNotFoundError, match=rf"no model in {folder}: weights-.* is missing"):

@@ -12,6 +12,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.metrics import ExtrapolationWarning
 from splitband.simulators import Effort, identify
 from splitband.simulators.parameters import Parameters
 
@@ -113,13 +114,23 @@ def driven(t: float, x: Any, u: Any, p: Any) -> list[float]:
 
 @pytest.mark.parametrize("held", [True, False])
 def test_inputs_are_held_or_interpolated(held: bool) -> None:
-    """As SciPy's linear systems have it: zero-order and first-order hold."""
+    """As SciPy's linear systems have it: zero-order and first-order hold; the wrong one is told."""
     u = np.random.default_rng(0).normal(size=100)
     time = DT * np.arange(100)
     _, y, _ = scipy.signal.lsim(([[-2.0]], [[6.0]], [[1.0]], [[0.0]]), u, time, interp=not held)
     simulator = sb.Ode(driven, [0.0], held=held, parameters={"gain": (0, 10.0), "lag": (0.1, 2.0)})
     found = identify(simulator, sb.Record(y, DT, u=u), effort=FEW)
     assert found.values == pytest.approx({"gain": 3.0, "lag": 0.5}, rel=1e-4)
+    assert not found.doubt
+    noisy = sb.Record(y + np.random.default_rng(1).normal(0, 0.1, 100), DT, u=u)
+    model = sb.GreyBox(replace(simulator, held=not held), starts=1).fit(noisy)
+    assert f"the record favours inputs that are {'held' if held else 'inter'}" in str(
+        model.estimate
+    )
+    known = replace(model.simulator, parameters=dict(found.values))
+    assert f"held={held}" in identify(known, noisy).doubt
+    with pytest.warns(ExtrapolationWarning, match="the record favours"):
+        model.predict(1, u=[[0.0]])
 
 
 def test_a_parameter_that_does_not_matter_is_said() -> None:

@@ -21,9 +21,9 @@ from splitband.forecasters.network import Network
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL_FOLDER
 from splitband.report.table import of_comparison
 from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.outputs import MODEL_FOLDER
 
 
 @options.with_groups

@@ -126,7 +126,6 @@ def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
 def _like(asked: Request) -> Forecaster:
     """Return the saved model of --like, whose settings a new training takes."""
     from splitband.forecasters.saving import load  # noqa: PLC0415  only where a model is loaded
-    from splitband.report.results import MODEL_FOLDER  # noqa: PLC0415
 
     folder = asked.like
     assert folder is not None
@@ -136,4 +135,4 @@ def _like(asked: Request) -> Forecaster:
                 f"--{name.replace('_', '-')} must be left out with --like, whose model decides it, "
                 f"got {value}"
             )
-    return load(folder / MODEL_FOLDER if (folder / MODEL_FOLDER).is_dir() else folder)
+    return load(folder)

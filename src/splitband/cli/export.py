@@ -8,8 +8,16 @@ from typing import Annotated, Any, Literal
 import typer
 
 from splitband.cli import records, showing
-from splitband.cli.options import ModelArgument, SimulatorOptions, with_groups
+from splitband.cli.options import (
+    FileOptions,
+    History,
+    ModelArgument,
+    OtherRun,
+    SimulatorOptions,
+    with_groups,
+)
 from splitband.export.fmu import platforms
+from splitband.export.program import holds_equation
 from splitband.forecasters import saving as forecasters
 from splitband.runtime.files import output_folder
 
@@ -26,6 +34,9 @@ def export(
         ),
     ],
     simulator: SimulatorOptions,
+    files: FileOptions,
+    history: History = None,
+    other_run: OtherRun = False,
     precision: Annotated[
         Literal["double", "float"],
         typer.Option(help="Of the numbers of C and ONNX; the others compute in double precision."),
@@ -38,25 +49,33 @@ def export(
     and its header, which need nothing but math.h. An FMU is for co-simulation (FMI 2.0). With
     the extra `everywhere` it runs on Windows, Linux and macOS, with a C compiler alone on this
     platform; it holds the sources for others. ONNX is the graph of a step, and beside it that of a
-    whole simulation. For CasADi it is the function of a step, and beside it one of the
-    state. An equation that --simulator names is integrated in what is written. Any other simulator
-    of a hybrid model, and one that is not named, stays outside: its output is an input.
+    whole simulation. For CasADi it is the function of a step, and beside it one of the state. It
+    goes on from the end of --history. An equation that --simulator names is integrated in what is
+    written. Any other simulator of a hybrid model, and one that is not named, stays outside: its
+    output is an input.
     """
     forecaster = forecasters.load(model_dir)
+    past = record = forecaster.require_fitted().record
+    if history is not None:
+        past = records.history_of(history, "--history", record, files)
     if simulator.simulator is not None:
-        past = forecaster.require_fitted().record
-        forecaster = records.with_simulator(forecaster, model_dir, simulator, past, 0, None)
+        forecaster = records.with_simulator(
+            forecaster, model_dir, simulator, past, 0, files.time_column
+        )
     output_folder(out.parent, "OUT")
-    files = forecaster.export(out, precision)
-    names = ", ".join(map(str, files))
-    showing.console.print(f"{forecaster.name} is written to {names}")
-    needed = max(forecaster.warmup, 1)
+    with showing.warnings_as_lines():
+        written = forecaster.export(out, precision, past if history else None, other_run)
+    showing.console.print(f"{forecaster.name} is written to {', '.join(map(str, written))}")
+    elsewhere = "export it with --history, as observed samples do not correct its equation's state"
+    if not holds_equation(forecaster):
+        needed = max(forecaster.warmup, 1)
+        elsewhere = f"let it observe {needed} measured sample{'s' if needed > 1 else ''} first"
     showing.console.print(
-        "It begins at the end of the training record; to begin elsewhere, let it observe "
-        f"{needed} measured sample{'s' if needed > 1 else ''} first."
+        f"It begins at the end of {history or 'the training record'}; to begin elsewhere, "
+        f"{elsewhere}."
     )
     facts: dict[str, Any] = {"model": str(model_dir), "method": forecaster.name}
-    facts |= {"precision": precision, "files": [str(file) for file in files]}
+    facts |= {"precision": precision, "files": [str(file) for file in written]}
     if out.suffix.lower() == ".fmu":
         facts["platforms"] = platforms(out)
     showing.as_json(facts)

@@ -112,7 +112,8 @@ def fit(
         saving.save(forecaster, new, facts)
         write_facts(new, facts | outcome | {"environment": environment()})
     shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
-    for note in report.notes:
+    doubts = filter(None, [forecaster.parameters.get("doubt")])
+    for note in (*report.notes, *doubts):
         showing.warn(note)
     said = f"{forecaster._title}, {training_in_words or forecaster.describe()}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"

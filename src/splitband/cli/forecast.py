@@ -16,9 +16,9 @@ from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL_FOLDER
 from splitband.report.table import of_forecast as tried_for
 from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.outputs import MODEL_FOLDER
 
 
 @options.with_groups

@@ -165,10 +165,20 @@ ModelArgument = Annotated[
     Path,
     typer.Argument(
         metavar="MODEL_DIR",
-        help="What `fit` wrote, or `compare` and `forecast` (OUT/model).",
+        help="What `fit`, `compare` or `forecast` wrote.",
         show_default=False,
     ),
 ]
+History = Annotated[
+    Path | None,
+    plain("Measured samples up to now, with the columns of the training record; the last ones "
+          "warm the model up.", "FILE", "the training record"),
+]  # fmt: skip
+OtherRun = Annotated[
+    bool,
+    plain("The history is of another run: its time stamps are not compared with those of the "
+          "training record. Refused where a forecast depends on them.", None, True, "--other-run"),
+]  # fmt: skip
 FutureInputs = Annotated[
     Path | None, panel("Record")("Planned inputs of the samples to predict.", "FILE", False)
 ]
@@ -298,6 +308,10 @@ class SimulatorOptions:
     simulator_start: str | None = _simulator(
         None, "Its time in s at the record's first sample, or `record` for its time stamp there.",
         "SECONDS|record", "0",
+    )  # fmt: skip
+    held: bool = _simulator(
+        False, "Hold its inputs until the next sample (zero-order hold), as a D/A converter does, "
+        "where an equation or an FMU for model exchange interpolates them.", None, True, "--held",
     )  # fmt: skip
     simulator_timeout: float = _simulator(
         600.0, "Give up on a simulator after this time.", "SECONDS", min=0.0

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from splitband.forecasters import saving
-from splitband.report.results import MODEL_FOLDER
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS
-from splitband.runtime.outputs import FACTS, belongs_to_result, locked
+from splitband.runtime.outputs import FACTS, MODEL_FOLDER, belongs_to_result, locked
 
 TO_A_FILE = ("simulate", "export", "summary")
 """Commands that write a file; all others with --out write a folder."""

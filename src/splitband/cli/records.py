@@ -21,6 +21,7 @@ from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
+from splitband.forecasters.simulation import simulations
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
 from splitband.simulators.opening import open_simulator, read_beside, simulated
@@ -222,9 +223,14 @@ def inputs_ahead(
 def simulator_of(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
     """Return the simulator that the options name, or the name of a baseline; None without any."""
     name, inputs = options.simulator, options.simulator_inputs
-    if name is None and (inputs is not None or options.simulator_start is not None):
-        option = "inputs" if inputs is not None else "start"
-        raise InputError(f"--simulator must be given where --simulator-{option} is, got none")
+    given = {"--simulator-inputs": inputs is not None, "--held": options.held,
+             "--simulator-start": options.simulator_start is not None}  # fmt: skip
+    if (name is None or name in BASES) and any(given.values()):
+        option = next(option for option in given if given[option])
+        raise InputError(
+            f"--simulator must be given where {option} is, as an .fmu or FILE.py:FUNCTION, got "
+            f"{name or 'none'}"
+        )
     if options.parameters is None and (name is None or name in BASES):
         return name
     how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
@@ -261,6 +267,8 @@ def with_simulator(
             )
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
         options = replace(options, parameters=options.parameters or own)
+    if any(getattr(each.simulator, "held", False) for each in simulations(model)):
+        options = replace(options, held=True)  # as it was fitted
     found = simulator_of(options, past, time_column)
     if not used:
         _check_run_as_it_is("--simulator", options.simulator, found)

@@ -20,26 +20,9 @@ def simulate(
     out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv", False)],
     simulator: options.SimulatorOptions,
     files: options.FileOptions,
-    history: Annotated[
-        Path | None,
-        options.plain(
-            "Measured samples up to now, with the columns of the training record; the last ones "
-            "warm the model up.",
-            "FILE",
-            "the training record",
-        ),
-    ] = None,
+    history: options.History = None,
     future_inputs: options.FutureInputs = None,
-    other_run: Annotated[
-        bool,
-        options.plain(
-            "The history is of another run: its time stamps are not compared with those of the "
-            "training record. Refused where a forecast depends on them.",
-            None,
-            True,
-            "--other-run",
-        ),
-    ] = False,
+    other_run: options.OtherRun = False,
     level: Annotated[
         float | None,
         options.plain(

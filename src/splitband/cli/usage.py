@@ -20,7 +20,7 @@ from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
-from splitband.report.results import MODEL_FOLDER
+from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.system import over_lines, quoted
 
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
+
 from splitband.export.c_statements import Precision, Renderer
 from splitband.export.graph import Symbol
 from splitband.export.program import Program
-
-_BEGINS = {
-    False: "Go on from the end of the training record.",
-    True: "Begin with nothing measured: the simulator was not available when this was exported.",
-}
 
 
 def render(program: Program, precision: Precision) -> tuple[str, str]:
@@ -52,12 +49,20 @@ def _header(program: Program, precision: Precision) -> str:
         signals.append(f"as they are measured: before they are {done}")
     listed = "\n".join(f" *   {_comment(signal)}" for signal in signals if signal)
     others = "".join(f", const {precision} *{s}" for s in program.given if s != "y")
-    guard, needed = f"{name.upper()}_H", max(program.forecaster.warmup, 1)
+    said = (
+        "NaN marks a sample that was not measured. All state is in the struct, which "
+        f"{name}_init or {name}_clear must begin. {program.uncorrected}"
+    )
+    said = "\n * ".join(wrap(said, 96))
+    guard = f"{name.upper()}_H"
+    begins = "Begin with nothing measured: the simulator was not available at the export."
+    if program.begins:
+        begins = f"Go on from the end of the {program.begins}."
     return f"""/* {_comment(program.forecaster.name)}, exported by splitband.
  *
  * One sample every {record.sampling_time:.9g} s:
 {listed}
- * NaN marks a sample that was not measured. All state is in the struct.
+ * {said}
  */
 #ifndef {guard}
 #define {guard}
@@ -70,10 +75,10 @@ typedef struct {{
 {chr(10).join(fields)}
 }} {name}_state;
 
-/* {_BEGINS[program.empty]} */
+/* {begins} */
 void {name}_init({name}_state *s);
 
-/* Begin with nothing measured; a step needs at least this many observed samples: {needed}. */
+/* Begin with nothing measured: {program.cleared}. */
 void {name}_clear({name}_state *s);
 
 /* Take the next measured sample. */

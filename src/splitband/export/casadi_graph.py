@@ -70,8 +70,10 @@ class CasadiStep:
     stream : Takes measured samples, `stream.observe(y, u)`, after which `state` is another one.
     """
 
-    def __init__(self, forecaster: Forecaster, history: Record | None = None) -> None:
-        recursion, state = program_of(forecaster, history)
+    def __init__(
+        self, forecaster: Forecaster, history: Record | None = None, other_record: bool = False
+    ) -> None:
+        recursion, state = program_of(forecaster, history, other_record)
         if state is None:
             raise InputError(
                 f"history must bring the simulator's output (y_sim) for {forecaster.name}, or the "
@@ -86,14 +88,14 @@ class CasadiStep:
         """Return the next state and the prediction."""
         return self.function(*given)
 
-    def state(self, history: Record | None = None) -> Array:
+    def state(self, history: Record | None = None, other_record: bool = False) -> Array:
         """Return the state from which a plan starts, as a vector.
 
         By default it is that after the samples that `stream` has observed.
 
         Parameters
         ----------
-        history : Measured samples up to now, see `Forecaster.predict`.
+        history, other_record : Measured samples up to now, see `Forecaster.predict`.
 
         Raises
         ------
@@ -109,7 +111,7 @@ class CasadiStep:
                     "history must be given to as_casadi where a record was detrended, clipped or "
                     "resampled: pass later samples to stream.observe"
                 )
-            state = recursion.after(known_of(self.forecaster, 0, history))
+            state = recursion.after(known_of(self.forecaster, 0, history, other_record))
         return _vector(self._run.begin(state))
 
     def __repr__(self) -> str:

@@ -54,8 +54,7 @@ class Variable:
 
 FLAGS = (
     Variable("observe", "input", "take the measured samples in place of predicting", False),
-    Variable("begin_empty", "parameter", "begin with nothing measured, and not at the end of the "
-             "training record", False),
+    Variable("begin_empty", "parameter", "begin with nothing measured", False),
 )  # fmt: skip
 
 
@@ -100,7 +99,7 @@ def _sources(program: Program, numbers: Sequence[Variable]) -> tuple[dict[str, b
         "OUTPUTS": str(program.record.ny),
         "STARTS": ", ".join(repr(float(v.start or 0.0)) for v in numbers),
         "GIVEN": _given(program),
-        "NEEDED": str(_needed(program)),
+        "NEEDED": str(program.needed),
     }.items():
         wrapper = wrapper.replace(f"@{word}@", value)
     texts = {f"{model}.c": source, "fmu.c": wrapper, f"{model}.h": header}
@@ -180,11 +179,6 @@ def _numbers(program: Program) -> list[Variable]:
     return [*found, *channels("_measured", "what is observed")]
 
 
-def _needed(program: Program) -> int:
-    """Return how many samples in a row must be observed after `begin_empty`."""
-    return max(program.forecaster.warmup, 1)
-
-
 def _given(program: Program) -> str:
     """Return C arguments that point to inputs and simulator's output in the list of numbers."""
     at, arguments = program.record.ny, ""
@@ -220,7 +214,10 @@ def _description(
     _annotate(root, numbers, record.ny)
     variables = add(root, "ModelVariables")
     observe, empty = FLAGS
-    said = f"{empty.description}: {_needed(program)} samples in a row must then be observed"
+    begins = f", and not at the end of the {program.begins}" if program.begins else ""
+    said = f"{empty.description}{begins}: {program.cleared}"
+    if program.uncorrected:
+        said += f". {program.uncorrected}"
     flags = observe, replace(empty, description=said)
     for kind, listed in (("Real", numbers), ("Boolean", flags)):
         for reference, variable in enumerate(listed):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -213,6 +213,20 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
             raise TypeError("a mask, or two lists, cannot be traced as an index: write np.where")
         rows = [self[(*keys[:at], int(k), *keys[at + 1 :])] for k in keys[at]]
         return _stack(self.trace, rows, sum(k is None or isinstance(k, slice) for k in keys[:at]))
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Raise AttributeError, which says what to write for a method that arrays have."""
+        known = name in {function.__name__ for function in _FUNCTIONS}
+        instead = f"np.{name}(x)" if known else "sums, products and NumPy's elementwise functions"
+        if name == "copy":
+            instead = "x itself, which nothing changes, or np.zeros_like(x) and each element of it"
+        raise AttributeError(f"a value that is not known yet has no .{name}: write {instead}")
+
+    def __setitem__(self, key: Any, value: Any) -> NoReturn:
+        raise TypeError(
+            "a value that is not known yet cannot be changed: write a list of its elements, or set "
+            "those of np.zeros_like(x)"
+        )
 
     def __iter__(self) -> Any:
         return (self[i] for i in range(len(self)))

@@ -13,6 +13,7 @@ from splitband.data import Record
 from splitband.data.preparation import seconds
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.simulation import simulations
 from splitband.forecasters.stepping import program_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -37,8 +38,9 @@ class Program:
     block : Inputs are the state's leaves, y, u and y_sim; outputs are the state's leaves, the
         predicted sample and whether it could be predicted.
     given : Names and shapes of the signals of a sample: y, and u and y_sim if the model has them.
-    empty : Whether it begins with nothing measured, because the simulator's output for the history
-        was not available.
+    begins : What it goes on from, in words; empty where it begins with nothing measured, because
+        the simulator's output for the history was not available.
+    needed : How many samples in a row must be observed before a step, if it is cleared.
     """
 
     name: str  # an identifier
@@ -47,12 +49,30 @@ class Program:
     leaves: tuple[Leaf, ...]  # the state
     given: dict[str, tuple[int, ...]]
     raw: bool  # whether signals are given as measured, before the record was prepared
-    empty: bool
+    begins: str
+    needed: int
 
     @property
     def record(self) -> Record:
         """Return the training record, for names and the sampling time."""
         return self.forecaster.require_fitted().record
+
+    @property
+    def cleared(self) -> str:
+        """Return how it begins without measured samples, as the end of a sentence."""
+        if self.needed:
+            return f"{self.needed} sample(s) in a row must then be observed before a step"
+        return "in the model's initial state, and a step needs no observed sample"
+
+    @property
+    def uncorrected(self) -> str:
+        """Return a sentence where it holds an equation, whose state is not corrected."""
+        if not holds_equation(self.forecaster):
+            return ""
+        return (
+            "Observed samples do not correct the state of its equation: for another run, export it "
+            "after a history of that run."
+        )
 
     def usual(self) -> tuple[Array, Array]:
         """Return the record's last outputs `(ny,)` and inputs `(nu,)`, in the program's units."""
@@ -64,12 +84,19 @@ class Program:
         return y[0], u[0]
 
 
-def program(forecaster: Forecaster, name: str, history: Record | None = None) -> Program:
+def holds_equation(forecaster: Forecaster) -> bool:
+    """Return whether a program of the forecaster holds an equation, which it integrates."""
+    return any(getattr(part, "_writable", False) for part in simulations(forecaster))
+
+
+def program(
+    forecaster: Forecaster, name: str, history: Record | None = None, other_record: bool = False
+) -> Program:
     """Return the program of a fitted forecaster, which begins after a history.
 
     Raises ValueError, naming the forecaster, if it cannot be exported.
     """
-    recursion, state = program_of(forecaster, history)
+    recursion, state = program_of(forecaster, history, other_record)
     cleared = recursion.initial(None)
     begun = cleared if state is None else state
     ny = recursion.ny
@@ -88,6 +115,10 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
         Leaf(f"s_{path}", np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
         for (path, one), (_, other) in zip(named_leaves(begun), named_leaves(cleared), strict=True)
     ]
+    begins = "training record" if history is None else "history with which it was exported"
+    nothing = np.full(ny, np.nan), *examples[1:]
+    with np.errstate(all="ignore"):
+        ready = bool(recursion.tick(cleared, *nothing)[2])
     used = {signal: shape for signal, shape in given.items() if np.prod(shape)}
     return Program(
         identifier(name),
@@ -96,7 +127,8 @@ def program(forecaster: Forecaster, name: str, history: Record | None = None) ->
         tuple(leaves),
         used,
         recursion.prepared,
-        begun is cleared,
+        "" if state is None else begins,
+        0 if ready else max(forecaster.warmup, 1),
     )
 
 

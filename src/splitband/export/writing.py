@@ -14,7 +14,9 @@ from splitband.forecasters.base import Forecaster
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
 
-Renderer = Callable[[Forecaster, Path, Precision, Record | None], Mapping[Path, bytes]]
+Begin = tuple[Record | None, bool]
+"""A history, and whether it is of another record."""
+Renderer = Callable[[Forecaster, Path, Precision, Begin], Mapping[Path, bytes]]
 """Returns the content of each file, the one that was asked for first."""
 
 
@@ -23,6 +25,7 @@ def export(
     path: str | Path,
     precision: Precision = "double",
     history: Record | None = None,
+    other_record: bool = False,
 ) -> list[Path]:
     """Export a forecaster; return the files. See `Forecaster.export`."""
     path = Path(path)
@@ -31,47 +34,45 @@ def export(
         raise InputError(f"path must end with one of {', '.join(FORMATS)}, got {path}")
     if precision not in ("double", "float"):
         raise InputError(f"precision must be double or float, got {precision!r}")
-    files = rendered(forecaster, path, precision, history)
+    files = rendered(forecaster, path, precision, (history, other_record))
     for file, content in files.items():
         with replacing(file) as temporary:
             temporary.write_bytes(content)
     return [*files]
 
 
-def _c(
-    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
-) -> dict[Path, bytes]:
+def _c(forecaster: Forecaster, path: Path, precision: Precision, begin: Begin) -> dict[Path, bytes]:
     if path.stem != (name := identifier(path.stem)):
         raise InputError(
             f"path must be named as functions of C are, such as {name}.c, got {path.name}"
         )
-    header, source = render(program(forecaster, path.stem, history), precision)
+    header, source = render(program(forecaster, path.stem, *begin), precision)
     return {path: source.encode("ascii"), path.with_suffix(".h"): header.encode("ascii")}
 
 
 def _onnx(
-    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+    forecaster: Forecaster, path: Path, precision: Precision, begin: Begin
 ) -> dict[Path, bytes]:
     from splitband.export import onnx_graph  # noqa: PLC0415  needs the extra `onnx`
 
-    step, rollout = onnx_graph.render(program(forecaster, path.stem, history), precision)
+    step, rollout = onnx_graph.render(program(forecaster, path.stem, *begin), precision)
     return {path: step, path.with_name(f"{path.stem}-rollout{path.suffix}"): rollout}
 
 
 def _fmu(
-    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+    forecaster: Forecaster, path: Path, precision: Precision, begin: Begin
 ) -> dict[Path, bytes]:
     _require_double(precision, "an FMU")
-    return {path: fmu.render(program(forecaster, path.stem, history))}
+    return {path: fmu.render(program(forecaster, path.stem, *begin))}
 
 
 def _casadi(
-    forecaster: Forecaster, path: Path, precision: Precision, history: Record | None
+    forecaster: Forecaster, path: Path, precision: Precision, begin: Begin
 ) -> dict[Path, bytes]:
     from splitband.export import casadi_graph  # noqa: PLC0415  needs the extra `casadi`
 
     _require_double(precision, "CasADi")
-    step, start = casadi_graph.files(casadi_graph.CasadiStep(forecaster, history))
+    step, start = casadi_graph.files(casadi_graph.CasadiStep(forecaster, *begin))
     return {path: step, path.with_name(f"{path.stem}-start{path.suffix}"): start}
 
 

@@ -400,7 +400,7 @@ class Forecaster(WithRepr, ABC):
         return TorchSimulation(self.differentiable(known), record.nu)
 
     @final
-    def as_casadi(self, history: Record | None = None) -> CasadiStep:
+    def as_casadi(self, history: Record | None = None, other_record: bool = False) -> CasadiStep:
         """Return the prediction of one sample as a CasADi function, for predictive control.
 
         `step = model.as_casadi()` is called as `state, y = step(state, u)`, with numbers or with
@@ -411,7 +411,7 @@ class Forecaster(WithRepr, ABC):
 
         Parameters
         ----------
-        history : See `predict`; by default the training record.
+        history, other_record : See `predict`; by default the training record.
 
         Raises
         ------
@@ -422,7 +422,7 @@ class Forecaster(WithRepr, ABC):
         """
         from splitband.export.casadi_graph import CasadiStep  # noqa: PLC0415  of a higher layer
 
-        return CasadiStep(self, history)
+        return CasadiStep(self, history, other_record)
 
     @final
     def export(
@@ -430,6 +430,7 @@ class Forecaster(WithRepr, ABC):
         path: str | Path,
         precision: Literal["double", "float"] = "double",
         history: Record | None = None,
+        other_record: bool = False,
     ) -> list[Path]:
         """Write the fitted forecaster as a program that needs no Python; return its files.
 
@@ -444,7 +445,8 @@ class Forecaster(WithRepr, ABC):
             second graph for a whole simulation; `.casadi` is the function of `as_casadi`, with a
             second one that returns its state.
         precision : Of all numbers; an FMU and CasADi compute in double precision.
-        history : The program starts at its end; by default the training record.
+        history, other_record : The program starts at the end of the history, see `predict`; by
+            default of the training record.
 
         Raises
         ------
@@ -454,7 +456,7 @@ class Forecaster(WithRepr, ABC):
         """
         from splitband.export.writing import export  # noqa: PLC0415  of a higher layer
 
-        return export(self, path, precision, history)
+        return export(self, path, precision, history, other_record)
 
     def save(self, folder: str | Path) -> None:
         """Write the fitted forecaster to a folder, whole or not at all; `splitband.load` reads it.

@@ -108,6 +108,9 @@ class GreyBox(Forecaster):
         self.memory = 0
         self.u: Array | None = None
 
+    y: Array | None = None
+    """The training samples, by which a history of another run is told."""
+
     @property
     def name(self) -> str:
         """Return the given name, or "grey-box"."""
@@ -120,7 +123,9 @@ class GreyBox(Forecaster):
         """Return the estimate, and all values in use, fixed ones included."""
         if self.adjusted is None:
             return {}
-        return {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
+        found = {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
+        held = getattr(self.simulator, "held", None)
+        return found if self.u is None or held is None else {**found, "held": held}
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for unsuitable records, and where it has no simulator."""
@@ -158,7 +163,7 @@ class GreyBox(Forecaster):
         experiments = [Experiment.of(record, simulator) for record in records]
         adjusted = Adjusted.of(simulator, self.estimate, experiments)
         self.adjusted = replace(adjusted, simulator=None)
-        self.u = records[0].u
+        self.u, self.y = records[0].u, records[0].y_with_gaps
         self.memory = self._chosen_memory(experiments[0])
         self.fitted = self.require_fitted().reporting(cut=self.estimate.cut)
 
@@ -351,6 +356,10 @@ class GreyBox(Forecaster):
         """Return the values with standard errors, and those that the record does not determine."""
         return str(self.estimate)
 
+    def doubts(self, known: ForecastContext) -> list[str]:
+        """Return that the record favours the other course of inputs between samples, if it does."""
+        return [self.estimate.doubt] if self.estimate.doubt else []
+
     def _begin(self, known: ForecastContext) -> float:
         """Return where a history begins, in samples after the first one of training."""
         if known.begin is not None:
@@ -363,17 +372,20 @@ class GreyBox(Forecaster):
     def _anchored(self, known: ForecastContext) -> bool:
         """Return whether all inputs since the first sample of the training record are known.
 
-        A history with other inputs than those of the training record at the same times is of
-        another run, although its time stamps may be alike, as those of loggers that begin at 0.
+        A history with other inputs or samples than those of the training record at the same times
+        is of another run, although its time stamps may be alike, as of loggers that begin at 0.
         """
         begin, most = known.begin, np.inf if self.u is None else len(self.u)
         if begin is None or begin % 1 or not 0 <= begin <= most:
             return False
-        if self.u is None or known.u is None:
-            return True
-        ours = self.u[int(begin) :][: len(known.y)]
-        rounding = 1e-6 * np.ptp(self.u, axis=0)  # as those of a file may be
-        return bool((abs(known.u[: len(ours)] - ours) <= rounding).all())
+        for ours, theirs in ((self.u, known.u), (self.y, known.y)):
+            if ours is not None and theirs is not None:
+                same = ours[int(begin) :][: len(known.y)]
+                # Those of a file may be rounded.
+                rounding = 1e-6 * (np.nanmax(ours, axis=0) - np.nanmin(ours, axis=0))
+                if (abs(theirs[: len(same)] - same) > rounding).any():  # gaps are alike
+                    return False
+        return True
 
     def _times(self, first: float, samples: int) -> Array:
         """Return the simulator's times of samples, in s; `first` is counted from training."""

@@ -145,7 +145,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
 
     Parameters
     ----------
-    folder : Of the forecaster.
+    folder : Of the forecaster, or of the result of a comparison or a forecast, which holds one.
     simulator : The one that it was fitted with, such as `sb.Fmu("rig.fmu")`, or a replacement. A
         forecaster that needs one loads without it, but cannot predict.
 
@@ -155,8 +155,8 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
         When a file is missing.
     ValueError
         When a file is damaged, of another format, or needs a class of your own whose module has
-        not been imported; for a simulator that the forecaster does not need, or whose `start` is
-        not that of the saved one.
+        not been imported; for a folder that holds two forecasters; for a simulator that the
+        forecaster does not need, or whose `start` or `held` is not that of the saved one.
 
     Warns
     -----
@@ -171,7 +171,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
     True
     """
-    folder = Path(folder)
+    folder = _of_result(Path(folder))
     if not (folder / FILE).is_file():
         old = f"; its model.json is of version 0.1 or 0.2: {_AGAIN}"
         said = old if (folder / "model.json").is_file() else ""
@@ -198,6 +198,19 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     if simulator is not None:
         _give(loaded, simulator)
     return loaded
+
+
+def _of_result(folder: Path) -> Path:
+    """Return the folder of the forecaster that a folder holds, itself or as the result of a run."""
+    inner = folder / outputs.MODEL_FOLDER
+    if not (inner / FILE).is_file():
+        return folder
+    if (folder / FILE).is_file():
+        raise InputError(
+            f"folder must hold one model, got two: {folder / FILE}, of `fit`, and {inner / FILE}, "
+            f"of `compare` or `forecast`; name {inner}, or remove it to have the other one"
+        )
+    return inner
 
 
 def _read_description(folder: Path) -> dict[str, Any]:

@@ -509,7 +509,7 @@ def _begun(
 
 
 def program_of(
-    forecaster: Forecaster, history: Record | None = None
+    forecaster: Forecaster, history: Record | None = None, other_record: bool = False
 ) -> tuple[Recursion, State | None]:
     """Return the recursion that `Forecaster.export` writes, and its state after a history.
 
@@ -517,7 +517,7 @@ def program_of(
     """
     recursion, past = _in_units(forecaster, forecaster._stepped(outside=True), history)
     try:
-        return recursion, recursion.after(known_of(forecaster, 0, past))
+        return recursion, recursion.after(known_of(forecaster, 0, past, other_record))
     except ValueError:
         if not recursion.simulated or history is not None:
             raise

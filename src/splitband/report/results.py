@@ -31,10 +31,7 @@ from splitband.report.predicted import Predicted, predicted
 from splitband.report.table import Table, columns, tried
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import write_text
-from splitband.runtime.outputs import TEST_PREDICTIONS, staged, write_facts
-
-MODEL_FOLDER = "model"
-"""Folder with the recommended method as it was trained, for `simulate` and `--like`."""
+from splitband.runtime.outputs import MODEL_FOLDER, TEST_PREDICTIONS, staged, write_facts
 
 
 def save(

@@ -33,6 +33,8 @@ RESULT_FILES = (
 its model are removed."""
 DESCRIPTION, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
 """Files of a saved forecaster."""
+MODEL_FOLDER = "model"
+"""Folder of a result with the recommended method as it was trained."""
 LOCK = ".splitband-lock"
 _OPEN = "Open in another program; close it there and give the same command again"
 """What to say of a file of an earlier result that cannot be replaced."""

@@ -334,6 +334,7 @@ class Absent:
     fitted : Whether its parameters were fitted; other parameter values are then no difference.
     start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
         has time stamps of its own.
+    held : Whether it holds its inputs until the next sample; None for one that does not say.
     """
 
     kind: str
@@ -341,6 +342,7 @@ class Absent:
     fingerprint: str | None = None
     fitted: bool = False
     start: Start | None = None
+    held: bool | None = None
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -352,6 +354,8 @@ class Absent:
                 f"a simulator must have a class and the name of a file, got "
                 f"{self.kind[:60]!r} and {self.file[:60]!r}"
             )
+        if self.held not in (None, False, True):
+            raise InputError(f"held must be true, false or null, got {str(self.held)[:60]!r}")
         vars(self)["start"] = check_start(self.start)
 
     @classmethod
@@ -365,7 +369,8 @@ class Absent:
             said = simulator.digest()
         own = getattr(simulator, "own_times", False)
         start = None if own else getattr(simulator, "start", None) or 0.0
-        return cls(type(simulator).__name__, file, said and str(said), fitted, start)
+        held = getattr(simulator, "held", None) if getattr(simulator, "driven", False) else None
+        return cls(type(simulator).__name__, file, said and str(said), fitted, start, held)
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError; the message says which simulator to pass, and how."""
@@ -380,7 +385,7 @@ class Absent:
         """Return a sentence if `given` is not the described simulator, else an empty string.
 
         Simulators without a fingerprint are not compared. Raises ValueError for one that begins at
-        another time.
+        another time, or whose inputs run otherwise between samples.
         """
         other = Absent.of(given, self.fitted)
         if self.start is not None and other.start is not None and self.start != other.start:
@@ -388,6 +393,11 @@ class Absent:
                 f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
                 f"which the model was saved, got start={json.dumps(other.start)}; fit the model "
                 "again for another start"
+            )
+        if None not in (self.held, other.held) and self.held != other.held:
+            raise InputError(
+                f"simulator must have held={self.held}, with which the model was saved, got "
+                f"held={other.held}; fit the model again for another one"
             )
         saved, found = self.fingerprint, other.fingerprint
         if saved is None or found is None or saved == found:

@@ -6,7 +6,8 @@ exact as the solver. How many are enough is found on the inputs of the training 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -125,24 +126,40 @@ def enough_steps(
     ------
     ValueError
         Where `MOST_STEPS` are not enough: the equation needs an adaptive solver.
+
+    Warns
+    -----
+    UserWarning
+        Where the tolerances of the equation are so coarse that the model itself differs from it.
     """
     ode: Ode = adjusted.simulator
     y, x = replace(adjusted, simulator=replace(ode, tolerances=PRECISE)).response(time, u)
     length, count = window or len(time) - 1, 1
-    while True:
-        left = np.zeros(y.shape[1])
+
+    def differs(solved: Callable[..., Any], more: float) -> Array:
+        """Return the largest difference of another solution, `(ny,)`."""
+        most = np.zeros(y.shape[1])
         for begin in range(0, len(time) - 1, length):
             part = slice(begin, begin + length + 1)
             inputs = None if u is None else u[part]
-            found, _ = ode.stepped(adjusted.values, x[begin], time[part], inputs, count)
-            differs = np.nan_to_num(np.abs(found - y[part]), nan=np.inf)
-            left = np.maximum(left, differs.max(axis=0))
-        if (left <= TARGET * spread).all():
-            return count
+            found = solved(adjusted.values, x[begin], time[part], inputs, more)[0]
+            apart = np.nan_to_num(np.abs(found - y[part]), nan=np.inf)
+            most = np.maximum(most, apart.max(axis=0))
+        return most
+
+    enough = MAX_NOISE_SHARE * adjusted.noise
+    if ((own := differs(ode.advance, 0.0)) > enough).any():
+        warnings.warn(
+            f"the tolerances of the equation, {ode.tolerances}, are too coarse for the program to "
+            "agree with the model: it solves the equation precisely, which differs by up to "
+            f"{np.max(own / adjusted.noise):.1g} of the model's error; fit it with smaller ones",
+            stacklevel=2,
+        )
+    while ((left := differs(ode.stepped, count)) > TARGET * spread).any():
         if count == MOST_STEPS:
             break
         count *= 2
-    if (left <= MAX_NOISE_SHARE * adjusted.noise).all():
+    if (left <= np.maximum(TARGET * spread, enough)).all():
         return count
     raise InputError(
         f"the equation needs an adaptive solver, which a program has not: by {MOST_STEPS} steps a "

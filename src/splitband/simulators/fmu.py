@@ -176,6 +176,11 @@ class Fmu(Adjustable):
         vars(made).pop("known", None)
         return made
 
+    def otherwise(self) -> Any:
+        """Return a copy with the other course of inputs; None but for model exchange with some."""
+        exchange = self.driven and self._unit.kind == EXCHANGE
+        return self._with(held=not self.held) if exchange else None
+
     def digest(self) -> str:
         """Return an identifier of the response, without the values of parameters."""
         content = hashlib.sha256(self.path.read_bytes()).hexdigest()

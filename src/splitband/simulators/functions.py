@@ -256,6 +256,10 @@ class Ode(UserCode):
         """
         return self._with(tolerances=tuple(map(min, self.tolerances, PRECISE)))
 
+    def otherwise(self) -> Any:
+        """Return a copy that interpolates held inputs, or holds others; None without inputs."""
+        return self._with(held=not self.held) if self.driven else None
+
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Solve at the times `time` in s, with the inputs `(time, nu)`.
 
@@ -338,7 +342,8 @@ class Ode(UserCode):
     def fingerprint(self) -> str | None:
         """Return the cache key: the key, the parameters and the solver's settings."""
         x0 = np.asarray(self.x0, float).tolist()
-        return self.key and f"{self.key} {x0} {self.known} {self._precision}"
+        held = " held" if self.held else ""
+        return self.key and f"{self.key} {x0} {self.known} {self._precision}{held}"
 
     def digest(self) -> str | None:
         """Return an identifier of code and settings; None for code that cannot be told."""

@@ -29,7 +29,13 @@ from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
 from splitband.simulators.code import failure
-from splitband.simulators.parameters import Adjustable, Estimate, labelled, uncertainty
+from splitband.simulators.parameters import (
+    Adjustable,
+    Estimate,
+    favours,
+    labelled,
+    uncertainty,
+)
 from splitband.simulators.shooting import BAD, Experiment, Shooting, fit_key, projected
 
 STARTS = 32
@@ -123,9 +129,11 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
-    if not shooting.names:
-        return _build_estimate(shooting, shooting.divide(10**9, np.empty(0)), 0)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
+    if not shooting.names:
+        unknowns = shooting.divide(longest, np.empty(0))
+        estimate = _build_estimate(shooting, unknowns, 0)
+        return replace(estimate, doubt=_doubt(shooting, unknowns, longest, deadline))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
         over = "the time was over before the first one was done"
@@ -146,6 +154,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         if not (best.cut or deadline.over):
             unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
         estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
+    doubt = _doubt(shooting, unknowns, window, deadline)
     fractions = unknowns[: len(fractions)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
@@ -161,7 +170,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
     remarks += [remark for remark, holds in more.items() if holds]
     agreed = len(agreeing), len(ranked)
-    return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut)
+    return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut, doubt=doubt)
 
 
 def check_runs(simulator: Any, record: Record) -> Any:
@@ -212,11 +221,9 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
 
 def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
     """Return the estimate at the best unknowns, with standard errors."""
-    ny, fractions = len(shooting.scale), unknowns[: len(shooting.names)]
-    residuals = shooting.residuals(unknowns)
+    fractions = unknowns[: len(shooting.names)]
+    by_channel = _by_channel(shooting, unknowns)
     jacobian = projected(shooting.jacobian(unknowns), len(fractions))
-    measured = np.concatenate([w.part.y for w in shooting.windows])
-    by_channel = np.where(np.isnan(measured), np.nan, residuals.reshape(-1, ny))
     known = shooting.simulator.known
     errors, correlations, remarks = uncertainty(
         shooting.names, known, fractions, by_channel, jacobian
@@ -227,6 +234,41 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
     rest = tuple(map(float, rmse)), tuple(remarks), window
     return Estimate(values, deviations, correlations, *rest)
+
+
+def _by_channel(shooting: Shooting, unknowns: Array) -> Array:
+    """Return the residuals in deviations of the channels, `(samples, ny)`, NaN in gaps."""
+    measured = np.concatenate([window.part.y for window in shooting.windows])
+    residuals = shooting.residuals(unknowns).reshape(measured.shape)
+    return np.where(np.isnan(measured), np.nan, residuals)
+
+
+def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline) -> str:
+    """Return a sentence where the other course of inputs between samples fits decisively better.
+
+    It is fitted once more from the values that were found, if there is time.
+    """
+    simulator = shooting.simulator.otherwise()
+    if simulator is None:
+        return ""
+    other = Shooting(simulator, shooting.experiments, shooting.scale)
+    try:
+        with within(min(current(), deadline)):
+            at = other.divide(window, unknowns[: len(shooting.names)])
+            if len(at) and _runs(other, at):
+                at, _ = descend(other, at, _ROUNDS)
+    except DeadlineError:
+        return ""
+    with within(NEVER):
+        found = [_by_channel(shooting, unknowns), _by_channel(other, at)]
+    if not favours(*found):
+        return ""
+    here, there = (f"{np.sqrt(np.nanmean(each**2)):.2g}" for each in found)
+    better, how = ("held", "--held") if simulator.held else ("interpolated", "without --held")
+    return (
+        f"the record favours inputs that are {better} between samples, held={simulator.held} "
+        f"({how}): error {there} in place of {here} of its deviation"
+    )
 
 
 def _alternatives(

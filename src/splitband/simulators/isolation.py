@@ -40,9 +40,9 @@ class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
     `timeout`: seconds to wait; `reads`: other files that the output depends on; `cache`: see `run`;
-    `outputs`, `inputs`, `start`: see `Fmu` and `Function`; `driven`: whether it takes the record's
-    inputs, set for an FMU by `matched`; `files`: those of the modules that it had imported after
-    its last run.
+    `outputs`, `inputs`, `start`, `held`: see `Fmu` and `Function`; `driven`: whether it takes the
+    record's inputs, set for an FMU by `matched`; `files`: those of the modules that it had imported
+    after its last run.
     """
 
     path: str
@@ -54,7 +54,13 @@ class Isolated:
     inputs: tuple[str, ...] | None = None
     driven: bool = False
     start: Start | None = None
+    held: bool = False
     files: Sequence[str] = field(default=(), init=False)
+
+    def __post_init__(self) -> None:
+        """Check that it can hold its inputs, if it is to."""
+        if self.held and self.function is not None:
+            raise _not_an_equation(self.name)
 
     @property
     def name(self) -> str:
@@ -102,7 +108,8 @@ class Isolated:
         if self.function is not None:
             return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0}"
+        held = " held" if self.held else ""
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0}{held}"
 
 
 def _how(code: int) -> str:
@@ -135,7 +142,7 @@ def _simulated(
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
     """Run the simulator in this process."""
     if task.function is None:
-        with Fmu(task.path, task.outputs or None, inputs=task.inputs) as fmu:
+        with Fmu(task.path, task.outputs or None, inputs=task.inputs, held=task.held) as fmu:
             return fmu.simulate(time, u)
     function = named_in(task.path, task.function)
     if not callable(function):
@@ -152,13 +159,14 @@ def named_in(path: str, name: str) -> Any:
         raise InputError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
 
 
-def adjustable_from(
+def adjustable_from(  # noqa: PLR0913
     file: str,
     name: str,
     given: Mapping[str, Any],
     outputs: Sequence[str] = (),
     inputs: Sequence[str] | None = None,
     start: Start | None = None,
+    held: bool = False,
 ) -> Adjustable:
     """Return a simulator with these parameters, which runs in this process.
 
@@ -173,17 +181,28 @@ def adjustable_from(
     given : Parameters, which override those of an `Ode` or a `Function` in the file.
     outputs, inputs : Variables of an FMU.
     start : Of the simulator; None for its own.
+    held : Whether inputs are held until the next sample; False for what an `Ode` says itself.
     """
     if not name:
-        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0)
+        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held)
     file = str(Path(file).resolve())
     _defined(file, name, content_digest([file]))  # which imports what it needs
     key = f"{content_digest([file, *loaded_files()])} {name}"
-    simulator: Adjustable = _of_file(file, name, start, key, given)
+    simulator: Adjustable = _of_file(file, name, start, held, key, given)
     return simulator
 
 
-def _of_file(file: str, name: str, start: Start | None, key: str, given: Mapping[str, Any]) -> Any:
+def _not_an_equation(name: str) -> InputError:
+    """Return the error for a function whose inputs are to be held."""
+    return InputError(
+        "held (--held) must be left out but for a differential equation or an .fmu, got "
+        f"{name}, which is given the samples of the inputs alone"
+    )
+
+
+def _of_file(
+    file: str, name: str, start: Start | None, held: bool, key: str, given: Mapping[str, Any]
+) -> Any:
     """Return a simulator of a Python file, in any process."""
     found = _defined(file, name, content_digest([file]))
     if isinstance(found, UserCode):
@@ -197,7 +216,11 @@ def _of_file(file: str, name: str, start: Start | None, key: str, given: Mapping
         simulator = Function(found, key, dict(given))
     if start is not None:
         simulator = replace(simulator, start=start)
-    return simulator.opened_by(partial(_of_file, file, name, start, key))
+    if held:
+        if not isinstance(simulator, Ode):
+            raise _not_an_equation(name)
+        simulator = replace(simulator, held=True)
+    return simulator.opened_by(partial(_of_file, file, name, start, held, key))
 
 
 @lru_cache(maxsize=16)

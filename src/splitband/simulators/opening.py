@@ -43,6 +43,7 @@ def open_simulator(  # noqa: PLR0913
     columns: Sequence[str] = (),
     inputs: Sequence[str] | None = None,
     start: Start | str | None = None,
+    held: bool = False,
     parameters: str | Mapping[str, Any] | None = None,
     timeout: float | None = None,
     cache: str | Path | None = None,
@@ -59,6 +60,8 @@ def open_simulator(  # noqa: PLR0913
     columns : Its columns or outputs that match the record's; by default those of the same names.
     inputs : Variables of an FMU that take the record's inputs; by default those of their names.
     start : Its time in s at the record's first sample, or "record" for its time stamp there.
+    held : Whether a differential equation or an FMU holds its inputs until the next sample, see
+        `Ode` and `Fmu`; False is what an `Ode` of the file says itself.
     parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
     timeout : Seconds after which a run is given up; None for no limit.
     cache : Folder that keeps its outputs.
@@ -83,6 +86,7 @@ def open_simulator(  # noqa: PLR0913
     for what, given, taken in (
         ("inputs (--simulator-inputs)", inputs, fmu),
         ("start (--simulator-start)", start, fmu or function),
+        ("held (--held)", held or None, fmu or function),
         ("parameters", parameters, fmu or function),
     ):
         if given is not None and not taken:
@@ -113,7 +117,7 @@ def open_simulator(  # noqa: PLR0913
         )
     if parameters is not None:
         given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return adjustable_from(file, function, given, columns, inputs, begin)
+        return adjustable_from(file, function, given, columns, inputs, begin, held)
     for each in reads:
         if not Path(each).is_file():
             raise FileNotFoundError(f"reads (--simulator-reads) must be a file, got {each}")
@@ -123,7 +127,7 @@ def open_simulator(  # noqa: PLR0913
     return Isolated(
         file, function or None, () if function else tuple(columns), timeout, tuple(reads),
         None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
-        begin if function else begin or 0.0,
+        begin if function else begin or 0.0, held,
     )  # fmt: skip
 
 

@@ -42,6 +42,9 @@ MIN_NOISE = 1e-3
 """Smallest assumed error of a model, in deviations of the record. Rounding."""
 MIN_COMPONENT = 0.2
 """Smallest component of a direction for which its parameter is named in a remark. By eye."""
+DECISIVE = 10.0
+"""Difference in BIC from which on evidence is very strong (Kass and Raftery, 1995). A convention.
+"""
 _MOST_LAGS = 0.1
 """Longest lag of the residuals' autocorrelation, as a share of the samples. By eye."""
 
@@ -234,6 +237,10 @@ class Adjustable(WithRepr, ABC):
         """Return the simulator for the last steps of a fit and for standard errors."""
         return self
 
+    def otherwise(self) -> Any:
+        """Return it with the other course of inputs between samples; None without a choice."""
+        return None
+
     def unfinished(self, time: float) -> str:
         """Return what is wrong where values are not finite from `time` in s on."""
         return f"the simulator must return finite values, got others from {time:g} s on"
@@ -258,6 +265,7 @@ class Estimate:
     window : Samples of the windows in which the record was simulated; 0 for all of it.
     starts : Number of starting points that led to the same fit, and number that were fitted.
     cut : Whether the deadline passed before every starting point was tried.
+    doubt : Sentence where the record favours the other course of inputs between samples.
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -268,6 +276,7 @@ class Estimate:
     window: int = 0
     starts: tuple[int, int] = (0, 0)
     cut: bool = False
+    doubt: str = ""
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -278,10 +287,11 @@ class Estimate:
             raise InputError("an estimate must have as many errors as values")
 
     def __str__(self) -> str:
-        """Return each value with its standard error, and the remarks."""
+        """Return each value with its standard error, the doubt and the remarks."""
+        remarks = [*filter(None, [self.doubt]), *self.remarks]
         said = [f"{name} = {_rounded(value, self.errors[name])}"
                 for name, value in self.values.items()]  # fmt: skip
-        return "; ".join([", ".join(said), *self.remarks] if said else self.remarks)
+        return "; ".join([", ".join(said), *remarks] if said else remarks)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of result files."""
@@ -292,6 +302,7 @@ class Estimate:
                 [None if np.isnan(c) else round(float(c), 4) for c in row]
                 for row in self.correlations
             ],
+            "doubt": self.doubt or None,
             "remarks": [*self.remarks],
             "window": self.window or None,
             "starts_that_agree": self.starts[0],
@@ -370,6 +381,18 @@ def _directions(jacobian: Array, noise: Array) -> tuple[Array, Array]:
     level = float(np.sqrt(np.mean(np.maximum(noise, least) ** 2)))
     weak = level / np.maximum(s, 1e-300) > MAX_RELATIVE_ERROR
     return vt[~weak].T / s[~weak], vt[weak]
+
+
+def favours(residuals: Array, others: Array) -> bool:
+    """Return whether the residuals of another fit, with as many parameters, are decisively smaller.
+
+    Their difference in BIC is that of the log likelihoods. Residuals are `(samples, ny)` in
+    deviations of the channels, NaN in gaps; correlated ones count for fewer samples.
+    """
+    samples = (~np.isnan(residuals)).sum(axis=0) / _correlated(residuals)
+    squares = [np.nanmean(each**2, axis=0) for each in (residuals, others)]
+    before, after = np.maximum(squares, MIN_NOISE**2)
+    return bool((samples * np.log(before / after)).sum() > DECISIVE)
 
 
 def _correlated(residuals: Array) -> float:
