@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from itertools import product
 from typing import Any
@@ -16,7 +15,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
-from splitband.forecasters.checking import ModelCheck, Responses
+from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.models.labels import SIMULATOR
@@ -29,7 +28,6 @@ from splitband.report.page.parts import Method, Page, Section, Usage, method_sty
 from splitband.report.predicted import Predicted, predicted, what_was_known
 from splitband.report.table import Table, ordered, tried
 from splitband.runtime.arrays import Array
-from splitband.runtime.errors import InputError
 
 MAX_BODE = 4
 """Largest number of pairs of input and output that have gain and phase, too. Bounds the time."""
@@ -110,12 +108,8 @@ def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section
     models = {result.recommended: result.model}
     if linear is not None:
         models.setdefault(linear.name, linear)
-    found = dict[str, Responses]()
-    for name, model in models.items():
-        with suppress(InputError):  # it has no inputs, or its simulator stays outside
-            each = model.step_responses()
-            if np.isfinite(each.y).all() and each.y.any():
-                found[name] = each
+    every = {name: respond_over_range(model) for name, model in models.items()}
+    found = {name: each for name, each in every.items() if each}
     if not found:
         return []
     outside = [styles[name].label for name, model in models.items() if "simulator" in model.needs]
@@ -126,24 +120,31 @@ def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section
 
 
 def _responses_of(
-    found: Mapping[str, Responses], styles: Mapping[str, Method], said: str = "", bode: bool = True
+    found: Mapping[str, Sequence[Responses]],
+    styles: Mapping[str, Method],
+    said: str = "",
+    bode: bool = True,
 ) -> Section:
-    """Return the section of step and Bode responses."""
-    first = next(iter(found.values()))
-    pairs = zip(first.inputs, first.at, strict=True)
-    held = ", ".join(f"{name} = {number(float(value))}" for name, value in pairs)
+    """Return the section of step and Bode responses at the operating points of each model."""
+    first, *others = max(found.values(), key=len)
     text = (
-        f"Small steps of one input at a time, from an operating point: {held}. Change of the "
-        "output for a step of 1"
+        "Change of the output for a step of 1, from small steps of one input at a time around the "
+        f"mean of the training inputs, {first.operating_point}"
     )
     text += (
         "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
         if bode
         else ". The page of `splitband check` also has gain and phase."
     )
+    if others:
+        text += (
+            f" Dashed and dotted: at {percent(SHARE)} and {percent(1 - SHARE)} of each input's range "
+            "in training. Where the curves differ, the model is nonlinear: its gain depends on the "
+            "operating point."
+        )
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [said, text], plots=drawn)
+    return Section("responses", title, [said, text, *words.of_gains([first, *others])], plots=drawn)
 
 
 def _linear_of(result: Comparison) -> Linear | None:
@@ -301,7 +302,7 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
 
 
 def of_check(
-    result: ModelCheck, model: Forecaster, responses: Responses | None, used: Usage
+    result: ModelCheck, model: Forecaster, responses: Sequence[Responses], used: Usage
 ) -> Page:
     """Return the page of a check of a model."""
     record, name = result.record, result.method
@@ -318,7 +319,7 @@ def of_check(
                 result.in_words(), facts=facts, plots=[*drawn.outputs(), *drawn.inputs()]),
         _residuals(said, result.tests, "Is the model good? Residual tests", []),
     ]  # fmt: skip
-    if responses is not None:
+    if responses:
         sections.append(_responses_of({name: responses}, styles))
     if isinstance(model, Linear):
         sections.append(_of_linear(model))
