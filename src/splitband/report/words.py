@@ -12,7 +12,7 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.checking import Responses
+from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
@@ -280,16 +280,17 @@ def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
 
 
 def of_gains(found: Sequence[Responses]) -> list[str]:
-    """Return the static gains at each operating point of a nonlinear model, a line for each."""
+    """Return the static gains of a nonlinear model in sentences; see `respond_over_range`."""
     if len(found) < 2:
         return []
-    found = sorted(found, key=lambda r: tuple(r.at))
+    middle, low, high = found
+    at = {percent(SHARE): low, "the mean": middle, percent(1 - SHARE): high}
     return [
         f"Static gain of {u} to {y}: "
-        + "; ".join(f"{number(float(r.y[-1, j, i]))} at {r.operating_point}" for r in found)
-        + "."
-        for i, u in enumerate(found[0].inputs)
-        for j, y in enumerate(found[0].columns)
+        + ", ".join(f"{number(float(r.y[-1, j, i]))} at {place}" for place, r in at.items())
+        + " of the range of the inputs in training."
+        for i, u in enumerate(middle.inputs)
+        for j, y in enumerate(middle.columns)
     ]
 
 

@@ -126,25 +126,25 @@ def _responses_of(
     bode: bool = True,
 ) -> Section:
     """Return the section of step and Bode responses at the operating points of each model."""
-    first, *others = max(found.values(), key=len)
+    most = max(found.values(), key=len)
     text = (
         "Change of the output for a step of 1, from small steps of one input at a time around the "
-        f"mean of the training inputs, {first.operating_point}"
+        f"mean of the training inputs, {most[0].operating_point}"
     )
     text += (
         "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
         if bode
         else ". The page of `splitband check` also has gain and phase."
     )
-    if others:
+    if len(most) > 1:
         text += (
-            f" Dashed and dotted: at {percent(SHARE)} and {percent(1 - SHARE)} of each input's range "
-            "in training. Where the curves differ, the model is nonlinear: its gain depends on the "
-            "operating point."
+            f" Dashed and dotted: all inputs at {percent(SHARE)} and {percent(1 - SHARE)} of their "
+            "ranges in training. Where the curves differ, the model is nonlinear: its gain depends "
+            "on the operating point."
         )
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [said, text, *words.of_gains([first, *others])], plots=drawn)
+    return Section("responses", title, [said, text, *words.of_gains(most)], plots=drawn)
 
 
 def _linear_of(result: Comparison) -> Linear | None:
