@@ -116,7 +116,7 @@ def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: P
     doubtful = replace(seeds, trial=replace(trial, held_out=held, failed={"gru": "it diverged"}))
     said = " ".join(words.warnings(doubtful))
     assert "as wide as the record itself" in said
-    assert "No result, for the reason beside the table: GRU (gru)" in said
+    assert "GRU (gru): no result: it diverged." in said
     page = page_text(doubtful, tmp_path)
     assert page.index("as wide as the record") < page.index("Measured and predicted")
     assert "no result: it diverged" in page

@@ -85,7 +85,8 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
     for message in words.warnings(result):
         showing.warn(message)
     say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
-    showing.table(listed)
+    # The warnings say why a method has no result.
+    showing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))
     if showing.verbose():
         _explain(result, listed.labels)
     showing.use_of(used)

@@ -86,6 +86,14 @@ class Trial:
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
 
 
+def by_reason(reasons: Mapping[str, str]) -> list[str]:
+    """Return each reason once, after all names that have it."""
+    names = dict[str, list[str]]()
+    for name, reason in reasons.items():
+        names.setdefault(reason, []).append(name)
+    return [f"{'; '.join(of)}: {reason}" for reason, of in names.items() if reason]
+
+
 def judged(
     training: Record,
     held: Mapping[str, Sequence[Fit]],

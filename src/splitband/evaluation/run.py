@@ -13,7 +13,7 @@ from splitband.evaluation.clock import MOST_OF_TIME_LEFT, Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import LATE, Job, Runner, held_out_job, prepare
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.recommendation import Trial, judged, without_failed
+from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
 from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
@@ -170,7 +170,7 @@ class Run:
             return self.doing
         trial = self.trial
         best = trial.recommended
-        score = f"held-out score {trial.penalized_score(best):.3g}"
+        score = f"score {trial.penalized_score(best):.3g}"
         return f"{self.doing}; best so far: {self.methods[best]._title}, {score}"
 
     def __str__(self) -> str:
@@ -304,8 +304,7 @@ class Run:
             if name in self.finals:
                 del self.failed[name]
         if not self.finals:
-            reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
-            raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
+            raise InputError(f"no method could be fitted; {'; '.join(by_reason(self.failed))}")
         methods = {method.name: method for method in self.plan.methods}
         for name, fits in self.finals.items():
             for fit in fits:

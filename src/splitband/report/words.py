@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
+from splitband.evaluation.recommendation import WORTH_TRAINING, Trial, by_reason
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
@@ -192,13 +192,10 @@ def _missed_interval(comparison: Comparison) -> list[str]:
 
 def _missing(comparison: Comparison) -> list[str]:
     """Return sentences about the methods that have no result."""
-    failed, called, said = comparison.require_trial().failed, labels_of(comparison), list[str]()
-    every = {name: titled(name, called[name]) for name in without_result(comparison)}
-    if names := [title for name, title in every.items() if name in failed]:
-        said.append(f"No result, for the reason beside the table: {'; '.join(names)}.")
-    if names := [title for name, title in every.items() if name not in failed]:
-        said.append(f"Not trained so far: {'; '.join(names)}.")
-    return said
+    why, called = comparison.require_trial().without_result, labels_of(comparison)
+    missing = without_result(comparison)
+    said = {titled(n, called[n]): why.get(n, "no result: not trained so far") for n in missing}
+    return [*map(sentence, by_reason(said))]
 
 
 def _few_held_out(train: int) -> list[str]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.recommendation import by_reason
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
@@ -267,7 +268,7 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
     )
     text = [words.sentence(result.description)] if result.description else []
     items = [*words.of_forecast(result), *words.of_gaps(record)]
-    items += [f"{name}: {why}" for name, why in trial.without_result.items()]
+    items += by_reason(trial.without_result)
     half = trial.intervals[method].half_widths(steps).mean(axis=0)
     level = percent(trial.intervals[method].share)
     held_out = [c for c in tried(trial, record, [method]) if c.heading == "held-out RMSE"]
