@@ -49,9 +49,10 @@ def compare(
     it on the whole record.
 
     How networks are trained is searched round by round until --budget is over: a table after
-    every round, and OUT/model is the best model so far. Ctrl-C ends with what there is. --rounds
-    limits the work in place of the time; --window, --epochs, --learning-rate, --lr-milestones,
-    --recipe constant-rate and --like replace the search. --calibrate and --conditioned add rows.
+    every round, and OUT/model is the best model so far. Ctrl-C stops early and keeps the best so
+    far. --rounds limits the work instead of the time; --window, --epochs, --learning-rate,
+    --lr-milestones, --recipe constant-rate and --like replace the search. --calibrate and
+    --conditioned add methods.
     """
     result = compared(context, planned(asked), out, jobs, cluster)
     if result.interrupted:

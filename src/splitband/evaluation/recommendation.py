@@ -31,7 +31,7 @@ WORTH_TRAINING = 0.1
 """Share of its score by which a network must beat a baseline. By eye."""
 RULE = (
     "the lowest is recommended: the held-out RMSE in standard deviations, of several outputs the "
-    f"root of the sum of squares; networks carry a penalty of {WORTH_TRAINING:.0%}"
+    f"root of the sum of squares; networks carry a penalty of {100 * WORTH_TRAINING:.0f} %"
 )
 """How methods are ranked, in words."""
 FAILED_RATIO = 2.0

@@ -560,7 +560,7 @@ COLUMNS = {
     ),
     "in interval": Quantity(
         "share", "share of the measured samples after the training part in the interval; "
-        f"{COVERAGE:.0%} is ideal", _intervals,
+        f"{percent(COVERAGE)} is ideal", _intervals,
     ),
     "test RMSE": Quantity(
         "record", "root mean squared error of the simulation of this test record",

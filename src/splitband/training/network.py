@@ -80,7 +80,9 @@ class NetworkTraining:
             said.append(f"the time was over after {done}")
         share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
-            said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
+            said.append(
+                f"nothing was learned: {100 * share:.0f} % of the signal is left in training"
+            )
         return said
 
     @property

@@ -253,7 +253,11 @@ def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
         sections.append(Section("training", "Training", [text], plots=drawn, folded=True))
     if result.attempts:
         tables = [table.of_attempts(result.attempts)]
-        text = "How networks are trained was found on the last quarter of the training samples."
+        text = (
+            "Networks were trained on three quarters of the training samples, and scored on the "
+            "rest. The best trainings then went on, on all training samples: the table of methods "
+            "has their steps, too."
+        )
         sections.append(Section("search", "What was tried", [text], tables=tables, folded=True))
     return sections
 
