@@ -16,7 +16,7 @@ from tests.cli.support import QUICK, assert_fails, call, complaints, process, re
 
 pytestmark = pytest.mark.usefixtures("inside")
 
-SPECTRUM = "spectrum record.csv --columns a"
+SPECTRUM = "spectrum record.csv --columns a --inputs ''"
 
 
 @pytest.mark.parametrize(

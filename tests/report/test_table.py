@@ -178,7 +178,7 @@ def test_a_table_fits_a_terminal_as_text_too(
 ) -> None:
     found = seeds if ny == 1 else scales
     said = printed(found, width)
-    assert "Left out of a narrow terminal" in said
+    assert "Left out to fit the width" in said
     framed = [line for line in said.splitlines() if line.startswith(("┃", "│"))]
     table = of_comparison(found)
     plain = replace(table, title="", rows=dict.fromkeys(table.rows, ""))

@@ -74,6 +74,6 @@ def _tell(result: Comparison) -> None:
     errors = {name: result.errors(fit).forecast for name, fit in result.medians.items()}
     alone = min(ALONE, key=errors.__getitem__)
     showing.console.print(
-        f"whole {run}: {called[best]} {errors[best]:.2f} m; the best of simulator, "
-        f"linear model and network alone, {called[alone]}: {errors[alone]:.2f} m"
+        f"over the whole {run}: {called[best]} {errors[best]:.2f} m; the best of simulator, "
+        f"linear model and network alone ({called[alone]}): {errors[alone]:.2f} m"
     )

@@ -145,7 +145,7 @@ def table(shown: Table) -> None:
     drawn, left_out = shown.fitting(console.width)
     console.print(drawn)
     if left_out:
-        console.print(f"Left out of a narrow terminal: {', '.join(left_out)}.", style="dim")
+        console.print(f"Left out to fit the width: {', '.join(left_out)}.", style="dim")
     for line in shown.remarks(verbose()):
         console.print(line, style="dim")
 

@@ -293,13 +293,15 @@ class Run:
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
+        partly = dict[str, str]()
         for name, held in self.trials.items():
             method = next(f for f in self._ready if f.name == name)
             # After Ctrl-C, nothing that may take long begins.
             if not method.random and not (method._fits_simulator and self.clock.interrupted):
                 self._fit_whole(method)
             if self._awaits_final(name) or (method.random and name not in self.finals):
-                self._predict_by_trials(method, held)
+                partly[name] = self._predict_by_trials(method, held)
+        self.clock.notes += by_reason(partly)
         for name in [*self.failed]:
             if name in self.finals:
                 del self.failed[name]
@@ -346,10 +348,10 @@ class Run:
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
             why = fits[0].failure if fits else LATE
-            said = "in the time" if why == LATE else f"({why})"
+            said = "in time" if why == LATE else f"({why})"
             self.clock.notes.append(
-                f"{name} could not be refitted to the whole record {said}: its model is that of "
-                f"the training part"
+                f"{name}: could not be refitted to the whole record {said}; its model is that of "
+                "the training part"
             )
             return None
         method = next(f for f in self.plan.methods if f.name == name)
@@ -411,21 +413,22 @@ class Run:
         with one_thread(), within(until):
             return job.run()
 
-    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> None:
-        """Predict with the models that were fitted to three quarters of the training part."""
+    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> str:
+        """Predict with models that were fitted to three quarters of the training part; say why."""
         name, spec = method.name, self.plan.spec(held[0].fitted)
         best = self._search is not None and name == next(iter(self._search.trials), None)
         models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
         jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
         # In this process: workers may have been ended with a job that was late.
-        if good := [fit for job in jobs if (fit := job.run()).model is not None]:
-            self.finals[name] = good
-            why = self.failed.pop(name, LATE)
-            said = "in the time" if why == LATE else f"({why})"
-            self.clock.notes.append(
-                f"{name} could not be {'trained on' if method.random else 'fitted to'} the whole "
-                f"training part {said}: its results are those of three quarters of it"
-            )
+        good = [fit for job in jobs if (fit := job.run()).model is not None]
+        if not good:
+            return ""
+        self.finals[name] = good
+        why = self.failed.pop(name, LATE)
+        return (
+            f"could not be {'trained on' if method.random else 'fitted to'} the whole training "
+            f"part {'in time' if why == LATE else f'({why})'}; results are of three quarters of it"
+        )
 
     def _trained(
         self,

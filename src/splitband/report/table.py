@@ -161,6 +161,7 @@ class Table:
     minor: frozenset[str] = frozenset()  # rows that a page folds away at first
     labels: Mapping[str, str] = field(default_factory=dict)  # rows in words, by name
     details: Mapping[str, str] = field(default_factory=dict)  # what each fit has chosen
+    lines: str = "output"  # what the lines of a row are
 
     @property
     def notes(self) -> dict[str, str]:
@@ -223,7 +224,7 @@ class Table:
             padding=(0, 1 if box else 2, 0, 1 if box else 0),
         )  # fmt: skip
         beside = form.names == "beside"
-        for heading in (self.head, *["name"] * beside, *["output"] * several):
+        for heading in (self.head, *["name"] * beside, *[self.lines] * several):
             table.add_column(heading, no_wrap=True)
         for of_channel in shown:
             first, *_ = of_channel.values()

@@ -131,6 +131,7 @@ def verdicts(comparison: Comparison) -> dict[str, Outcome]:
 def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers, the gravest first."""
     return [
+        *_unstable(comparison),
         *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
         *_left_range(comparison),
         *_wide_interval(comparison),
@@ -142,6 +143,16 @@ def warnings(comparison: Comparison) -> list[str]:
         *_left_out(comparison),
         *map(sentence, comparison.clock.notes),
     ]
+
+
+def _unstable(comparison: Comparison) -> list[str]:
+    """Return a sentence if the recommended model is known to be unstable."""
+    stable = all(fit.report.stable for fit in comparison.fits[comparison.recommended])
+    return (
+        []
+        if stable
+        else ["The recommended model is unstable: a simulation may grow without bound."]
+    )
 
 
 def _left_range(comparison: Comparison) -> list[str]:

@@ -77,11 +77,11 @@ class NetworkTraining:
         ]
         if self.cut:
             done = f"{len(self.losses)} of {self.passes} epochs and rounds"
-            said.append(f"the time was over after {done}")
+            said.append(f"stopped by the time limit after {done}")
         share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
             said.append(
-                f"nothing was learned: {100 * share:.0f} % of the signal is left in training"
+                f"nothing was learned: the error in training is {100 * share:.0f} % of the signal"
             )
         return said
 
