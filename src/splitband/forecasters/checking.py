@@ -248,11 +248,14 @@ class Responses:
     def frequency_response(self) -> tuple[Array, npt.NDArray[np.complex128]]:
         """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
 
-        It is the Fourier transform of the impulse response, over the length of the step response.
+        It is the Fourier transform of the impulse response, whose last value is taken to stay: it
+        is near 0 where the step response settles, and the slope of an integrator.
         """
         impulse = np.diff(self.y, axis=0, prepend=np.zeros_like(self.y[:1]))
-        frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)
-        return np.asarray(frequencies[1:], np.float64), np.fft.rfft(impulse, axis=0)[1:]
+        frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)[1:]
+        z = np.exp(2j * np.pi * frequencies * self.sampling_time)[:, None, None]
+        gain = np.fft.rfft(impulse, axis=0)[1:] + impulse[-1] * z / (z - 1)
+        return np.asarray(frequencies, np.float64), np.asarray(gain, np.complex128)
 
 
 def respond(

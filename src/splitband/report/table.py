@@ -363,8 +363,8 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
         Column("score", "deviation", scores),
     ]
     title = (
-        "What was tried, in that order; the score is that of one training, in the table of methods "
-        "of the median of several"
+        "What was tried, in that order; the score is of a single training, in the table of methods "
+        "of a median"
     )
     details = {name: each.training for name, each in of.items()}
     rows = dict.fromkeys(names, "")

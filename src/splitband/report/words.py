@@ -294,7 +294,7 @@ def of_gains(found: Sequence[Responses]) -> list[str]:
     middle, low, high = found
     at = {percent(SHARE): low, "the mean": middle, percent(1 - SHARE): high}
     return [
-        f"Static gain of {u} to {y}: "
+        f"Step response of {y} to {u} after {middle.time[-1]:.4g} s (static gain, if settled): "
         + ", ".join(f"{number(float(r.y[-1, j, i]))} at {place}" for place, r in at.items())
         + " of the range of the inputs in training."
         for i, u in enumerate(middle.inputs)

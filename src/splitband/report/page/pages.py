@@ -115,7 +115,7 @@ def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section
         return []
     outside = [styles[name].label for name, model in models.items() if "simulator" in model.needs]
     shown = " and ".join(styles[name].label for name in found)
-    said = f"Of {shown}; without its simulator, {outside[0]} has none." if outside else ""
+    said = f"Of {shown}: {outside[0]} needs its simulator's output." if outside else ""
     few = result.record.nu * result.record.ny <= MAX_BODE
     return [_responses_of(found, styles, said, few)]
 
