@@ -143,5 +143,7 @@ def test_what_cannot_be_is_named(options: dict[str, Any], said: str) -> None:
 
 def test_what_has_no_inputs_does_not_respond() -> None:
     model = sb.Mean().fit(sb.Record(np.sin(np.arange(50.0)), DT))
+    with pytest.raises(ValueError, match=r"mean has no accuracy .* only a fitted sb.Linear has"):
+        model.accuracy()
     with pytest.raises(ValueError, match="mean must have inputs to respond to"):
         model.step_responses()
