@@ -8,7 +8,7 @@ from typing import Annotated
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.checking import respond_over_range
-from splitband.report import results, words
+from splitband.report import results, table
 from splitband.report.page.parts import Usage
 from splitband.runtime.system import quoted
 
@@ -46,6 +46,8 @@ def check(
         responses = respond_over_range(model)
     asked = f"splitband check {quoted(str(model_dir))} --record {quoted(str(record))}"
     results.save_check(found, out, model, responses, Usage(asked=asked))
-    for line in [*str(found).splitlines(), *words.of_gains(responses)]:
+    for line in str(found).splitlines():
         showing.console.print(line)
+    for gains in table.of_gains(responses):
+        showing.table(gains)
     showing.results_of(out)

@@ -12,7 +12,6 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
@@ -284,21 +283,6 @@ def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
             record.inputs[each.channel] if each.channel < record.nu else "", " of the prediction"
         )
         for each in beyond
-    ]
-
-
-def of_gains(found: Sequence[Responses]) -> list[str]:
-    """Return the static gains of a nonlinear model in sentences; see `respond_over_range`."""
-    if len(found) < 2:
-        return []
-    middle, low, high = found
-    at = {percent(SHARE): low, "the mean": middle, percent(1 - SHARE): high}
-    return [
-        f"Step response of {y} to {u} after {middle.time[-1]:.4g} s (static gain, if settled): "
-        + ", ".join(f"{number(float(r.y[-1, j, i]))} at {place}" for place, r in at.items())
-        + " of the range of the inputs in training."
-        for i, u in enumerate(middle.inputs)
-        for j, y in enumerate(middle.columns)
     ]
 
 

@@ -135,7 +135,7 @@ def _responses_of(
     text += (
         "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
         if bode
-        else ". The page of `splitband check` also has gain and phase."
+        else ". Gain and phase: splitband check."
     )
     if len(most) > 1:
         text += (
@@ -145,7 +145,7 @@ def _responses_of(
         )
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [said, text, *words.of_gains(most)], plots=drawn)
+    return Section("responses", title, [said, text], tables=table.of_gains(most), plots=drawn)
 
 
 def _linear_of(result: Comparison) -> Linear | None:
