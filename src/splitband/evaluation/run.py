@@ -46,7 +46,7 @@ def compare(  # noqa: PLR0913
     """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
 
     Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
-    of them. Ctrl-C ends the comparison with what there is.
+    of them. Ctrl-C ends it early with the results so far.
 
     Parameters
     ----------

@@ -76,8 +76,8 @@ class NetworkTraining:
             for epoch in self.restarts
         ]
         if self.cut:
-            done = f"{len(self.losses)} of {self.passes} epochs and rounds"
-            said.append(f"stopped by the time limit after {done}")
+            done = f"{len(self.losses)} of {self.passes}"
+            said.append(f"stopped by the time limit at epoch or round {done}")
         share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
             said.append(
