@@ -16,7 +16,7 @@ from tests.cli.support import QUICK, assert_fails, call, complaints, process, re
 
 pytestmark = pytest.mark.usefixtures("inside")
 
-SPECTRUM = "spectrum record.csv --columns a"
+SPECTRUM = "spectrum record.csv --columns a --inputs ''"
 
 
 @pytest.mark.parametrize(
@@ -120,6 +120,8 @@ def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     assert capsys.readouterr() == ("", "")
     call(f"--verbose {SPECTRUM} --quiet", tmp_path / "quiet")
     assert capsys.readouterr() == ("", "")
+    call("spectrum record.csv --columns a --quiet", tmp_path / "forgotten")
+    assert "not used: b, force; --inputs" in capsys.readouterr().err
     call(SPECTRUM, tmp_path / "aloud")  # what comes after a quiet command is not quiet
     assert "strongest peaks" in capsys.readouterr().out
     assert results(tmp_path / "quiet") == results(tmp_path / "aloud")

@@ -39,7 +39,7 @@ def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("simulator", ["simulated.csv", "periodic"])
 def test_python_takes_what_the_command_line_names(simulator: str) -> None:
-    reading, methods = RecordOptions(columns="a"), ["filtered-gru", "mean"]
+    reading, methods = RecordOptions(columns="a", inputs=""), ["filtered-gru", "mean"]
     asked = Request(
         "record.csv", reading, SimulatorOrBaseOptions(simulator), methods=",".join(methods),
         calibrate=simulator != "periodic",

@@ -75,7 +75,7 @@ def test_the_cutoff_lies_between_a_strong_slow_and_a_weak_fast_sinusoid(
     candidate = chosen(choice)
     assert candidate.passed > 0.75
     below = periodogram(y, RATE).share_below(choice.cutoff)  # what `spectrum` says, too
-    assert f"{below:.0%} of the power lies below it" in choice.reason
+    assert f"{100 * below:.0f} % of the power lies below it" in choice.reason
     assert candidate.loss <= MOST_LOST
 
 

@@ -53,6 +53,10 @@ def mean() -> Forecaster:
         (lambda: sb.Mean().predict(3), "mean must be fitted first"),
         (lambda: sb.Single(GRU(3)).save("nowhere"), "gru must be fitted first"),
         (lambda: sb.Mean().fit(), "records must be one or several, got none"),
+        (
+            lambda: sb.Filtered(sb.Linear(), GRU(3), untyped(None)),
+            r"bands must be Bands, such as Bands\(0.5\) .* got None",
+        ),
         (lambda: mean().predict(0), "steps must be at least 1, got 0"),
         (lambda: mean().predict(3, u=np.ones(3)), "u must be left out: the record has no inputs"),
         (lambda: mean().predict(3, two_channels()), r"1 channel\(s\) and 0 .*, got 2 and 0"),

@@ -10,6 +10,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.forecasters.checking import respond_over_range
 
 DT, LATE = 0.1, 4
 A1, A2 = [1.0, -1.2, 0.5], [1.0, -0.9]
@@ -54,6 +55,15 @@ def test_the_frequency_response_is_that_of_the_transfer_function(linear: sb.Line
             system: Any = linear.transfer_function(i, j)
             _, expected = scipy.signal.dfreqresp(system, 2 * np.pi * frequencies * DT)
             np.testing.assert_allclose(gains[:, i, j], expected, atol=1e-9)
+
+
+def test_the_frequency_response_of_an_integrator_rises_towards_low_frequencies() -> None:
+    u = np.sign(np.sin(0.05 * np.arange(400)))
+    y = scipy.signal.lfilter([0, 0.1], np.poly([1.0, 0.5]), u)
+    model = sb.Linear(2, integrators=1).fit(sb.Record(y, DT, u=u))
+    frequencies, gains = model.step_responses(200).frequency_response()
+    z = np.exp(2j * np.pi * frequencies * DT)
+    np.testing.assert_allclose(gains[:, 0, 0], 0.1 * z / ((z - 1) * (z - 0.5)), rtol=1e-3)
 
 
 def test_the_zeros_are_those_of_the_transfer_function(linear: sb.Linear) -> None:
@@ -110,6 +120,10 @@ def test_a_nonlinear_model_is_linearised_at_its_operating_point() -> None:
     model = Squared().fit(sb.Record(u**2, DT, u=u))
     np.testing.assert_allclose(model.step_responses(5, at=3.0).y[:, 0, 0], 6.0)
     np.testing.assert_allclose(model.step_responses(5).y[:, 0, 0], 4.0)
+    over_range = [each.y[-1, 0, 0] for each in respond_over_range(model)]
+    np.testing.assert_allclose(over_range, [4.0, 0.8, 7.2])
+    with pytest.warns(sb.ExtrapolationWarning, match="beyond its range in training"):
+        model.step_responses(5, at=9.0)
 
 
 @pytest.mark.parametrize(
@@ -129,5 +143,7 @@ def test_what_cannot_be_is_named(options: dict[str, Any], said: str) -> None:
 
 def test_what_has_no_inputs_does_not_respond() -> None:
     model = sb.Mean().fit(sb.Record(np.sin(np.arange(50.0)), DT))
+    with pytest.raises(ValueError, match=r"mean has no accuracy .* only a fitted sb.Linear has"):
+        model.accuracy()
     with pytest.raises(ValueError, match="mean must have inputs to respond to"):
         model.step_responses()

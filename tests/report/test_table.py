@@ -113,10 +113,14 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
 def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: Path) -> None:
     trial = seeds.require_trial()
     held = {n: replace(each, deviation=0 * each.deviation) for n, each in trial.held_out.items()}
-    doubtful = replace(seeds, trial=replace(trial, held_out=held, failed={"gru": "it diverged"}))
+    unstable = [comparisons.with_report(f, FitReport(stable=False)) for f in seeds.fits["mean"]]
+    fits = {**seeds.fits, trial.recommended: unstable}
+    trial = replace(trial, held_out=held, failed={"gru": "it diverged"})
+    doubtful = replace(seeds, fits=fits, trial=trial)
     said = " ".join(words.warnings(doubtful))
+    assert said.startswith("The recommended model is unstable")
     assert "as wide as the record itself" in said
-    assert "No result, for the reason beside the table: GRU (gru)" in said
+    assert "GRU (gru): no result: it diverged." in said
     page = page_text(doubtful, tmp_path)
     assert page.index("as wide as the record") < page.index("Measured and predicted")
     assert "no result: it diverged" in page
@@ -178,7 +182,7 @@ def test_a_table_fits_a_terminal_as_text_too(
 ) -> None:
     found = seeds if ny == 1 else scales
     said = printed(found, width)
-    assert "Left out of a narrow terminal" in said
+    assert "Left out to fit the width" in said
     framed = [line for line in said.splitlines() if line.startswith(("┃", "│"))]
     table = of_comparison(found)
     plain = replace(table, title="", rows=dict.fromkeys(table.rows, ""))

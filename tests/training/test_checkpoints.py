@@ -198,7 +198,7 @@ def test_at_its_deadline_a_training_ends_soon_and_its_weights_are_finite(
     assert clock.at - began <= looks + 20
     assert history.cut
     assert all(losses for losses in history.losses.values())
-    assert all("the time was over after" in note for note in history.notes if "time" in note)
+    assert all("stopped by the time limit at" in note for note in history.notes if "time" in note)
     assert all(torch.isfinite(weights).all() for weights in model.parameters())
 
 

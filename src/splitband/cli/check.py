@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
-from splitband.report import results
+from splitband.forecasters.checking import respond_over_range
+from splitband.report import results, table
 from splitband.report.page.parts import Usage
-from splitband.runtime.errors import InputError
 from splitband.runtime.system import quoted
 
 
@@ -42,13 +41,13 @@ def check(
     past = records.history_of(record, "--record", model.require_fitted().record, files)
     model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)
-    responses = None
     with showing.warnings_as_lines():
         found = model.check_residuals(past)
-        with suppress(InputError):  # the model has no inputs, or needs a simulator
-            responses = model.step_responses()
+        responses = respond_over_range(model)
     asked = f"splitband check {quoted(str(model_dir))} --record {quoted(str(record))}"
     results.save_check(found, out, model, responses, Usage(asked=asked))
     for line in str(found).splitlines():
         showing.console.print(line)
+    for gains in table.of_gains(responses):
+        showing.table(gains)
     showing.results_of(out)

@@ -49,9 +49,10 @@ def compare(
     it on the whole record.
 
     How networks are trained is searched round by round until --budget is over: a table after
-    every round, and OUT/model is the best model so far. Ctrl-C ends with what there is. --rounds
-    limits the work in place of the time; --window, --epochs, --learning-rate, --lr-milestones,
-    --recipe constant-rate and --like replace the search. --calibrate and --conditioned add rows.
+    every round, and OUT/model is the best model so far. Ctrl-C stops early and keeps the best so
+    far. --rounds limits the work instead of the time; --window, --epochs, --learning-rate,
+    --lr-milestones, --recipe constant-rate and --like replace the search. --calibrate and
+    --conditioned add methods.
     """
     result = compared(context, planned(asked), out, jobs, cluster)
     if result.interrupted:
@@ -85,7 +86,8 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
     for message in words.warnings(result):
         showing.warn(message)
     say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
-    showing.table(listed)
+    # The warnings say why a method has no result.
+    showing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))
     if showing.verbose():
         _explain(result, listed.labels)
     showing.use_of(used)

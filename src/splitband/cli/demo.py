@@ -37,9 +37,9 @@ def demo(
 ) -> None:
     """Show what the package does, in about a minute: a crane whose load swings.
 
-    A trolley carries a load on a rope whose length changes; known are the commanded speed and the
-    length. A simulator takes the load as fixed below the trolley. 200 s of the load's position to
-    learn from, 200 s to predict: by the simulator alone, by a network alone, by both together.
+    A trolley carries a load on a rope. The inputs are the commanded speed and the length of the
+    rope, the output is the position of the load. The simulator omits the swing. Models are trained
+    on 200 s and simulate the next 200 s: the simulator alone, a network alone, both combined.
 
     Nothing is downloaded: the record is made on the spot, the same each time. It is also there for
     the other commands, as `splitband compare overhead-crane`.
@@ -47,7 +47,7 @@ def demo(
     record = overhead_crane()
     showing.console.print(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
-        f"{TRAIN} of them to learn from"
+        f"{TRAIN} of them for training"
     )
     found = plan(record, TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES)
     _tell(compared(context, found, out, jobs))
@@ -74,6 +74,6 @@ def _tell(result: Comparison) -> None:
     errors = {name: result.errors(fit).forecast for name, fit in result.medians.items()}
     alone = min(ALONE, key=errors.__getitem__)
     showing.console.print(
-        f"whole {run}: {called[best]} {errors[best]:.2f} m; the best of simulator, "
-        f"linear model and network alone, {called[alone]}: {errors[alone]:.2f} m"
+        f"over the whole {run}: {called[best]} {errors[best]:.2f} m; the best of simulator, "
+        f"linear model and network alone ({called[alone]}): {errors[alone]:.2f} m"
     )

@@ -33,8 +33,8 @@ EXTRAS = {
 def doctor() -> None:
     """Show versions, cores, accelerators, the public records, compiled kernels and extras.
 
-    The first call after an installation compiles the kernels, up to a minute of work that the
-    first comparison then need not do. Records are looked for where `splitband data fetch` puts
+    The first call after an installation compiles the kernels, which takes up to a minute; the first
+    comparison is faster then. Public records count as there once `splitband data fetch` has stored
     them; nothing is downloaded.
     """
     found = environment()

@@ -29,7 +29,7 @@ def export(
         Path,
         typer.Argument(
             metavar="OUT",
-            help="File to write; its ending says as what: `.c`, `.fmu`, `.onnx` or `.casadi`.",
+            help="File to write; its suffix is the format: `.c`, `.fmu`, `.onnx` or `.casadi`.",
             show_default=False,
         ),
     ],
@@ -44,14 +44,14 @@ def export(
 ) -> None:
     """Write a saved model as C, as an FMU, as ONNX or for CasADi.
 
-    What is written runs without Python, sample by sample: it observes measured samples while there
-    are any and predicts where there are none, with the numbers of `simulate`. C is one source file
-    and its header, which need nothing but math.h. An FMU is for co-simulation (FMI 2.0). With
-    the extra `everywhere` it runs on Windows, Linux and macOS, with a C compiler alone on this
-    platform; it holds the sources for others. ONNX is the graph of a step, and beside it that of a
-    whole simulation. For CasADi it is the function of a step, and beside it one of the state. It
-    goes on from the end of --history. An equation that --simulator names is integrated in what is
-    written. Any other simulator of a hybrid model, and one that is not named, stays outside: its
+    The exported model runs without Python, one sample at a time: it observes measured samples to
+    estimate its state, and predicts where there are none, with the numbers of `simulate`. C is one
+    source file and a header that need only math.h. An FMU is for co-simulation (FMI 2.0): with the
+    extra `everywhere` for Windows, Linux and macOS, with a C compiler for this platform only; it
+    contains its sources. ONNX is the graph of one step, with a second one of a whole simulation.
+    CasADi is the function of one step, with a second one of the state. It goes on from the end of
+    --history. An equation that --simulator names is integrated in the exported model; any other
+    simulator of a hybrid, and one that is not named, stays outside: its
     output is an input.
     """
     forecaster = forecasters.load(model_dir)

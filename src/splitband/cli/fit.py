@@ -42,7 +42,7 @@ def fit(
     method: Annotated[
         str | None,
         options.plain(
-            "What to fit, out of what `splitband methods` lists.",
+            "The method to fit; see `splitband methods`.",
             None,
             "that of --like, or split-gru",
         ),
@@ -66,8 +66,8 @@ def fit(
 ) -> None:
     """Fit one method to a record and save it.
 
-    How a network is trained is found on the last quarter of the samples first, as by `compare`, or
-    as the model of --like was trained.
+    The training settings of a network are first searched on the last quarter of the samples, as by
+    `compare`, or taken from the model of --like.
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """

@@ -49,13 +49,12 @@ def forecast(
     like: options.Like = None,
     cluster: options.Cluster = None,
 ) -> None:
-    """Forecast a record beyond its end, with the interval that should hold nine tenths of it.
+    """Forecast a record beyond its end, with a 90 % interval.
 
-    Without --method, several are tried as `compare` tries them: each forecasts the last quarter of
-    the record from the rest of it; with --like, the model of that folder and
-    the baselines. The recommended method is fitted again to the whole record, with the
-    interval that its held-out errors give. A simulator must reach --steps samples beyond the
-    record; a record with known inputs needs --future-inputs.
+    Without --method, several are compared as by `compare`: each is trained on three quarters of the
+    record and forecasts the last quarter; with --like, the model of that folder and the baselines.
+    The best one is refitted to the whole record; its held-out errors give the interval. A simulator
+    must reach --steps samples beyond the record; a record with known inputs needs --future-inputs.
     """
     asked = Request(
         record, reading, simulator, further, methods=method, seeds=seeds, like=like,

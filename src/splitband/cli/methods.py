@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from splitband.cli import showing
 from splitband.forecasters.base import cells_of, parts_of
+from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import BASED, HYBRIDS, NAMES, QUICK, variants
 
 
@@ -25,19 +26,19 @@ def _alone(cells: int) -> tuple[str, ...]:
     return tuple(n for n, m in NAMES.items() if not parts_of(m) and len(cells_of(m)) == cells)
 
 
-_SIMULATORS = tuple(name for name in QUICK if "simulator" in NAMES[name].needs)
+_SIMULATORS = tuple(n for n in QUICK if "simulator" in NAMES[n].needs or NAMES[n]._fits_simulator)
 _BASELINES = tuple(name for name in QUICK if name not in _SIMULATORS)
 GROUPS = (
-    Group("one network", "any record; with known inputs often enough", _alone(1)),
+    Group("one network", "any record; often sufficient with known inputs", _alone(1)),
     Group("two networks, a band each", "a record with a slow and a fast part", _alone(2)),
     Group(
         "a simulator and a network",
-        "a simulator that is roughly right; after + a network that learns its error",
+        "a simulator that is roughly right; + adds a network that learns its error",
         HYBRIDS,
     ),
     Group("a fitted model and a network", "a record with a simple slow part, no simulator", BASED),
-    Group("the simulator itself", "seeing what a network adds to it", _SIMULATORS),
-    Group("simple baselines", "every record: what learning has to be better than", _BASELINES),
+    Group("the simulator itself", "judging what a network adds", _SIMULATORS),
+    Group("simple baselines", "every record, as the reference to beat", _BASELINES),
 )
 
 
@@ -48,7 +49,7 @@ def methods() -> None:
     in one that ends in -conditioned the network has the slower part's output as an input. Give
     names to --methods, separated by commas.
     """
-    table = Table("what it is", "name", "also as", "needs", show_lines=False)
+    table = Table("what it is", Column("name", no_wrap=True), "also as", "needs", show_lines=False)
     for group in GROUPS:
         table.add_section()
         table.add_row(Text.assemble((group.title, "bold"), (f"\nfor {group.when}", "italic")))
@@ -62,7 +63,9 @@ def methods() -> None:
                 others = [each.name for each in made if each.name != name]
             shown.update(others)
             also = ", ".join(other[len(name) :] for other in others)
-            needs = ", ".join(f"--{need}" for need in sorted(method.needs))
+            fitted = any(isinstance(part, GreyBox) for part in (method, *parts_of(method)))
+            required = sorted(method.needs | ({"simulator", "parameters"} if fitted else set()))
+            needs = ", ".join(f"--{each}" for each in required)
             table.add_row(f"  {method.in_words()}", name, also, needs)
     showing.console.print(table)
     showing.as_json(

@@ -320,7 +320,7 @@ class SimulatorOptions:
         None, "Keep the output of a slow simulator here.", "DIR", "not kept"
     )
     simulator_reads: list[str] | None = _simulator(
-        None, "A file it reads: the cache is renewed with it.", "FILE", False
+        None, "A file that it reads: when this changes, the cache is renewed.", "FILE", False
     )
     parameters: str | None = _simulator(
         None,

@@ -53,7 +53,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
             columns = [each for each in trained.columns if each not in (inputs or ())]
         record = _read(
             name, f"RECORD must be a file or one of {', '.join(RECORDS)}", reading, trained,
-            columns=columns or None, inputs=inputs or (), sampling_time=reading.sampling_time,
+            columns=columns or None, inputs=inputs, sampling_time=reading.sampling_time,
         )  # fmt: skip
         if record.measured is not None:
             missing = ~record.complete

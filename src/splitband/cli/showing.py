@@ -145,11 +145,9 @@ def table(shown: Table) -> None:
     drawn, left_out = shown.fitting(console.width)
     console.print(drawn)
     if left_out:
-        console.print(f"Left out of a narrow terminal: {', '.join(left_out)}.", style="dim")
-    for name, words in shown.rows.items():
-        details = shown.details.get(name, "") if verbose() else ""
-        if said := "; ".join(filter(None, (words, details))):
-            console.print(f"{shown.label(name)}: {said}", style="dim")
+        console.print(f"Left out to fit the width: {', '.join(left_out)}.", style="dim")
+    for line in shown.remarks(verbose()):
+        console.print(line, style="dim")
 
 
 @contextmanager

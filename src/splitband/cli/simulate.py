@@ -26,8 +26,8 @@ def simulate(
     level: Annotated[
         float | None,
         options.plain(
-            "Also write the interval that should hold this share of the samples, 0 to 1, if it has "
-            "been asked for before the model was saved.",
+            "Also write the interval that should hold this share of the samples, 0 to 1. The model "
+            "must have been saved with intervals (fit --intervals, compare).",
             None,
             False,
         ),
@@ -36,14 +36,14 @@ def simulate(
 ) -> None:
     """Simulate a saved model beyond a measured history, or beyond its training record.
 
-    A model with a simulator also needs --simulator, which reaches --steps samples beyond the
-    history. Where training record and history have time stamps, the model knows how much later the
-    history begins: a function or an FMU is run from the beginning of the training record on, and
-    periods, trends and a calibrated delay or clock count from there. Otherwise, and with
-    --other-run, the history is taken to begin where the training record did. An exported trajectory
-    has to cover the warm-up and what follows, by its time stamps. The CSV has a column `time`,
-    which goes on with the time stamps of the history (without any: seconds after its last sample),
-    and one for each measured channel, with --level followed by the ends of its interval.
+    A model with a simulator also needs --simulator, which must reach --steps samples beyond the
+    history. If training record and history have time stamps, the offset between them is known: a
+    function or an FMU runs from the start of the training record, and periods, trends and a
+    calibrated delay or clock count from there. Otherwise, and with --other-run, both are taken to
+    start together. An exported trajectory must cover the warm-up and the simulation, by its time
+    stamps. The CSV has a column `time`, which continues the time stamps of the history (without
+    any: seconds after its last sample), and one for each output; with --level also the limits of
+    its interval.
     """
     if out.is_dir():
         raise InputError(f"--out must be a file, got the folder {out}")

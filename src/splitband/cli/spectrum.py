@@ -20,6 +20,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import results
+from splitband.report.numbers import percent
 from splitband.report.table import Column, Table
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -35,9 +36,9 @@ def spectrum(
     train: Annotated[
         int | None,
         options.plain(
-            "Samples at the beginning to look at.",
+            "Use the first N samples only.",
             None,
-            "all; the cut-off is chosen by three quarters of a file, as by `compare`",
+            "all; the cut-off is chosen on three quarters of a file, as in compare",
         ),
     ] = None,
     out: options.Out = Path("out"),
@@ -46,14 +47,14 @@ def spectrum(
 ) -> None:
     """Show the power spectrum of a record, and how a cut-off would split it.
 
-    Prints the strongest peaks, the share of the power in either band and how well the filter pair
-    puts the record together again. With a simulator, also how far it is off, where it is coherent
-    with the record, and the oracle check: the RMSE a hybrid model could reach at each cut-off. OUT
-    gets results.json, and report.html with plots of all of it.
+    Prints the strongest peaks, the share of the power in the low band, and the error of the sum of
+    both bands. With a simulator, also its error, its coherence with the record, and the oracle
+    check: the RMSE that a hybrid could reach at each cut-off. OUT gets results.json and plots
+    (report.html).
 
-    The cut-off is the one that `compare` chooses with the same --train, for the paper's records
-    that of its tables where --cutoff does not say auto. `compare --test` trains on the whole
-    record: for its cut-off give --train the number of all samples.
+    The cut-off is the one that `compare` chooses with the same --train; for the paper's records it
+    is the paper's, unless --cutoff is auto. With --test, `compare` trains on the whole record: give
+    --train the number of all samples then.
     """
     whole = records.load_record(record, reading)
     opened = records.simulator_of(simulator, whole, reading.time_column)
@@ -81,9 +82,9 @@ def spectrum(
     peaks = periodogram(shown.y, rate).peaks()
     tables = [_peaks(shown, peaks)]
     said = [
-        f"cut-off {chosen:.4g} Hz of {rate / 2:g} Hz (Nyquist), order {pair.order}: {below:.0%} of "
-        f"the power of the first {trained} samples lies below it",
-        f"low and high band add up to the record with RMSE {error:.2g}, all of it at the ends",
+        f"cut-off {chosen:.4g} Hz of {rate / 2:g} Hz (Nyquist), order {pair.order}: "
+        f"{percent(below)} of the power of the first {trained} samples lies below it",
+        f"low and high band sum to the record with RMSE {error:.2g}, all of it at the ends",
     ]
     facts: dict[str, Any] = {
         "record": shown.name,
@@ -105,8 +106,8 @@ def spectrum(
         facts["simulator"]["training"] = training
     if choice is not None:
         said.append(
-            f"by the first {trained} samples, the low band keeps one of {bands.downsampling} "
-            f"samples: {choice.reason}"
+            f"chosen on the first {trained} samples: {choice.reason}; the low band keeps one of "
+            f"{bands.downsampling} samples"
         )
     for each in tables:
         showing.table(each)
@@ -143,10 +144,13 @@ def _beside(
     perfect = {name: check.perfect_network for name, check in of.items()}
     without = {name: check.no_network for name, check in of.items()}
     listed = [
-        Column("H(record) + L(simulator)", "record", perfect, ranked=False),
-        Column("L(simulator) alone", "record", without, ranked=False),
+        Column("perfect network", "record", perfect, ranked=False),
+        Column("no network", "record", without, ranked=False),
     ]
-    title = f"oracle check of the hybrid model; the simulator itself has RMSE {total:.4f}"
+    title = (
+        f"Oracle check: RMSE of a hybrid with a perfect network (measured high band, simulated low "
+        f"band) and with none; the simulator alone has RMSE {total:.4f}"
+    )
     table = Table(title, listed, dict.fromkeys(of, ""), "cut-off", f"{cutoff:g} Hz")
     frequencies, coherences = coherence(record.y, y_sim, rate)
     below = frequencies <= cutoff
@@ -176,8 +180,7 @@ def _nothing_to_learn(
     assert y_sim is not None
     mended = oracle(record.y, y_sim, rate, cutoff, order, record.y_with_gaps)
     return facts | {"oracle_calibrated": asdict(mended)}, [
-        f"{found.describe()}, to which training does not lead then; calibrated "
-        f"(--calibrate), the simulator has {mended.no_network:.3g} and "
-        f"{mended.perfect_network:.3g}: "
+        f"{found.describe()}; with the simulator calibrated (--calibrate) "
+        f"{mended.no_network:.3g} and {mended.perfect_network:.3g}: "
         + ("the same" if mended.nothing_to_learn else "there is something to learn")
     ]

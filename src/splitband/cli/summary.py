@@ -49,7 +49,7 @@ def summary(
             values.setdefault((heading, of), {})[name] = row[heading]
     keys = sorted(values, key=lambda key: order.index(key[0]))
     columns = [Column(h, units[h], values[h, line], line, ranked=False) for h, line in keys]
-    showing.table(Table("", columns, said, "folder: recommended"))
+    showing.table(Table("", columns, said, "folder: recommended", lines="record, output"))
     if out is not None:
         write_text(out, csv_of(pd.DataFrame(rows)) if out.suffix == ".csv" else to_json(rows))
     showing.as_json(rows)

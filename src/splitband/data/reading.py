@@ -65,13 +65,15 @@ class _Picked(NamedTuple):
     measured: list[str]
     left_out: list[str]
     """Other columns with content, each with the reason for leaving it out."""
+    forgotten: str
+    """Columns that may be inputs, in words."""
 
 
 def read(  # noqa: PLR0913
     path: str | os.PathLike[str] | pd.DataFrame,
     *,
     columns: _Names | None = None,
-    inputs: _Names = (),
+    inputs: _Names | None = (),
     time_column: _Names | None = None,
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
@@ -97,7 +99,8 @@ def read(  # noqa: PLR0913
     columns : measured channels; by default every column that holds a number, has a name, and is
         neither an input nor a time (in NPZ and MAT: among the longest variables). Other columns
         with content are left out, with a `ReadingWarning` that names them.
-    inputs : known inputs `u`.
+    inputs : known inputs `u`. With None there are none either, and a `ReadingWarning` names the
+        columns that may have been meant.
     time_column : stamps in seconds, in another unit at the end of the name ("t [ms]", "time_min"),
         dates or times of the day, or two columns of dates and times of the day; by default a
         column called time, timestamp, datetime, t or date. "" ignores it. Rows may be in reverse
@@ -159,16 +162,16 @@ def read(  # noqa: PLR0913
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    for note in filter(None, (spaced.note, left_out)):
+    for note in filter(None, (spaced.note, left_out, picked.forgotten)):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
     return record
 
 
 def _picked(
-    table: Table, columns: _Names | None, inputs: _Names, time_column: _Names | None
+    table: Table, columns: _Names | None, inputs: _Names | None, time_column: _Names | None
 ) -> _Picked:
     """Choose the columns of a record by the options of `read`."""
-    known = _find(table, inputs)
+    known = [] if inputs is None else _find(table, inputs)
     stamps = _stamps(table, time_column)
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
@@ -179,18 +182,23 @@ def _picked(
         timed.sort(key=lambda c: TIME_NAMES.index(time_name(c)[0]))
         _check_alike(table, timed)
         stamps = _dated(table, timed)
+    reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
+    usable = [c for c, reason in reasons.items() if not reason]
     if columns is not None:
         measured, left_out = _find(table, columns), []
     else:
-        reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
-        measured = [c for c, reason in reasons.items() if not reason]
+        measured = usable
         ignored = timed if time_column == "" else []
         left_out = _in_words({c: r for c, r in reasons.items() if c not in ignored})
     if not measured:
         why = f"left out: {_listed(left_out)}" if left_out else _available(table)
         raise ColumnError(f"there is no numeric column to model: {why}")
     _check_orientation(known + measured, rows)
-    return _Picked(stamps, known, measured, left_out)
+    forgotten = ""
+    if inputs is None and usable and (columns is not None or len(usable) > 1):
+        what = "taken as outputs" if columns is None else "not used"
+        forgotten = f"{what}: {_listed(usable)}; --inputs names those that act on the system"
+    return _Picked(stamps, known, measured, left_out, forgotten)
 
 
 def _stamps(table: Table, asked: _Names | None) -> list[str]:

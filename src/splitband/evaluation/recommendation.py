@@ -31,7 +31,7 @@ WORTH_TRAINING = 0.1
 """Share of its score by which a network must beat a baseline. By eye."""
 RULE = (
     "the lowest is recommended: the held-out RMSE in standard deviations, of several outputs the "
-    f"root of the sum of squares; networks carry a penalty of {WORTH_TRAINING:.0%}"
+    f"root of the sum of squares; networks carry a penalty of {100 * WORTH_TRAINING:.0f} %"
 )
 """How methods are ranked, in words."""
 FAILED_RATIO = 2.0
@@ -84,6 +84,14 @@ class Trial:
     def penalized_score(self, method: str) -> float:
         """Return the score by which methods are `ranked`; lower is better."""
         return self.scores[method] * (1 + WORTH_TRAINING if method in self.trained else 1.0)
+
+
+def by_reason(reasons: Mapping[str, str]) -> list[str]:
+    """Return each reason once, after all names that have it."""
+    names = dict[str, list[str]]()
+    for name, reason in reasons.items():
+        names.setdefault(reason, []).append(name)
+    return [f"{'; '.join(of)}: {reason}" for reason, of in names.items() if reason]
 
 
 def judged(

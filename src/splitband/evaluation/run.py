@@ -13,7 +13,7 @@ from splitband.evaluation.clock import MOST_OF_TIME_LEFT, Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import LATE, Job, Runner, held_out_job, prepare
 from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.recommendation import Trial, judged, without_failed
+from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
 from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
@@ -46,7 +46,7 @@ def compare(  # noqa: PLR0913
     """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
 
     Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
-    of them. Ctrl-C ends the comparison with what there is.
+    of them. Ctrl-C ends it early with the results so far.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Run:
             return self.doing
         trial = self.trial
         best = trial.recommended
-        score = f"held-out score {trial.penalized_score(best):.3g}"
+        score = f"score {trial.penalized_score(best):.3g}"
         return f"{self.doing}; best so far: {self.methods[best]._title}, {score}"
 
     def __str__(self) -> str:
@@ -293,19 +293,20 @@ class Run:
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
+        partly = dict[str, str]()
         for name, held in self.trials.items():
             method = next(f for f in self._ready if f.name == name)
             # After Ctrl-C, nothing that may take long begins.
             if not method.random and not (method._fits_simulator and self.clock.interrupted):
                 self._fit_whole(method)
             if self._awaits_final(name) or (method.random and name not in self.finals):
-                self._predict_by_trials(method, held)
+                partly[name] = self._predict_by_trials(method, held)
+        self.clock.notes += by_reason(partly)
         for name in [*self.failed]:
             if name in self.finals:
                 del self.failed[name]
         if not self.finals:
-            reasons = dict.fromkeys(f"{name}: {why}" for name, why in self.failed.items())
-            raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
+            raise InputError(f"no method could be fitted; {'; '.join(by_reason(self.failed))}")
         methods = {method.name: method for method in self.plan.methods}
         for name, fits in self.finals.items():
             for fit in fits:
@@ -347,10 +348,10 @@ class Run:
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
             why = fits[0].failure if fits else LATE
-            said = "in the time" if why == LATE else f"({why})"
+            said = "in time" if why == LATE else f"({why})"
             self.clock.notes.append(
-                f"{name} could not be refitted to the whole record {said}: its model is that of "
-                f"the training part"
+                f"{name}: could not be refitted to the whole record {said}; its model is that of "
+                "the training part"
             )
             return None
         method = next(f for f in self.plan.methods if f.name == name)
@@ -412,21 +413,22 @@ class Run:
         with one_thread(), within(until):
             return job.run()
 
-    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> None:
-        """Predict with the models that were fitted to three quarters of the training part."""
+    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> str:
+        """Predict with models that were fitted to three quarters of the training part; say why."""
         name, spec = method.name, self.plan.spec(held[0].fitted)
         best = self._search is not None and name == next(iter(self._search.trials), None)
         models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
         jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
         # In this process: workers may have been ended with a job that was late.
-        if good := [fit for job in jobs if (fit := job.run()).model is not None]:
-            self.finals[name] = good
-            why = self.failed.pop(name, LATE)
-            said = "in the time" if why == LATE else f"({why})"
-            self.clock.notes.append(
-                f"{name} could not be {'trained on' if method.random else 'fitted to'} the whole "
-                f"training part {said}: its results are those of three quarters of it"
-            )
+        good = [fit for job in jobs if (fit := job.run()).model is not None]
+        if not good:
+            return ""
+        self.finals[name] = good
+        why = self.failed.pop(name, LATE)
+        return (
+            f"could not be {'trained on' if method.random else 'fitted to'} the whole training "
+            f"part {'in time' if why == LATE else f'({why})'}; results are of three quarters of it"
+        )
 
     def _trained(
         self,

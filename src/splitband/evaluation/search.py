@@ -25,6 +25,7 @@ from splitband.evaluation.candidates import (
 from splitband.evaluation.clock import MOST_OF_TIME_LEFT
 from splitband.evaluation.jobs import Job, held_out_job
 from splitband.evaluation.plan import Plan
+from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, held_out_score
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import built
@@ -42,13 +43,13 @@ GIVEN_SEEDS = 3
 
 @dataclass(frozen=True)
 class Attempt:
-    """Hold the held-out error of a candidate after a round."""
+    """Hold the score of a candidate after a round."""
 
     round: int  # number of the round
     method: str  # its name
     training: str  # in words
     seed: int  # of the training
-    score: float | None  # RMSE, of channels scaled to a standard deviation of 1; None if it failed
+    score: float | None  # by which methods are ranked, of this training alone; None if it failed
 
 
 class Search:
@@ -153,7 +154,8 @@ class Search:
         candidate.scores.append(score if math.isfinite(score) else math.inf)
         trained = candidate.network if fit.model is None else fit.fitted
         said = candidate.method, trained._training_in_words(), candidate.seed
-        self.attempts.append(Attempt(self.round, *said, None if fit.model is None else score))
+        shown = None if fit.model is None else (1 + WORTH_TRAINING) * score
+        self.attempts.append(Attempt(self.round, *said, shown))
         if len(candidate.fits) == 1:
             self._tried.append(candidate)
 

@@ -134,8 +134,8 @@ def choose(
         best = max(candidates, key=lambda c: c.passed)
         rule = "no cut-off leaves half of the power in the low band"
     facts = (
-        f"{spectrum.share_below(best.cutoff):.0%} of the power lies below it, {best.loss:.0%} is "
-        "lost to band overlap and edge effects"
+        f"{100 * spectrum.share_below(best.cutoff):.0f} % of the power lies below it, "
+        f"{100 * best.loss:.0f} % is lost to band overlap and edge effects"
     )
     reason = f"{'as given' if cutoff is not None else rule}: {facts}"
     loss = "share of the power in both bands, or lost at ends"
@@ -191,12 +191,12 @@ def choose_with_simulator(  # noqa: PLR0913
     rule = "as given" if cutoff is not None else "where the least error is expected"
     side = "up to" if below else "from"
     reason = (
-        f"{rule}: the simulator is wrong by {share:.0%} of the power that the "
+        f"{rule}: the simulator is wrong by {100 * share:.0f} % of the power that the "
         f"{simulator_band}-pass filter passes, a network conditioned on it by "
-        f"{LEFT_BY_NETWORK:.0%} of the rest"
+        f"{100 * LEFT_BY_NETWORK:.0f} % of the rest"
         if helps
         else f"no band of the simulator is worth using: {side} {best.cutoff:g} Hz it is wrong by "
-        f"{share:.0%} of the power"
+        f"{100 * share:.0f} % of the power"
     )
     loss, listed = "expected error, as a share of the power", tuple(candidates)
     return Choice(best.cutoff, best.order, best.downsampling, reason, loss, listed, helps)

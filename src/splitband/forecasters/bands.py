@@ -85,3 +85,13 @@ class Bands(WithRepr):
 
 OPEN = Bands()
 """Bands whose parameters are all chosen on the training samples."""
+
+
+def require_bands(bands: object) -> Bands:
+    """Return bands; raises InputError for anything else, such as a number."""
+    if not isinstance(bands, Bands):
+        raise InputError(
+            "bands must be Bands, such as Bands(0.5) for a cut-off of 0.5 Hz, or left out to be "
+            f"chosen on the training samples, got {bands!r}"
+        )
+    return bands

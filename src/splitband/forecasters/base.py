@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     import torch
     from torch import nn
 
+    from splitband.baselines.accuracy import Accuracy
     from splitband.export.casadi_graph import CasadiStep
     from splitband.forecasters.checking import ModelCheck, Responses
     from splitband.forecasters.differentiable import TorchSimulation
@@ -354,6 +355,13 @@ class Forecaster(WithRepr, ABC):
         from splitband.forecasters.checking import respond  # noqa: PLC0415  it imports this
 
         return respond(self, steps, at, size)
+
+    def accuracy(self) -> Accuracy:
+        """Return poles, gains and delays with standard errors: of `Linear` alone."""
+        raise InputError(
+            f"{self.name} has no accuracy of poles and gains: only a fitted sb.Linear has; "
+            "step_responses() gives the gain of other models"
+        )
 
     @final
     def as_torch(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -26,6 +27,7 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
+from splitband.training.settings import default_warmup
 
 AHEAD = (1, 10)
 """Horizons in samples of the predictions from within the record. Layout."""
@@ -33,8 +35,6 @@ ORIGINS = 100
 """Largest number of origins of these predictions, evenly spaced. Bounds the time."""
 LONGER = 10
 """Length of the free run that must stay in range, in multiples of the record. By eye."""
-WARMUP = 50
-"""Most samples before the simulation, for a forecaster without a warm-up. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +173,8 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 
 def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record to its end, from a warm-up on its first samples; None if it is short."""
-    warmup = forecaster.warmup or max(min(WARMUP, len(record) // 10), 2)
-    begin = first_after(record.complete, warmup)
+    warmup = forecaster.warmup or default_warmup(len(record))  # as a comparison on test records
+    begin = first_after(record.complete, max(warmup, 2))
     if begin is None or len(record) - begin < 2 * LAGS:
         return None
     other = not forecaster.anchored
@@ -210,7 +210,8 @@ def _leaves(forecaster: Forecaster, record: Record, begin: int) -> int | None:
 
 
 SHARE = 0.1
-"""Size of the step, as a share of the input's range in training. By eye."""
+"""Size of the step, and distance of operating points from the ends, as a share of the input's range
+in training. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,14 +239,23 @@ class Responses:
         """Return the times after the step in seconds, `(steps,)`."""
         return np.asarray(np.arange(len(self.y)) * self.sampling_time, dtype=np.float64)
 
+    @property
+    def operating_point(self) -> str:
+        """Return the operating point in words."""
+        pairs = zip(self.inputs, self.at, strict=True)
+        return ", ".join(f"{name} = {value:.4g}" for name, value in pairs)
+
     def frequency_response(self) -> tuple[Array, npt.NDArray[np.complex128]]:
         """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
 
-        It is the Fourier transform of the impulse response, over the length of the step response.
+        It is the Fourier transform of the impulse response, whose last value is taken to stay: it
+        is near 0 where the step response settles, and the slope of an integrator.
         """
         impulse = np.diff(self.y, axis=0, prepend=np.zeros_like(self.y[:1]))
-        frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)
-        return np.asarray(frequencies[1:], np.float64), np.fft.rfft(impulse, axis=0)[1:]
+        frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)[1:]
+        z = np.exp(2j * np.pi * frequencies * self.sampling_time)[:, None, None]
+        gain = np.fft.rfft(impulse, axis=0)[1:] + impulse[-1] * z / (z - 1)
+        return np.asarray(frequencies, np.float64), np.asarray(gain, np.complex128)
 
 
 def respond(
@@ -268,6 +278,14 @@ def respond(
             "size must not be 0: give one for an input that was constant in training, "
             f"got {sizes.tolist()}"
         )
+    for each in fitted.inputs_beyond(held + 0.5 * np.stack([-abs(sizes), abs(sizes)])):
+        warnings.warn(
+            f"input {record.inputs[each.channel]} is beyond its range in training ({each.low:g} to "
+            f"{each.high:g}) in a step response, at {each.farthest:g}: the response is an "
+            "extrapolation",
+            ExtrapolationWarning,
+            stacklevel=3,
+        )
     found = np.empty((steps, record.ny, record.nu))
     for i, of_input in enumerate(sizes):
         # Up and down: even-order nonlinearities cancel.
@@ -279,6 +297,23 @@ def respond(
                 ends.append(forecaster.predict(2 * steps, u=u).y[steps:])
         found[:, :, i] = (ends[0] - ends[1]) / of_input
     return Responses(found, record.sampling_time, record.columns, record.inputs, held, sizes)
+
+
+def respond_over_range(forecaster: Forecaster) -> list[Responses]:
+    """Return the responses of a fitted forecaster at the means of its training inputs.
+
+    Those of a nonlinear one follow with all inputs at `SHARE` and at 1 - `SHARE` of their ranges in
+    training. There are none for one without inputs, or whose simulator stays outside of it.
+    """
+    try:
+        every = [forecaster.step_responses()]
+    except InputError:
+        return []
+    if not forecaster.affine:
+        low, high, _ = forecaster.require_fitted().u_summary  # type: ignore[misc]  # it has inputs
+        for share in (SHARE, 1 - SHARE):
+            every.append(forecaster.step_responses(at=low + share * (high - low)))
+    return every if all(np.isfinite(each.y).all() for each in every) and every[0].y.any() else []
 
 
 def _each(what: str, value: npt.ArrayLike, nu: int) -> Array:

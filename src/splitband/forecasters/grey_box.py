@@ -148,11 +148,14 @@ class GreyBox(Forecaster):
         return {**super()._to_dict(), "simulator": described}
 
     def in_words(self) -> str:
-        """Return a description; a simulator whose parameters are all given is not fitted."""
+        """Return a description; a simulator whose parameters are all given is not fitted.
+
+        What was fitted may run on a simulator that is opened with the fitted values.
+        """
         known = getattr(self.simulator, "known", None)
-        if known is not None and not known.free:
-            return "simulator as given"
-        return "simulator with fitted parameters"
+        free = True if known is None else known.free
+        fitted = free if self.adjusted is None else self.estimate.values
+        return "simulator with fitted parameters" if fitted else "simulator as given"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""

@@ -9,7 +9,7 @@ from splitband.data import Record
 from splitband.filters import Band
 from splitband.filters.resampling import Alignment
 from splitband.filters.spectrum import oracle
-from splitband.forecasters.bands import OPEN, Bands
+from splitband.forecasters.bands import OPEN, Bands, require_bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
@@ -105,7 +105,7 @@ class Split(Network):
         super().__init__(settings, name)
         self.own_warmup, self.alignment = own_warmup, alignment
         self.low, self.high = as_template(low), as_template(high)
-        self.bands, self.conditioned = bands, conditioned
+        self.bands, self.conditioned = require_bands(bands), conditioned
         self.filter_output = filter_output
 
     def _build(self, record: Record, settings: Settings) -> Model:
@@ -211,7 +211,7 @@ class Filtered(Network):
             )
         self.simulator_band = simulator_band
         self.base, self.cell = as_slow_part(base), as_template(cell)
-        self.bands, self.conditioned = bands, conditioned
+        self.bands, self.conditioned = require_bands(bands), conditioned
 
     def _build(self, record: Record, settings: Settings) -> Model:
         """Return a model with a network and a filter pair."""

@@ -159,16 +159,19 @@ def csv_of(table: pd.DataFrame) -> str:
 
 
 def save_check(
-    check: ModelCheck, folder: Path, model: Forecaster, responses: Responses | None, usage: Usage
+    check: ModelCheck, folder: Path, model: Forecaster, responses: Sequence[Responses], usage: Usage
 ) -> None:
     """Write results.json and the page of a check of a model in place of an earlier result."""
     page = _page()
     facts = check.as_json() | {"kind": model.in_words(), "command": usage.asked}
-    if responses is not None:
-        facts["static_gain"] = {
-            column: dict(zip(responses.inputs, map(float, row), strict=True))
-            for column, row in zip(responses.columns, responses.y[-1], strict=True)
+    for each in responses:
+        gains = {
+            column: dict(zip(each.inputs, map(float, row), strict=True))
+            for column, row in zip(each.columns, each.y[-1], strict=True)
         }
+        facts.setdefault("static_gain", gains)
+        at = dict(zip(each.inputs, map(float, each.at), strict=True))
+        facts.setdefault("static_gains", []).append({"inputs": at, "gain": gains})
     with staged(folder) as new:
         page.write(page.pages.of_check(check, model, responses, usage), new / PAGE)
         write_facts(new, facts | {"environment": environment()})

@@ -30,9 +30,10 @@ from splitband.baselines.accuracy import NORMAL
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
+from splitband.evaluation.recommendation import COVERAGE, RULE, Trial, by_reason
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
+from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
@@ -65,10 +66,11 @@ class _Form(NamedTuple):
 
     names: Literal["beside", "below", ""]
     width: int
+    narrow: int = 0  # where long words are broken: the width of outputs; 0 elsewhere
 
 
 _BESIDE, _BELOW, _SHORT, _PLAIN = (
-    _Form("beside", 1000), _Form("below", 40), _Form("", 24), _Form("", 1000)
+    _Form("beside", 1000), _Form("below", 40), _Form("", 24, 20), _Form("", 1000)
 )  # fmt: skip
 """The last one is for rows that have no words beside their names. Layout."""
 
@@ -160,6 +162,7 @@ class Table:
     minor: frozenset[str] = frozenset()  # rows that a page folds away at first
     labels: Mapping[str, str] = field(default_factory=dict)  # rows in words, by name
     details: Mapping[str, str] = field(default_factory=dict)  # what each fit has chosen
+    lines: str = "output"  # what the lines of a row are
 
     @property
     def notes(self) -> dict[str, str]:
@@ -180,18 +183,18 @@ class Table:
         """Return the table for a terminal, and the headings of columns that were left out.
 
         The best number of each column is bold. With several outputs, a row has a line for each. The
-        short names stand beside or below the words, whichever leaves more columns, and nowhere if
-        a decisive column would be left out.
+        short names stand beside or below the words, whichever leaves more columns. Where a decisive
+        column would be left out, or the table is too wide still, they stand nowhere, and long words
+        are broken.
         """
-        if not self.labels:
-            drawn, left_out = self._fitted(width, box, _PLAIN)
-            return drawn, self._headings(left_out)
-        found = [self._fitted(width, box, form) for form in (_BESIDE, _BELOW)]
+        forms = (_BESIDE, _BELOW) if self.labels else (_PLAIN,)
+        found = [self._fitted(width, box, form) for form in forms]
         drawn, left_out = min(found, key=lambda each: len(each[1]))
-        if DECISIVE.isdisjoint(column.heading for column in left_out):
+        lost = bool(self.labels) and not DECISIVE.isdisjoint(c.heading for c in left_out)
+        if not lost and _width(drawn) <= width:
             return drawn, self._headings(left_out)
         drawn, left_out = self._fitted(width, box, _SHORT)
-        return drawn, [*self._headings(left_out), "short names"]
+        return drawn, [*self._headings(left_out), *["short names"] * bool(self.labels)]
 
     @staticmethod
     def _headings(columns: Sequence[Column]) -> list[str]:
@@ -206,9 +209,8 @@ class Table:
         for column in self.columns:
             of_heading.setdefault((column.heading, column.record), {})[column.channel] = column
         shown, left_out = [*of_heading.values()], list[Column]()
-        wide = _console(10_000)
         drawn = self._drawn(shown, box, form)
-        while len(shown) > 1 and Measurement.get(wide, wide.options, drawn).maximum > width:
+        while len(shown) > 1 and _width(drawn) > width:
             left_out = [*shown.pop().values(), *left_out]
             drawn = self._drawn(shown, box, form)
         return drawn, left_out
@@ -223,21 +225,24 @@ class Table:
             padding=(0, 1 if box else 2, 0, 1 if box else 0),
         )  # fmt: skip
         beside = form.names == "beside"
-        for heading in (self.head, *["name"] * beside, *["output"] * several):
+        for heading in (self.head, *["name"] * beside, *[self.lines] * several):
             table.add_column(heading, no_wrap=True)
         for of_channel in shown:
             first, *_ = of_channel.values()
             heading = first.shown if several else first.label
             entries = [c.entry(name) for c in of_channel.values() for name in self.rows]
             # A number in two lines would be taken for two outputs.
-            header = textwrap.fill(heading, max(NARROW, *map(len, entries)), break_long_words=False)
+            header = textwrap.fill(
+                heading, max(NARROW, *map(len, entries)), break_long_words=bool(form.narrow)
+            )
             table.add_column(header, justify="right", no_wrap=True)
         for name in self.rows:
             channels = self._channels(name)
             heads = _spread(self._head(name, form), len(channels))
             for i, channel in enumerate(channels):
                 cells = [heads[i], *[Text("" if i else name, "dim")] * beside]
-                cells += [Text(channel)] * several
+                said = textwrap.fill(channel, form.narrow) if form.narrow else channel
+                cells += [Text(said)] * several
                 cells += [_cell(of_channel, name, channel, i == 0) for of_channel in shown]
                 table.add_row(*cells, end_section=several and channel == channels[-1])
         return table
@@ -249,7 +254,7 @@ class Table:
         first, rest = ("* " if best else "  ", "  ") if self.recommended else ("", "")
         lines = textwrap.wrap(
             label, form.width, initial_indent=first, subsequent_indent=rest,
-            break_long_words=False, break_on_hyphens=False,
+            break_long_words=bool(form.narrow), break_on_hyphens=False,
         )  # fmt: skip
         found = [Text(line, "bold" if best else "") for line in lines]
         below = form.names == "below" and label != name
@@ -269,8 +274,18 @@ class Table:
         with console.capture() as captured:
             console.print(self.fitting(width, None)[0])
         lines = [line.rstrip() for line in captured.get().splitlines()]
-        said = [f"{self.label(name)}: {words}" for name, words in self.rows.items() if words]
-        return "\n".join(lines + said)
+        return "\n".join(lines + self.remarks())
+
+    def remarks(self, details: bool = False) -> list[str]:
+        """Return what must be said of rows, each remark once; if asked for, with their details."""
+        every = {n: (words, self.details.get(n, "") * details) for n, words in self.rows.items()}
+        return by_reason({self.label(n): "; ".join(filter(None, of)) for n, of in every.items()})
+
+
+def _width(table: rich.table.Table) -> int:
+    """Return the width of a table in which no cell is wrapped."""
+    wide = _console(10_000)
+    return Measurement.get(wide, wide.options, table).maximum
 
 
 def _console(width: int) -> Console:
@@ -296,10 +311,11 @@ def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: a row for each method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = "the noise-free signal" if record.y_true is not None else "what was measured"
+    ahead = f"{run_of(record)} of the {len(record) - train:,} after them, against {truth}"
     title = (
-        f"{record.name}: {train:,} samples to train on, {run_of(record)} of the "
-        f"{len(record) - train:,} after them, against {truth}. {what_was_known(comparison)} The "
-        "best of each column is bold."
+        f"{record.name}: {train:,} samples to train on"
+        + (f", {ahead}" if train < len(record) else "")
+        + f". {what_was_known(comparison)}"
     )
     notes = remarks(comparison)
     missing = {} if trial is None else trial.without_result
@@ -345,11 +361,11 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
     scores = {name: each.score for name, each in of.items() if each.score is not None}
     listed = [
         Column("round", "count", {n: float(each.round) for n, each in of.items()}, ranked=False),
-        Column("held-out score", "deviation", scores),
+        Column("score", "deviation", scores),
     ]
     title = (
-        "What was tried, in that order; the score is the RMSE on held-out samples, in standard "
-        "deviations of each output"
+        "What was tried, in that order; the score is of a single training, in the table of methods "
+        "of a median"
     )
     details = {name: each.training for name, each in of.items()}
     rows = dict.fromkeys(names, "")
@@ -546,7 +562,7 @@ COLUMNS = {
     ),
     "in interval": Quantity(
         "share", "share of the measured samples after the training part in the interval; "
-        f"{COVERAGE:.0%} is ideal", _intervals,
+        f"{percent(COVERAGE)} is ideal", _intervals,
     ),
     "test RMSE": Quantity(
         "record", "root mean squared error of the simulation of this test record",
@@ -574,6 +590,28 @@ COLUMNS = {
     ),
 }  # fmt: skip
 """The columns of comparisons by heading; a narrow terminal leaves out the last ones."""
+
+
+def of_gains(found: Sequence[Responses]) -> list[Table]:
+    """Return a table of a nonlinear model's final responses; see `respond_over_range`."""
+    if len(found) < 2:
+        return []
+    middle, low, high = found
+    pairs = {
+        f"{u} to {y}": (j, i)
+        for i, u in enumerate(middle.inputs)
+        for j, y in enumerate(middle.columns)
+    }
+    places = {f"at {percent(SHARE)}": low, "at the mean": middle, f"at {percent(1 - SHARE)}": high}
+    listed = [
+        Column(place, "record", {n: float(r.y[-1][at]) for n, at in pairs.items()}, ranked=False)
+        for place, r in places.items()
+    ]
+    title = (
+        f"Step responses after {middle.time[-1]:.4g} s, for a step of 1 (static gain, if settled), "
+        "where all inputs are at these shares of their ranges in training"
+    )
+    return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]
 
 
 @np.errstate(divide="ignore", invalid="ignore")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.recommendation import WORTH_TRAINING, Trial
+from splitband.evaluation.recommendation import WORTH_TRAINING, Trial, by_reason
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
@@ -130,6 +130,7 @@ def verdicts(comparison: Comparison) -> dict[str, Outcome]:
 def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers, the gravest first."""
     return [
+        *_unstable(comparison),
         *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
         *_left_range(comparison),
         *_wide_interval(comparison),
@@ -141,6 +142,16 @@ def warnings(comparison: Comparison) -> list[str]:
         *_left_out(comparison),
         *map(sentence, comparison.clock.notes),
     ]
+
+
+def _unstable(comparison: Comparison) -> list[str]:
+    """Return a sentence if the recommended model is known to be unstable."""
+    stable = all(fit.report.stable for fit in comparison.fits[comparison.recommended])
+    return (
+        []
+        if stable
+        else ["The recommended model is unstable: a simulation may grow without bound."]
+    )
 
 
 def _left_range(comparison: Comparison) -> list[str]:
@@ -191,13 +202,10 @@ def _missed_interval(comparison: Comparison) -> list[str]:
 
 def _missing(comparison: Comparison) -> list[str]:
     """Return sentences about the methods that have no result."""
-    failed, called, said = comparison.require_trial().failed, labels_of(comparison), list[str]()
-    every = {name: titled(name, called[name]) for name in without_result(comparison)}
-    if names := [title for name, title in every.items() if name in failed]:
-        said.append(f"No result, for the reason beside the table: {'; '.join(names)}.")
-    if names := [title for name, title in every.items() if name not in failed]:
-        said.append(f"Not trained so far: {'; '.join(names)}.")
-    return said
+    why, called = comparison.require_trial().without_result, labels_of(comparison)
+    missing = without_result(comparison)
+    said = {titled(n, called[n]): why.get(n, "no result: not trained so far") for n in missing}
+    return [*map(sentence, by_reason(said))]
 
 
 def _few_held_out(train: int) -> list[str]:

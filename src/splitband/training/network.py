@@ -76,11 +76,13 @@ class NetworkTraining:
             for epoch in self.restarts
         ]
         if self.cut:
-            done = f"{len(self.losses)} of {self.passes} epochs and rounds"
-            said.append(f"the time was over after {done}")
+            done = f"{len(self.losses)} of {self.passes}"
+            said.append(f"stopped by the time limit at epoch or round {done}")
         share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
-            said.append(f"nothing was learned: {share:.0%} of the signal is left in training")
+            said.append(
+                f"nothing was learned: the error in training is {100 * share:.0f} % of the signal"
+            )
         return said
 
     @property

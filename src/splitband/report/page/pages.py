@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from itertools import product
 from typing import Any
@@ -14,9 +13,10 @@ import numpy.typing as npt
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.recommendation import by_reason
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
-from splitband.forecasters.checking import ModelCheck, Responses
+from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.models.labels import SIMULATOR
@@ -29,7 +29,6 @@ from splitband.report.page.parts import Method, Page, Section, Usage, method_sty
 from splitband.report.predicted import Predicted, predicted, what_was_known
 from splitband.report.table import Table, ordered, tried
 from splitband.runtime.arrays import Array
-from splitband.runtime.errors import InputError
 
 MAX_BODE = 4
 """Largest number of pairs of input and output that have gain and phase, too. Bounds the time."""
@@ -110,40 +109,43 @@ def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section
     models = {result.recommended: result.model}
     if linear is not None:
         models.setdefault(linear.name, linear)
-    found = dict[str, Responses]()
-    for name, model in models.items():
-        with suppress(InputError):  # it has no inputs, or its simulator stays outside
-            each = model.step_responses()
-            if np.isfinite(each.y).all() and each.y.any():
-                found[name] = each
+    every = {name: respond_over_range(model) for name, model in models.items()}
+    found = {name: each for name, each in every.items() if each}
     if not found:
         return []
     outside = [styles[name].label for name, model in models.items() if "simulator" in model.needs]
     shown = " and ".join(styles[name].label for name in found)
-    said = f"Of {shown}; without its simulator, {outside[0]} has none." if outside else ""
+    said = f"Of {shown}: {outside[0]} needs its simulator's output." if outside else ""
     few = result.record.nu * result.record.ny <= MAX_BODE
     return [_responses_of(found, styles, said, few)]
 
 
 def _responses_of(
-    found: Mapping[str, Responses], styles: Mapping[str, Method], said: str = "", bode: bool = True
+    found: Mapping[str, Sequence[Responses]],
+    styles: Mapping[str, Method],
+    said: str = "",
+    bode: bool = True,
 ) -> Section:
-    """Return the section of step and Bode responses."""
-    first = next(iter(found.values()))
-    pairs = zip(first.inputs, first.at, strict=True)
-    held = ", ".join(f"{name} = {number(float(value))}" for name, value in pairs)
+    """Return the section of step and Bode responses at the operating points of each model."""
+    most = max(found.values(), key=len)
     text = (
-        f"Small steps of one input at a time, from an operating point: {held}. Change of the "
-        "output for a step of 1"
+        "Change of the output for a step of 1, from small steps of one input at a time around the "
+        f"mean of the training inputs, {most[0].operating_point}"
     )
     text += (
         "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
         if bode
-        else ". The page of `splitband check` also has gain and phase."
+        else ". Gain and phase: splitband check."
     )
+    if len(most) > 1:
+        text += (
+            f" Dashed and dotted: all inputs at {percent(SHARE)} and {percent(1 - SHARE)} of their "
+            "ranges in training. Where the curves differ, the model is nonlinear: its gain depends "
+            "on the operating point."
+        )
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [said, text], plots=drawn)
+    return Section("responses", title, [said, text], tables=table.of_gains(most), plots=drawn)
 
 
 def _linear_of(result: Comparison) -> Linear | None:
@@ -251,7 +253,11 @@ def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
         sections.append(Section("training", "Training", [text], plots=drawn, folded=True))
     if result.attempts:
         tables = [table.of_attempts(result.attempts)]
-        text = "How networks are trained was found on the last quarter of the training samples."
+        text = (
+            "Networks were trained on three quarters of the training samples, and scored on the "
+            "rest. The best trainings then went on, on all training samples: the table of methods "
+            "has their steps, too."
+        )
         sections.append(Section("search", "What was tried", [text], tables=tables, folded=True))
     return sections
 
@@ -266,7 +272,7 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
     )
     text = [words.sentence(result.description)] if result.description else []
     items = [*words.of_forecast(result), *words.of_gaps(record)]
-    items += [f"{name}: {why}" for name, why in trial.without_result.items()]
+    items += by_reason(trial.without_result)
     half = trial.intervals[method].half_widths(steps).mean(axis=0)
     level = percent(trial.intervals[method].share)
     held_out = [c for c in tried(trial, record, [method]) if c.heading == "held-out RMSE"]
@@ -301,7 +307,7 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
 
 
 def of_check(
-    result: ModelCheck, model: Forecaster, responses: Responses | None, used: Usage
+    result: ModelCheck, model: Forecaster, responses: Sequence[Responses], used: Usage
 ) -> Page:
     """Return the page of a check of a model."""
     record, name = result.record, result.method
@@ -318,7 +324,7 @@ def of_check(
                 result.in_words(), facts=facts, plots=[*drawn.outputs(), *drawn.inputs()]),
         _residuals(said, result.tests, "Is the model good? Residual tests", []),
     ]  # fmt: skip
-    if responses is not None:
+    if responses:
         sections.append(_responses_of({name: responses}, styles))
     if isinstance(model, Linear):
         sections.append(_of_linear(model))

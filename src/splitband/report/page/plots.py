@@ -15,7 +15,7 @@ from splitband.data import Record
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.forecasters.backtest import Fit
-from splitband.forecasters.checking import Responses
+from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.residuals import Correlation
 from splitband.metrics import cumulative_rmse, fit_percent
@@ -330,7 +330,7 @@ def gains(record: Record, model: LinearModel) -> list[Chart]:
         if known:
             least, most = (number(float(100 * f(error / gain))) for f in (np.min, np.max))
             caption += f"; shaded: 95 % interval, ± {least} to {most} %"
-        chart = _response(axis, {"gain": (_decibels(gain), "c0")}, "gain (dB)", caption)
+        chart = _response(axis, {"gain": (_decibels(gain), "c0", 0)}, "gain (dB)", caption)
         if known:
             lower = np.maximum(gain - error, 1e-3 * gain)
             chart.band(_decibels(lower), _decibels(gain + error), "95 % interval", ["c0"])
@@ -338,44 +338,50 @@ def gains(record: Record, model: LinearModel) -> list[Chart]:
     return plots
 
 
+OPERATING_POINTS = "", f" at {percent(SHARE)} (dashed)", f" at {percent(1 - SHARE)} (dotted)"
+
+
 def responses(
-    found: Mapping[str, Responses], styles: Mapping[str, Method], bode: bool = True
+    found: Mapping[str, Sequence[Responses]], styles: Mapping[str, Method], bode: bool = True
 ) -> list[Chart]:
     """Return plots of the step response from each input to each output, a curve for each model.
 
-    With `bode` also of gain and phase. The models are of one record.
+    Those at its further operating points are faint. With `bode` also of gain and phase. The models
+    are of one record.
     """
-    first = next(iter(found.values()))
+    first = next(iter(found.values()))[0]
     frequencies, _ = first.frequency_response()
-    gains = {name: each.frequency_response()[1] for name, each in found.items()}
-    looks = {name: (styles[name].label or name, f"c{styles[name].color}") for name in found}
+    every = [(n, k, each) for n, of in found.items() for k, each in enumerate(of)]
+    labels = [(styles[n].label or n) + OPERATING_POINTS[k] for n, k, _ in every]
+    looks = [(f"c{styles[n].color}", k) for n, k, _ in every]
+    gains = [each.frequency_response()[1] for *_, each in every]
     time, over = Axis.over(first.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
     plots = []
     for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
-        steps = {n: each.y[:, j, i] for n, each in found.items()}
-        of = {n: gain[:, j, i] for n, gain in gains.items()}
-        sizes = {n: _decibels(np.abs(gain)) for n, gain in of.items()}
-        phases = {n: np.degrees(np.unwrap(np.angle(gain))) for n, gain in of.items()}
+        steps, of = [each.y[:, j, i] for *_, each in every], [gain[:, j, i] for gain in gains]
+        sizes = [_decibels(np.abs(gain)) for gain in of]
+        phases = [np.degrees(np.unwrap(np.angle(gain))) for gain in of]
         drawn = (
             (time, steps, "change", "Step response"),
             (over, sizes, "gain (dB)", "Gain"),
             (over, phases, "phase (degrees)", "Phase"),
         )
         for axis, curves, label, what in drawn if bode else drawn[:1]:
-            shown = {looks[n][0]: (curve, looks[n][1]) for n, curve in curves.items()}
+            shown = {n: (y, *look) for n, y, look in zip(labels, curves, looks, strict=True)}
             plots.append(_response(axis, shown, label, f"{what}, {u} to {y}"))
     return plots
 
 
 def _response(
-    axis: Axis, curves: Mapping[str, tuple[Array, str]], label: str, caption: str
+    axis: Axis, curves: Mapping[str, tuple[Array, str, int]], label: str, caption: str
 ) -> Chart:
-    """Return a small plot of named curves, each with a colour; a frequency also in rad/s."""
-    chart = Chart(axis, label, limits([y for y, _ in curves.values()]), caption, LOW, small=True)
+    """Return a small plot of named curves, with colour and dash; a frequency also in rad/s."""
+    chart = Chart(axis, label, limits([y for y, *_ in curves.values()]), caption, LOW, small=True)
     if axis.log:
         chart.add_angular_frequencies()
-    for name, (y, color) in reversed([*curves.items()]):  # the first one above the others
-        chart.line(y, name, [color], line_width=1.5)
+    for name, (y, color, k) in reversed([*curves.items()]):  # the first one above the others
+        look: dict[str, Any] = {"line_dash": dash(k), "line_alpha": FAINT} if k else {}
+        chart.line(y, name, [color], line_width=1.5, **look)
     return chart
 
 
