@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from llvmlite import binding, ir
 from numba import types
@@ -47,19 +47,49 @@ def add_products(out: Array, a: Array, b: Array) -> None:
 
 
 def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
-    """Return the signature of a product for Numba, and the function that emits its code."""
-    item_bytes = types_of_args[1].dtype.bitwidth // 8
+    """Return the signature of a product for Numba, and the function that emits its code.
+
+    A module of LLVM has the code once, in a function of its own: inlined into each call it takes
+    LLVM three times as long.
+    """
+    of_item, item_bytes = types_of_args[1].dtype, types_of_args[1].dtype.bitwidth // 8
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        operands = [
-            context.make_array(of_arg)(context, builder, value)
-            for of_arg, value in zip(signature.args[:3], args[:3], strict=True)
-        ]
-        operands += [context.get_value_type(signature.args[1].dtype), item_bytes, *args[3:]]
-        kind(builder, *operands).emit()
+        values: list[Any] = []
+        for of_arg, value in zip(signature.args[:3], args[:3], strict=True):
+            array = context.make_array(of_arg)(context, builder, value)
+            shape, strides = (
+                cgutils.unpack_tuple(builder, x) for x in (array.shape, array.strides)
+            )
+            values += [array.data, *shape, *strides]
+        values += args[3:]
+        of_values = ir.FunctionType(ir.VoidType(), [value.type for value in values])
+        name = f"{kind.__name__}_{of_item}"
+        product = builder.module.globals.get(name)
+        if product is None:
+            product = ir.Function(builder.module, of_values, name)
+            product.linkage = "internal"
+            product.attributes.add("noinline")
+            inner = ir.IRBuilder(product.append_basic_block())
+            given, arrays = iter(product.args), []
+            for of_arg in signature.args[:3]:
+                data, *sizes = (next(given) for _ in range(1 + 2 * of_arg.ndim))
+                arrays.append(_View(data, sizes[: of_arg.ndim], sizes[of_arg.ndim :]))
+            item = context.get_value_type(of_item)
+            kind(inner, *arrays, item, item_bytes, *given).emit()
+            inner.ret_void()
+        builder.call(product, values)
         return context.get_dummy_value()
 
     return types.void(*types_of_args), codegen
+
+
+class _View(NamedTuple):
+    """Hold an array's pointer, shape and strides, as LLVM integers."""
+
+    data: Any
+    shape: list[Any]
+    strides: list[Any]
 
 
 def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple[Any, Any]:
@@ -91,7 +121,7 @@ class _Product:
         return ir.VectorType(self.item, _VECTOR_BYTES // self.item_bytes)
 
     def emit(self) -> None:
-        rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
+        rows, columns = self.out.shape
         j = zero = columns.type(0)
         for width, heights in _BLOCKS:
             n_strips, j_end = self.divide(j, columns, width * self.vector.count)
@@ -110,7 +140,7 @@ class _Product:
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(v), count) for v in range(width)]
         sums = self.registers((r, c) for r in down for c in across)
-        inner = cgutils.unpack_tuple(self.builder, self.w.shape)[0]
+        inner = self.w.shape[0]
         with cgutils.for_range(self.builder, inner) as k:
             ws = {c: self.load(self.w, (k.index, c), self.vector) for c in across}
             for r in down:
@@ -141,9 +171,8 @@ class _Product:
         return self.builder.add(start, self.builder.mul(count, start.type(length)))
 
     def pointer(self, array: Any, index: tuple[Any, ...], kind: Any) -> Any:
-        strides = cgutils.unpack_tuple(self.builder, array.strides)
-        offset = strides[0].type(0)
-        for i, stride in zip(index, strides, strict=True):
+        offset = array.strides[0].type(0)
+        for i, stride in zip(index, array.strides, strict=True):
             offset = self.builder.add(offset, self.builder.mul(i, stride))
         return cgutils.pointer_add(self.builder, array.data, offset, kind.as_pointer())
 
@@ -165,7 +194,7 @@ class _SumOfProducts(_Product):
     """Emit products of rows, summed over lanes and over the first axis; `w` is b."""
 
     def emit(self) -> None:
-        rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
+        rows, columns = self.out.shape
         i = zero = rows.type(0)
         for height in _SUMS:
             n_rows, i_end = self.divide(i, rows, height)
@@ -183,7 +212,7 @@ class _SumOfProducts(_Product):
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(c), 1) for c in range(width)]
         sums = self.registers((r, c) for r in down for c in across)
-        times, _, lanes = cgutils.unpack_tuple(self.builder, self.a.shape)
+        times, _, lanes = self.a.shape
         vectors, _ = self.divide(lanes.type(0), lanes, self.vector.count)
         with (
             cgutils.for_range(self.builder, times) as t,
