@@ -116,10 +116,10 @@ def test_a_process_that_begins_while_the_others_are_ended_complains_of_nothing(
 ) -> None:
     """As at the end of a budget: one computes in C, another one has just been replaced."""
     with Workers(2) as workers:
-        jobs = [workers.submit(sum, range(10**10)), workers.submit(time.sleep, 600)]
-        eventually(lambda: all(job.running() for job in jobs))
+        computing, waiting = workers.submit(sum, range(10**10)), workers.submit(time.sleep, 600)
+        eventually(lambda: computing.running() and waiting.running())
         before = {*multiprocessing.active_children()}
-        jobs[1].cancel()
+        waiting.cancel()
         eventually(lambda: bool({*multiprocessing.active_children()} - before))
     assert capfd.readouterr().err == ""
 
