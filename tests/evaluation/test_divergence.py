@@ -87,7 +87,7 @@ def test_a_simulator_without_time_for_its_last_fit_has_the_results_of_the_one_be
     (fit,) = found.fits[CALIBRATED]
     assert len(fit.fitted.require_fitted().record) < TRAIN
     (said,) = found.clock.notes
-    assert said.startswith(f"{CALIBRATED} could not be fitted to the whole training part")
+    assert said.startswith(f"`{CALIBRATED}` could not be fitted to the whole training part")
 
 
 def test_where_every_method_fails_each_reason_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

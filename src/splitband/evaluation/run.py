@@ -369,7 +369,7 @@ class Run:
             why = fits[0].failure if fits else LATE
             said = "in the time" if why == LATE else f"({why})"
             self.clock.notes.append(
-                f"{name} could not be refitted to the whole record {said}: its model is that of "
+                f"`{name}` could not be refitted to the whole record {said}: its model is that of "
                 f"the training part"
             )
             return None
@@ -444,7 +444,7 @@ class Run:
             why = self.failed.pop(name, LATE)
             said = "in the time" if why == LATE else f"({why})"
             self.clock.notes.append(
-                f"{name} could not be {'trained on' if method.random else 'fitted to'} the whole "
+                f"`{name}` could not be {'trained on' if method.random else 'fitted to'} the whole "
                 f"training part {said}: its results are those of three quarters of it"
             )
 
