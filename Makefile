@@ -11,21 +11,22 @@ ifneq ($(wildcard ../shared/data),)
 export SPLITBAND_DATA_DIR ?= $(abspath ../shared/data)
 endif
 
-.PHONY: axe demo test suite check kernels-float32 kernels-float64 format figures docs paper bench fuzz soak memory desks clean
+.PHONY: axe demo test suite check kernels format figures docs paper bench fuzz soak memory desks clean
 
 demo: .venv/.ready
 	$(BIN)/splitband demo --out demo
 
 test:
-	$(MAKE) --jobs=3 check kernels-float32 kernels-float64
+	$(MAKE) --jobs=2 check kernels
 	$(BIN)/pytest -n auto
 
 # The tests alone, on a Python for which the checks have run elsewhere.
-suite: kernels-float32 kernels-float64
+suite: kernels
 	$(BIN)/pytest -n auto
 
-kernels-float32 kernels-float64: .venv/.ready
-	$(BIN)/python -m tests.kernels.compiling $(@:kernels-%=%)
+# Otherwise each worker of the suite would compile for itself what is not on disk yet.
+kernels: .venv/.ready
+	$(BIN)/splitband doctor --quiet
 
 check: .venv/.ready
 	$(BIN)/ruff check .

@@ -1,6 +1,10 @@
 """Run the command line as `splitband` and `python -m splitband`; Ctrl-C may stop its loading."""
 
 import sys
+import time
+
+_BEGAN = time.time() - time.process_time()
+"""When the process began: what the interpreter has done before is its CPU time so far."""
 
 
 def main() -> int:
@@ -10,7 +14,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("error: stopped before anything was begun", file=sys.stderr)
         return 130
-    return run()
+    return run(began=_BEGAN)
 
 
 if __name__ == "__main__":

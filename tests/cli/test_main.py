@@ -107,6 +107,7 @@ def test_the_doctor_finds_a_record_that_is_not_the_published_one(
     damaged.parent.mkdir(parents=True)
     damaged.write_text("1\n2\n")
     monkeypatch.setenv("SPLITBAND_DATA_DIR", str(tmp_path))
+    monkeypatch.setattr("splitband.cli.doctor.every_kernel", list)
     call("doctor --json")
     found = json.loads(capsys.readouterr().out)["public records"]
     assert "is not the published drill_string_sim" in found["drill_string_sim"]

@@ -176,5 +176,8 @@ def test_nobody_waits_for_workers_to_load_and_compile(
     done = Event()
     monkeypatch.setattr("splitband.evaluation.jobs.compile_kernels", lambda *_: done.wait())
     with ThreadPoolExecutor(1) as executor:
-        Runner(2, executor).start([SETUP.forecaster("gru")])
+        runner = Runner(2, executor)
+        runner.start([SETUP.forecaster("gru")])
+        assert runner.starting
         done.set()
+    assert not runner.starting

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,12 @@ import pytest
 from numba import from_dtype, types
 
 import splitband
+from splitband import kernels
+from splitband.evaluation.jobs import every_kernel
+from splitband.filters import tensors
 from splitband.kernels import common, rollouts
 from splitband.kernels import matmul as products
+from splitband.kernels.recurrence import recurrence
 
 
 @pytest.mark.parametrize(("blocks", "dtype"), [("_WIDE", np.float32), ("_NARROW", np.float64)])
@@ -116,3 +121,24 @@ def quarter(x):
     assert announced() == 1
     assert announced() == 0
     sys.modules.pop("splitband.tiny")
+
+
+def test_doctor_compiles_every_kernel_in_every_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: set[tuple[Any, str]] = set()
+
+    def note(function: Any, jobs: Sequence[Sequence[Any]]) -> None:
+        first, second = jobs[0][:2]
+        called.add((function, (first[0] if isinstance(first, tuple) else second).dtype.name))
+
+    monkeypatch.setattr(rollouts, "run_jobs", note)
+    monkeypatch.setattr(tensors, "recurrence", lambda *given: note(recurrence, [given]))
+    for each in every_kernel():
+        each()
+    for module in iter_modules(kernels.__path__):
+        import_module(f"splitband.kernels.{module.name}")
+    ours = [k for k in common.KERNELS if k.py_func.__module__.startswith("splitband.kernels.")]
+    precisions = {recurrence: ["float64"]}  # filters know no other
+    expected = {
+        (each, name) for each in ours for name in precisions.get(each, ["float32", "float64"])
+    }
+    assert called == expected

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -108,6 +109,19 @@ def test_a_job_whose_process_ends_or_hangs_takes_no_other_with_it(
             done.append(job)
         assert done == [0]  # the other one is ended
     assert not [path.name for path in tmp_path.iterdir() if not path.name.startswith("pymp-")]
+
+
+def test_a_process_that_begins_while_the_others_are_ended_complains_of_nothing(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """As at the end of a budget: one computes in C, another one has just been replaced."""
+    with Workers(2) as workers:
+        computing, waiting = workers.submit(sum, range(10**10)), workers.submit(time.sleep, 600)
+        eventually(lambda: computing.running() and waiting.running())
+        before = {*multiprocessing.active_children()}
+        waiting.cancel()
+        eventually(lambda: bool({*multiprocessing.active_children()} - before))
+    assert capfd.readouterr().err == ""
 
 
 def alive(pid: int) -> bool:

@@ -133,9 +133,12 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C: the convention of shells, and what typer returns."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; report bad input in one line on stderr, with exit status 2."""
-    clock.begin(own_process=arguments is None)
+def main(arguments: Sequence[str] | None = None, began: float | None = None) -> int:
+    """Run the command line; report bad input in one line on stderr, with exit status 2.
+
+    `began`: when the process did, by `time.time`; by default now.
+    """
+    clock.begin(began)
     if arguments is None:  # SIGTERM, which ends batch jobs, is handled like Ctrl-C
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         _print_anything()

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import time
-
 from splitband.runtime.deadlines import now
 
 _began: dict[str, float] = {}
 """By `runtime.deadlines.now`; empty before a command begins."""
 
 
-def begin(own_process: bool) -> None:
-    """Note that a command begins; with `own_process` it began when the process did.
-
-    What the interpreter has done before is its CPU time so far.
-    """
-    _began["command"] = now() - (time.process_time() if own_process else 0.0)
+def begin(began: float | None = None) -> None:
+    """Note that a command begins, or when it `began`."""
+    _began["command"] = began or now()
 
 
 def began() -> float:

@@ -11,11 +11,11 @@ from rich.table import Table
 from splitband.cli import showing
 from splitband.data import PUBLIC, fetch
 from splitband.data.public import data_folder
-from splitband.evaluation.jobs import compile_kernels, kernels_of
-from splitband.forecasters.names import NAMES, TRAINED
+from splitband.evaluation.jobs import every_kernel
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.system import available_cores
+from splitband.runtime.workers import Workers, result_of
 
 EXTRAS = {
     "fmu": "fmpy",
@@ -33,8 +33,9 @@ EXTRAS = {
 def doctor() -> None:
     """Show versions, cores, accelerators, the public records, compiled kernels and extras.
 
-    The first call after an installation compiles the kernels, which takes up to a minute; the first
-    comparison is faster then. Public records count as there once `splitband data fetch` has stored
+    The first call after an installation compiles every kernel on all cores, about a minute of work,
+    so that comparisons begin at once. Public records count as there once `splitband data fetch` has
+    stored
     them; nothing is downloaded.
     """
     found = environment()
@@ -80,8 +81,9 @@ def _state(name: str) -> str:
 
 
 def _kernels() -> str:
-    """Compile the kernels of the usual networks, or load them, and return how long it took."""
+    """Compile every kernel, or load it, on all cores, and return how long it took."""
     begin = time.perf_counter()
-    for rows, cell in kernels_of([NAMES[name] for name in TRAINED]):
-        compile_kernels(rows, cell)
-    return f"ready, after {time.perf_counter() - begin:.2g} s"
+    with Workers(available_cores()) as workers:
+        for future in [workers.submit(each) for each in every_kernel()]:
+            result_of(future)
+    return f"ready, after {time.perf_counter() - begin:.0f} s"

@@ -10,7 +10,7 @@ import errno
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,6 +28,7 @@ from splitband.forecasters.backtest import (
     for_trial,
 )
 from splitband.forecasters.base import Forecaster, all_parts, cells_of
+from splitband.forecasters.names import NAMES, TRAINED
 from splitband.forecasters.saving import packed, unpacked
 from splitband.forecasters.simulation import simulations, with_simulators_of
 from splitband.networks.cell import label_of
@@ -125,21 +126,60 @@ def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
         return job.run()
 
 
-def compile_kernels(rows: int, cell: Any) -> None:
-    """Run a cell forward and back on a batch of so many rows, which compiles its kernels."""
+def compile_kernels(
+    cell: Any, rows: int, dtype: str = "float32", with_gradient: bool = True
+) -> None:
+    """Run a cell on a batch of so many rows, forward and back, which compiles its kernels."""
     import torch  # noqa: PLC0415  in a worker
 
     from splitband.networks import rollout  # noqa: PLC0415
 
-    y, u = torch.zeros(rows, 4, 1), torch.zeros(rows, 12, 2)
-    rollout(cell.sized(1, 2, 4), y, 8, u).sum().backward()
+    kind = getattr(torch, dtype)
+    y, u = torch.zeros(rows, 4, 1, dtype=kind), torch.zeros(rows, 12, 2, dtype=kind)
+    with torch.set_grad_enabled(with_gradient):
+        simulated = rollout(cell.sized(1, 2, 4).to(kind), y, 8, u)
+    if with_gradient:
+        simulated.sum().backward()
 
 
-def kernels_of(forecasters: Sequence[Forecaster]) -> list[tuple[int, Any]]:
-    """Return the arguments of `compile_kernels` for trainings and forecasts of these methods."""
+def compile_filter() -> None:
+    """Filter a tensor, which compiles the recurrence; filters compute in float64 alone."""
+    import torch  # noqa: PLC0415  in a worker
+
+    from splitband.filters import lfilter  # noqa: PLC0415
+
+    lfilter([0.5], [1.0, -0.5], torch.arange(3.0))
+
+
+def kernels_of(forecasters: Sequence[Forecaster]) -> list[Callable[[], None]]:
+    """Return what compiles the kernels of first trainings and forecasts of these methods.
+
+    Trainings come first. The kernels of few rows, with which forecasts are made, take longest.
+    """
+    cells = _cells_of(forecasters)
+    return [
+        *(partial(compile_kernels, cell, BATCH) for cell in cells),
+        *(partial(compile_kernels, cell, 1, "float32", False) for cell in cells),
+    ]
+
+
+def every_kernel() -> list[Callable[[], None]]:
+    """Return what compiles every kernel of the package, in each precision."""
+    return [
+        *(
+            partial(compile_kernels, cell, rows, dtype)
+            for rows in (1, BATCH)
+            for cell in _cells_of([NAMES[name] for name in TRAINED])
+            for dtype in ("float32", "float64")
+        ),
+        compile_filter,
+    ]
+
+
+def _cells_of(forecasters: Sequence[Forecaster]) -> list[Any]:
+    """Return the cells of these methods, one of each kind."""
     cells = [cell for each in forecasters for cell in cells_of(each).values()]
-    distinct = {label_of(cell): cell for cell in cells}.values()
-    return [(rows, cell) for cell in distinct for rows in (BATCH, 1)]
+    return [*{label_of(cell): cell for cell in cells}.values()]
 
 
 class Runner:
@@ -155,6 +195,7 @@ class Runner:
         self.cores, self.folder = cores, folder
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
+        self._starting: list[Future[None]] = []
         self.found = 0  # finished jobs of an earlier command that were found
 
     def __enter__(self) -> Self:
@@ -171,9 +212,13 @@ class Runner:
         """
         if self.executor is None:
             return
-        for rows, cell in kernels_of(forecasters):
-            # A user's cell may fail here; its training says why.
-            self.executor.submit(compile_kernels, rows, cell)
+        # A user's cell may fail here; its training says why.
+        self._starting = [self.executor.submit(each) for each in kernels_of(forecasters)]
+
+    @property
+    def starting(self) -> bool:
+        """Return whether workers still load or compile what they were started with."""
+        return not all(each.done() for each in self._starting)
 
     def run(
         self,

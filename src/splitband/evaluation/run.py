@@ -225,7 +225,11 @@ class Run:
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
-        if not any(f.random for f in self._ready):
+        networks = [f for f in self._ready if f.random]
+        if self.trials and self.clock.deadline.over:
+            self.failed |= dict.fromkeys((f.name for f in networks), LATE)
+            return
+        if not networks:
             return
         from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
 
@@ -305,8 +309,10 @@ class Run:
         for name in [*self.failed]:
             if name in self.finals:
                 del self.failed[name]
+        self._note_untrained()
         if not self.finals:
-            raise InputError(f"no method could be fitted; {'; '.join(by_reason(self.failed))}")
+            reasons = [*by_reason(self.failed), *self.clock.notes]
+            raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
         methods = {method.name: method for method in self.plan.methods}
         for name, fits in self.finals.items():
             for fit in fits:
@@ -314,6 +320,21 @@ class Run:
                 if isinstance(network := fit.fitted, Network):
                     # A copy that is fitted again is trained as long as all rounds together.
                     network.settings = network._trained_by
+
+    def _note_untrained(self) -> None:
+        """Note, with cause and cure, where the time was over before any network was trained."""
+        names = [f.name for f in self.plan.methods if f.random]
+        late = any(self.failed.get(name) == LATE for name in names)
+        limit, interrupted = self.clock.limit, self.clock.interrupted
+        if limit is None or interrupted or not late or {*names} & {*self.finals}:
+            return
+        said = f"no network was trained in the time: raise --budget ({limit:.0f} s)"
+        if self._runner.starting:
+            said += (
+                ". Worker processes were still loading, or compiling kernels, which is done once "
+                "after an installation: `splitband doctor` does it, in about a minute"
+            )
+        self.clock.notes.append(said)
 
     def fits(self) -> dict[str, list[Fit]]:
         """Return the final fits, without failed trainings where their number was left open."""

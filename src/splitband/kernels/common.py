@@ -6,10 +6,12 @@ import hashlib
 import logging
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from filelock import FileLock
 from numba import njit, types
 from numba.core import event
 from numba.extending import overload
@@ -41,6 +43,8 @@ def part(function: F) -> F:
     return compiled
 
 
+KERNELS: list[Any] = []
+"""Every kernel of the modules that are loaded."""
 _SOURCES = hashlib.sha256(
     b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
 ).hexdigest()
@@ -54,6 +58,21 @@ def kernel(function: F) -> F:
     compiled: Any = njit(cache=True, **_OPTIONS)(function)
     kept = compiled._cache._cache_file
     kept._source_stamp = kept._source_stamp, _SOURCES
+    KERNELS.append(compiled)
+    compile_or_load = compiled.compile
+
+    def alone(signature: Any) -> Any:
+        """Wait while another process compiles the kernel, then load it."""
+        lock = FileLock(f"{kept._index_path}.lock")
+        with suppress(OSError, NotImplementedError):  # of a folder that cannot be written
+            compiled._cache._impl.locator.ensure_cache_path()
+            lock.acquire()
+        try:
+            return compile_or_load(signature)
+        finally:
+            lock.release()
+
+    compiled.compile = alone
     return cast("F", compiled)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from llvmlite import binding, ir
 from numba import types
@@ -47,19 +47,51 @@ def add_products(out: Array, a: Array, b: Array) -> None:
 
 
 def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
-    """Return the signature of a product for Numba, and the function that emits its code."""
-    item_bytes = types_of_args[1].dtype.bitwidth // 8
+    """Return the signature of a product for Numba, and the function that emits its code.
+
+    The code stands in a function of its own, once for each layout of the arrays: inlined into every
+    call, kernels take twice as long to compile, and no less time to run.
+    """
+    of_item, item_bytes = types_of_args[1].dtype, types_of_args[1].dtype.bitwidth // 8
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        operands = [
-            context.make_array(of_arg)(context, builder, value)
+        views = [
+            _View.of(builder, context.make_array(of_arg)(context, builder, value))
             for of_arg, value in zip(signature.args[:3], args[:3], strict=True)
         ]
-        operands += [context.get_value_type(signature.args[1].dtype), item_bytes, *args[3:]]
-        kind(builder, *operands).emit()
+        values = [x for view in views for x in (view.data, *view.shape, *view.strides)]
+        values += args[3:]
+        kinds = ir.FunctionType(ir.VoidType(), [value.type for value in values])
+        module = builder.module
+        product = ir.Function(module, kinds, module.get_unique_name(kind.__name__))
+        product.linkage = "internal"
+        product.attributes.add("noinline")
+        given = iter(product.args)
+        out, a, w = (
+            _View(next(given), [next(given) for _ in v.shape], [next(given) for _ in v.strides])
+            for v in views
+        )
+        inner = ir.IRBuilder(product.append_basic_block())
+        kind(inner, out, a, w, context.get_value_type(of_item), item_bytes, *given).emit()
+        inner.ret_void()
+        builder.call(product, values)
         return context.get_dummy_value()
 
     return types.void(*types_of_args), codegen
+
+
+class _View(NamedTuple):
+    """Hold an array's pointer, shape and strides, as LLVM values."""
+
+    data: Any
+    shape: list[Any]
+    strides: list[Any]
+
+    @classmethod
+    def of(cls, builder: Any, array: Any) -> _View:
+        """Return the view of one of Numba's arrays."""
+        shape, strides = (cgutils.unpack_tuple(builder, x) for x in (array.shape, array.strides))
+        return cls(array.data, shape, strides)
 
 
 def _product(typingctx: Any, out: Any, a: Any, w: Any, accumulate: Any) -> tuple[Any, Any]:
@@ -79,9 +111,9 @@ class _Product:
     """Emit one product; rows, columns and sizes are LLVM integers unless they are `int`."""
 
     builder: Any
-    out: Any
-    a: Any
-    w: Any
+    out: _View
+    a: _View
+    w: _View
     item: Any
     item_bytes: int
     accumulate: Any = None
@@ -91,7 +123,7 @@ class _Product:
         return ir.VectorType(self.item, _VECTOR_BYTES // self.item_bytes)
 
     def emit(self) -> None:
-        rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
+        rows, columns = self.out.shape
         j = zero = columns.type(0)
         for width, heights in _BLOCKS:
             n_strips, j_end = self.divide(j, columns, width * self.vector.count)
@@ -110,7 +142,7 @@ class _Product:
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(v), count) for v in range(width)]
         sums = self.registers((r, c) for r in down for c in across)
-        inner = cgutils.unpack_tuple(self.builder, self.w.shape)[0]
+        inner = self.w.shape[0]
         with cgutils.for_range(self.builder, inner) as k:
             ws = {c: self.load(self.w, (k.index, c), self.vector) for c in across}
             for r in down:
@@ -141,9 +173,8 @@ class _Product:
         return self.builder.add(start, self.builder.mul(count, start.type(length)))
 
     def pointer(self, array: Any, index: tuple[Any, ...], kind: Any) -> Any:
-        strides = cgutils.unpack_tuple(self.builder, array.strides)
-        offset = strides[0].type(0)
-        for i, stride in zip(index, strides, strict=True):
+        offset = array.strides[0].type(0)
+        for i, stride in zip(index, array.strides, strict=True):
             offset = self.builder.add(offset, self.builder.mul(i, stride))
         return cgutils.pointer_add(self.builder, array.data, offset, kind.as_pointer())
 
@@ -165,7 +196,7 @@ class _SumOfProducts(_Product):
     """Emit products of rows, summed over lanes and over the first axis; `w` is b."""
 
     def emit(self) -> None:
-        rows, columns = cgutils.unpack_tuple(self.builder, self.out.shape)
+        rows, columns = self.out.shape
         i = zero = rows.type(0)
         for height in _SUMS:
             n_rows, i_end = self.divide(i, rows, height)
@@ -183,7 +214,7 @@ class _SumOfProducts(_Product):
         down = [self.step(row, row.type(r), 1) for r in range(height)]
         across = [self.step(column, column.type(c), 1) for c in range(width)]
         sums = self.registers((r, c) for r in down for c in across)
-        times, _, lanes = cgutils.unpack_tuple(self.builder, self.a.shape)
+        times, _, lanes = self.a.shape
         vectors, _ = self.divide(lanes.type(0), lanes, self.vector.count)
         with (
             cgutils.for_range(self.builder, times) as t,

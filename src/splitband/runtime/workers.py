@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for
+from multiprocessing.context import SpawnContext
+from multiprocessing.synchronize import RLock
 from typing import ParamSpec, TypeVar, final
 
 from pebble import ProcessExpired, ProcessPool
@@ -41,6 +43,7 @@ class Workers(Executor):
 
     def __init__(self, count: int) -> None:
         self._count = count
+        self._context = _Spawn()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._pool: ProcessPool | None = None
 
@@ -58,8 +61,7 @@ class Workers(Executor):
                 prefix="splitband-", ignore_cleanup_errors=True
             )
             given = self._folder.name, dict(os.environ)
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPool(self._count, 0, _begin, given, context)
+            self._pool = ProcessPool(self._count, 0, _begin, given, self._context)
             start_resource_tracker()
         with interrupts_blocked():
             future: Future[Result] = self._pool.schedule(fn, args, kwargs)
@@ -70,12 +72,31 @@ class Workers(Executor):
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
             self._pool.join()
+            self._context.locks.clear()
         if self._folder is not None:
             self._folder.cleanup()
 
 
+class _Spawn(SpawnContext):
+    """Keep the locks of a pool until its processes have ended.
+
+    The pool drops them before it ends the processes, and one that just begins would not find them.
+    """
+
+    def __init__(self) -> None:
+        self.locks: list[RLock] = []
+
+    def RLock(self) -> RLock:  # noqa: N802  the name of the standard library
+        """Return a new lock."""
+        lock = super().RLock()
+        self.locks.append(lock)
+        return lock
+
+
 def _begin(folder: str, environment: Mapping[str, str]) -> None:
     """Prepare a worker process."""
+    # The pool's own handler would wait for the end of a kernel that is compiled.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.environ.update(environment)
     tempfile.tempdir = folder
     # By the names that programs look for on POSIX and on Windows.

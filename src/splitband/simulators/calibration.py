@@ -16,6 +16,7 @@ import scipy
 
 from splitband.metrics import rmse, spread
 from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.deadlines import check
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
@@ -246,6 +247,7 @@ def _fit(
     scale: Array | float = 1.0,
 ) -> Calibration:
     """Fit by least squares over delay and clock; gain and offset are eliminated."""
+    check()
     moving = np.array([term in terms for term in _MOVING])
     index: Array = np.arange(len(y), dtype=np.float64)
     spline = spline_of(y_sim)
