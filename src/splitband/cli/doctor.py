@@ -35,8 +35,7 @@ def doctor() -> None:
 
     The first call after an installation compiles every kernel on all cores, about a minute of work,
     so that comparisons begin at once. Public records count as there once `splitband data fetch` has
-    stored
-    them; nothing is downloaded.
+    stored them; nothing is downloaded.
     """
     found = environment()
     facts = {
