@@ -1,13 +1,14 @@
-"""Families of drawn records on which the filter should pay, or not, and what `compare` finds there.
+"""Families of drawn records on which a filter should pay, or not, and what `compare` finds there.
 
     python -m benchmarks.families [--families crane "drifting sensor"] [--draws 10] [--development]
-    python -m benchmarks.families --cutoffs 0.1 0.2 0.4 0.8
+    python -m benchmarks.families --times 0.25 0.5 1 2 4 --budget 30s [--draws 3]
     python -m benchmarks.families --table
 
-Each run is the plain command with a drawn record and its simulator's output, as in
+Each run is the plain command with a drawn record and its simulator's output, if any, as in
 `benchmarks.clock`; a run is a line of OUT, and what is there is not run again. Errors are those of
-the forecast of the last quarter. `--cutoffs` repeats the runs with given cut-offs; `--table` prints
-all of it as Markdown. Code is changed by what is found on `--development` draws alone.
+the forecast of the last quarter. `--times` runs the filtered hybrid alone, with the chosen cut-off
+times these factors; `--table` prints all of it as Markdown. Code is changed by what is found on
+`--development` draws alone.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ import scipy
 from benchmarks import clock
 from benchmarks.clock import Row
 from benchmarks.commands import written
-from benchmarks.kinds import DEVELOPMENT, REPORTED
-from splitband import Record
+from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED
+from splitband import Record, plan
 from splitband.cli.options import seconds
 from splitband.data.named import overhead_crane
 from splitband.filters import Band
@@ -113,42 +114,62 @@ def oscillator(rng: Generator) -> Record:
     return _measured(solved(damping, force), solved(0.76 * damping, 0.0), rng, STEP / 2)
 
 
+def without_simulator(kind: str, rng: Generator) -> Record:
+    """A record without a simulator, for two networks or one."""
+    return Record(KINDS[kind](rng)[:SAMPLES], STEP)
+
+
+SPLIT = "five tones", "trend and season", "beating", "driven van der Pol", "Mackey-Glass"
+"""Kinds of records without a simulator that have a slow and a fast part."""
 FAMILIES: dict[str, Callable[[Generator], Record]] = {
     **{f"wrong above {edge:g} Hz": partial(wrong_above, edge) for edge in EDGES},
     "leaves its range": leaves_range,
     "drifting sensor": drifting_sensor,
     "crane": crane,
     "van der Pol": oscillator,
+    **{kind: partial(without_simulator, kind) for kind in SPLIT},
 }
+
+
+def bands_of(settings: Row) -> dict[Band, Row]:
+    """Return the bands of hybrids with the simulator in the low band, and in the high one."""
+    chosen: dict[Band, Row] = {"low": settings, "high": settings.get("high") or {}}
+    return {band: of for band, of in chosen.items() if of.get("cutoff")}
 
 
 def floors(record: Record, settings: Row) -> dict[str, float]:
     """Return the forecast error with a perfect network: H(y) + L(y_s), and L(y) + H(y_s)."""
-    assert record.y_sim is not None
+    if record.y_sim is None:
+        return {}
     wrong, found = record.y_sim - record.y, dict[str, float]()
-    chosen: dict[Band, Row] = {"low": settings, "high": settings.get("high") or {}}
-    for band, of in chosen.items():
-        if of.get("cutoff"):
-            pair = Bands(of["cutoff"], of["order"]).one_way_pair(record.sampling_rate, band)
-            left = (pair.lowpass if band == "low" else pair.highpass)(wrong)[-SAMPLES // 4 :]
-            found[band] = rmse(left, np.zeros_like(left))
+    for band, of in bands_of(settings).items():
+        pair = Bands(of["cutoff"], of["order"]).one_way_pair(record.sampling_rate, band)
+        left = (pair.lowpass if band == "low" else pair.highpass)(wrong)[-SAMPLES // 4 :]
+        found[band] = rmse(left, np.zeros_like(left))
     return found
 
 
 def measured(row: Row, folder: Path) -> Row:
     """Run the command, and return the row with the error of each method, regret and floors."""
     record = FAMILIES[row["family"]](np.random.default_rng(row["draw"]))
-    assert record.y_sim is not None
-    simulated = Record(record.y_sim, record.sampling_time, columns=record.columns)
-    words = [*written(record, folder / "record.csv"), "--simulator"]
-    words += written(simulated, folder / "simulator.csv")
-    words += [] if row["cutoff"] is None else ["--cutoff", f"{row['cutoff']:g}"]
+    words = written(record, folder / "record.csv")
+    if record.y_sim is not None:
+        simulated = Record(record.y_sim, record.sampling_time, columns=record.columns)
+        words += ["--simulator", *written(simulated, folder / "simulator.csv")]
+    if row["times"] is not None:
+        planned = plan(record)
+        method = next(name for name in planned.names if name.startswith("filtered"))
+        cutoff = (planned.high if "-high-" in method else planned.bands).cutoff
+        assert cutoff is not None
+        words += ["--methods", method, "--cutoff", f"{row['times'] * cutoff:.4g}"]
     row = clock.measured(words, row, folder)
     found = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
     every = {name: of for name, of in found["methods"].items() if "failed" not in of}
     errors = {name: of["median_of_seeds"]["forecast_rmse"] for name, of in every.items()}
     regret = errors[row["recommended"]] / min(errors.values())
-    return row | {"errors": errors, "regret": regret, "floors": floors(record, found["settings"])}
+    cutoffs = {band: of["cutoff"] for band, of in bands_of(found["settings"]).items()}
+    about = {"cutoffs": cutoffs, "floors": floors(record, found["settings"])}
+    return row | {"errors": errors, "regret": regret} | about
 
 
 def spread(values: Iterable[float]) -> str:
@@ -158,19 +179,17 @@ def spread(values: Iterable[float]) -> str:
 
 
 def costs_of_choice(rows: Sequence[Row]) -> list[float]:
-    """Return, by draw, the best hybrid's error at the chosen cut-off over that at any cut-off."""
-    chosen, every = dict[int, float](), dict[int, list[float]]()
+    """Return, by draw, the hybrid's error at the chosen cut-off over that at the best one."""
+    by_draw: dict[int, dict[float, float]] = {}
     for row in rows:
-        errors = [error for name, error in row["errors"].items() if name.startswith("filtered")]
-        if errors:
-            every.setdefault(row["draw"], []).append(min(errors))
-            chosen |= {row["draw"]: min(errors)} if row["cutoff"] is None else {}
-    return [mine / min(every[draw]) for draw, mine in chosen.items() if len(every[draw]) > 1]
+        if row["times"] is not None:
+            by_draw.setdefault(row["draw"], {})[row["times"]] = min(row["errors"].values())
+    return [of[1.0] / min(of.values()) for of in by_draw.values() if 1.0 in of and len(of) > 1]
 
 
 def table(name: str, rows: Sequence[Row]) -> str:
     """Return what a family came to: errors, what was recommended, its regret, floors."""
-    plain = [row for row in rows if row["cutoff"] is None]
+    plain = [row for row in rows if row["times"] is None]
     methods = dict.fromkeys(method for row in plain for method in row["errors"])
     errors = {m: [row["errors"][m] for row in plain if m in row["errors"]] for m in methods}
     lines = ["| method | draws | error | recommended |", "|---|---:|---:|---:|"]
@@ -193,7 +212,7 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", default=[*FAMILIES], choices=[*FAMILIES])
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--development", action="store_true")
-    parser.add_argument("--cutoffs", nargs="+", type=float, default=[None], metavar="HZ")
+    parser.add_argument("--times", nargs="+", type=float, default=[None], metavar="FACTOR")
     parser.add_argument("--budget", default="2m")
     parser.add_argument("--out", type=Path, default=Path("out/families.jsonl"))
     parser.add_argument("--table", action="store_true", help="print the tables, and run nothing")
@@ -201,15 +220,15 @@ def main() -> None:
     if given.table:
         rows = clock.read(given.out)
         of = {name: [row for row in rows if row["family"] == name] for name in FAMILIES}
-        there = [name for name in FAMILIES if any(row["cutoff"] is None for row in of[name])]
+        there = [name for name in FAMILIES if any(row["times"] is None for row in of[name])]
         print("\n\n".join(table(name, of[name]) for name in there))
         return
     draws = (DEVELOPMENT if given.development else REPORTED)[: given.draws]
     shared = {"asked": seconds(given.budget), "seed": 0, "beside": 0}
     # Draw by draw, so that an early end leaves all families.
     every: list[Row] = [
-        {"family": family, "draw": draw, "cutoff": cutoff} | shared
-        for draw, family, cutoff in product(draws, given.families, given.cutoffs)
+        {"family": family, "draw": draw, "times": times} | shared
+        for draw, family, times in product(draws, given.families, given.times)
     ]
     clock.complete(given.out, every, measured)
 

@@ -249,7 +249,8 @@ def plan(  # noqa: PLR0913
         check_needs(listed, record, others)
     chosen = chosen_bands(bands or OPEN, training, decided, listed)
     high = OPEN
-    if (names is None and _wrong_below(chosen)) or _any_takes_bands(listed, "high"):
+    beside = names is None and chosen.choice is not None and record.y_sim is not None
+    if beside or _any_takes_bands(listed, "high"):
         high = high_bands(bands or OPEN, training, decided)
     small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     named_sizes = sizes or small
@@ -408,44 +409,47 @@ def _any_takes_bands(methods: Sequence[Forecaster], simulator_band: Band) -> boo
     return any(p._takes_bands and p.simulator_band == simulator_band for p in networks)
 
 
-def _wrong_below(bands: Bands) -> bool:
-    """Return whether there is a simulator, and its low band does not help."""
-    return bands.choice is not None and bands.choice.simulator_helps is False
-
-
 def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     """Return the names of the default methods, with a simulator that helps or without.
 
     Of the methods that ignore inputs, a record with inputs is compared with the mean and with the
     last value alone.
     """
-    naive = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"]
-    first, cell = ["gru"], "gru"
+    naive, first = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"], ["gru"]
     if with_inputs:
-        naive = ["linear", "mean", "persistence"]
-        first, cell = ["state-space", "gru"], "state-space"
+        naive, first = ["linear", "mean", "persistence"], ["state-space", "gru"]
     if not with_simulator:
         return [*first, "split-gru", "split-gru-conditioned", *naive]
-    hybrids = [f"filtered-{cell}-calibrated-conditioned", f"residual-{cell}-calibrated-conditioned"]
+    hybrids = [f"{kind}-state-space-calibrated-conditioned" for kind in ("filtered", "residual")]
     trained = [hybrids[1], first[0], hybrids[0], *first[1:]] if with_inputs else [*first, *hybrids]
     return [*trained, "simulator", "simulator-calibrated", *naive]
 
 
 def usual_names(record: Record, bands: Bands, high: Bands = OPEN) -> list[str]:
-    """Return `default_names`, without hybrids where the record's simulator does not help.
+    """Return `default_names`, with hybrids of the bands in which the record's simulator helps.
 
-    Where it does not help in the low band, but in the high one, as a sensor that drifts, there is a
-    hybrid with the simulator there.
+    A hybrid with the simulator in the high band, as of a sensor that drifts, is tried where a lower
+    error is expected of it than of one with the low band. Without such a band, there are no
+    hybrids.
     """
-    names = default_names(record.y_sim is not None, record.nu > 0)
-    if not _wrong_below(bands):
+    driven = record.nu > 0
+    names = default_names(record.y_sim is not None, driven)
+    if bands.choice is None or bands.choice.simulator_helps is None:
         return names
-    kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
-    learned = default_names(False, record.nu > 0)
+    below, above = bands.choice, high.choice
+    helps = above is not None and above.simulator_helps
+    if above is not None and helps:
+        at = next(i for i, name in enumerate(names) if name.startswith("filtered-"))
+        kept = [] if not below.simulator_helps else names[at : at + 1]
+        if not kept or above.expected < below.expected:
+            return [*names[:at], "filtered-high-state-space-conditioned", *kept, *names[at + 1 :]]
+        return names
+    if below.simulator_helps:
+        return names
+    learned = default_names(False, driven)
     trained = next(i for i, name in enumerate(learned) if name in QUICK)
-    helps = high.choice is not None and high.choice.simulator_helps
-    hybrids = ["filtered-high-gru-conditioned"] if helps else []
-    return [learned[0], *hybrids, *learned[1:trained], *kept, *learned[trained:]]
+    kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
+    return [*learned[:trained], *kept, *learned[trained:]]
 
 
 def _default_methods(

@@ -93,6 +93,12 @@ class Choice:
     candidates: tuple[Candidate, ...]
     simulator_helps: bool | None = None
 
+    @property
+    def expected(self) -> float:
+        """Return the loss of the chosen pair."""
+        mine = self.cutoff, self.order
+        return next(c.loss for c in self.candidates if (c.cutoff, c.order) == mine)
+
 
 def choose(
     y: Array,

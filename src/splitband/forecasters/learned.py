@@ -13,7 +13,7 @@ from splitband.forecasters.bands import OPEN, Bands, require_bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
-from splitband.forecasters.simulation import Simulation, SimulatorForecaster
+from splitband.forecasters.simulation import Calibrated, Simulation, SimulatorForecaster
 from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
@@ -231,6 +231,14 @@ class Filtered(Network):
     def _above(self) -> bool:
         """Return whether the base has the high band."""
         return self.simulator_band == "high"
+
+    def _in_bands(self, bands: Bands) -> dict[str, Any]:
+        """Return the bands; a simulator is calibrated in its own, the low one."""
+        base = self.base
+        own = isinstance(base, Calibrated) and base.below is None and not self._above
+        if own and bands.cutoff is not None:
+            base = base.clone().set_params(below=bands.cutoff)
+        return {"bands": bands, "base": base}
 
     def in_words(self) -> str:
         """Return which part has which band."""

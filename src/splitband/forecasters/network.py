@@ -123,6 +123,10 @@ class Network(Forecaster):
 
     _slow_part = "network"
 
+    def _in_bands(self, bands: Bands) -> dict[str, Any]:
+        """Return the options that a comparison's bands decide."""
+        return {"bands": bands}
+
     def _of_bands(self, low: str, high: str) -> str:
         """Return which part has which band, with the cut-off where it is known."""
         bands = self._trained_in or self.bands
@@ -484,7 +488,7 @@ def with_defaults(
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if part.bands == OPEN:
             of_band = high if part.simulator_band == "high" else bands
-            shared["bands"] = of_band if part._takes_bands else given
+            shared |= part._in_bands(of_band if part._takes_bands else given)
         return part.clone().set_params(**shared) if shared else part
 
     return with_parts_changed(forecaster, changed)

@@ -11,6 +11,7 @@ import numpy as np
 
 from splitband.data import Aligned, Grid, Record, check_alike
 from splitband.data.timing import stamp_after
+from splitband.filters import ComplementaryPair
 from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import ForecastContext
@@ -398,6 +399,9 @@ class Calibrated(SimulatorForecaster):
     terms : Which of "gain", "offset", "delay" and "clock" to fit; by default those that lower the
         error on held-out samples.
     name : By default "simulator-calibrated", or "simulator-affine" for gain and offset.
+    below : Frequency in Hz below which simulator and record are compared; by default they are
+        compared as they are. A comparison sets it to the cut-off of a hybrid that uses the low band
+        alone: noise of the simulator above it would lower the gain.
 
     Examples
     --------
@@ -414,9 +418,11 @@ class Calibrated(SimulatorForecaster):
         simulator: Simulator | None = None,
         terms: Sequence[Term] | None = None,
         name: str | None = None,
+        below: float | None = None,
     ) -> None:
         super().__init__(simulator, name)
         self.terms = None if terms is None else tuple(terms)
+        self.below = below
 
     @property
     def _suffix(self) -> str:
@@ -448,7 +454,11 @@ class Calibrated(SimulatorForecaster):
     def _prepare(self, records: Sequence[Record], *_: Any) -> Calibration:
         """Return the terms, fitted once for all seeds and trials."""
         first, terms = records[0], () if self.terms is None else (self.terms,)
-        return calibrated(self._output(first), first.y_with_gaps, first.sampling_time, *terms)
+        y, y_sim = first.y_with_gaps, self._output(first)
+        if self.below is not None:
+            low = ComplementaryPair.butterworth(self.below, first.sampling_rate).lowpass
+            y, y_sim = np.where(np.isnan(y), np.nan, low(first.y)), low(y_sim)
+        return calibrated(y_sim, y, first.sampling_time, *terms)
 
     def describe(self) -> str:
         """Return the fitted terms."""
