@@ -7,8 +7,8 @@
 Each run is the plain command with a drawn record and its simulator's output, if any, as in
 `benchmarks.clock`; a run is a line of OUT, and what is there is not run again. Errors are those of
 the forecast of the last quarter. `--times` runs the filtered hybrid alone, with the chosen cut-off
-times these factors; `--table` prints all of it as Markdown. Code is changed by what is found on
-`--development` draws alone.
+times these factors; `--table` prints all of it as Markdown and draws the picture. Code is changed
+by what is found on `--development` draws alone.
 """
 
 from __future__ import annotations
@@ -22,14 +22,17 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 import scipy
+from matplotlib.figure import Figure
 
-from benchmarks import clock
+from benchmarks import clock, page
 from benchmarks.clock import Row
 from benchmarks.commands import written
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED
+from benchmarks.page import spread
 from splitband import Record, plan
 from splitband.cli.options import seconds
 from splitband.data.named import overhead_crane
@@ -39,6 +42,7 @@ from splitband.metrics import rmse
 
 Array = npt.NDArray[np.float64]
 Generator = np.random.Generator
+FILE, PICTURE = "families.jsonl", Path(__file__).parents[1] / "docs/img/filter-pays.png"
 SAMPLES, STEP = 2000, 0.1
 """Of a drawn record: its samples, and its sampling time in s."""
 EDGES = 0.25, 0.5, 1.0, 2.0
@@ -121,8 +125,26 @@ def without_simulator(kind: str, rng: Generator) -> Record:
 
 SPLIT = "five tones", "trend and season", "beating", "driven van der Pol", "Mackey-Glass"
 """Kinds of records without a simulator that have a slow and a fast part."""
+COLUMNS = "filtered", "residual", "network", "split", "simulator", "baseline"
+"""Kinds of methods in the table; of several of a kind, the one with the lowest error counts."""
+NETWORKS = "gru", "state-space"
+LABELS = {
+    "filtered": "simulator below the cut-off, network above",
+    "residual": "simulator + network",
+    "network": "network alone",
+    "simulator": "simulator alone",
+    "perfect network": "filtered, with a perfect network",
+}
+"""Curves of the picture."""
+
+
+def above(edge: float) -> str:
+    """Return the name of a family by the frequency in Hz above which its simulator is wrong."""
+    return f"wrong above {edge:g} Hz"
+
+
 FAMILIES: dict[str, Callable[[Generator], Record]] = {
-    **{f"wrong above {edge:g} Hz": partial(wrong_above, edge) for edge in EDGES},
+    **{above(edge): partial(wrong_above, edge) for edge in EDGES},
     "leaves its range": leaves_range,
     "drifting sensor": drifting_sensor,
     "crane": crane,
@@ -172,10 +194,20 @@ def measured(row: Row, folder: Path) -> Row:
     return row | {"errors": errors, "regret": regret} | about
 
 
-def spread(values: Iterable[float]) -> str:
-    """Return the median and the range of several values."""
-    of = [*values]
-    return f"{statistics.median(of):.3g} ({min(of):.3g} to {max(of):.3g})"
+def kind_of(method: str) -> str:
+    """Return the column of a method."""
+    first, *_ = method.split("-")
+    if method in NETWORKS:
+        return "network"
+    return first if first in COLUMNS else "baseline"
+
+
+def best_of(rows: Iterable[Row], kind: str) -> list[float]:
+    """Return the lowest error of a kind of methods, in each run that has one."""
+    every = (
+        [error for name, error in row["errors"].items() if kind_of(name) == kind] for row in rows
+    )
+    return [min(errors) for errors in every if errors]
 
 
 def costs_of_choice(rows: Sequence[Row]) -> list[float]:
@@ -187,23 +219,51 @@ def costs_of_choice(rows: Sequence[Row]) -> list[float]:
     return [of[1.0] / min(of.values()) for of in by_draw.values() if 1.0 in of and len(of) > 1]
 
 
-def table(name: str, rows: Sequence[Row]) -> str:
-    """Return what a family came to: errors, what was recommended, its regret, floors."""
+def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
+    """Return what each family came to in Markdown: errors, what was recommended, and its regret."""
+    found = {name: [row for row in rows if row["family"] == name] for name in names}
+    plain = {name: [row for row in of if row["times"] is None] for name, of in found.items()}
+    shown = {name: of for name, of in plain.items() if of}
+    kinds = [k for k in COLUMNS if any(best_of(of, k) for of in shown.values())]
+    lines = []
+    for name, of in shown.items():
+        chosen = statistics.multimode(kind_of(row["recommended"]) for row in of)
+        floors = [min(row["floors"].values()) for row in of if row["floors"]]
+        lines.append([
+            name, str(len(of)), *(spread(best_of(of, kind)) for kind in kinds), spread(floors),
+            ", ".join(chosen), spread(row["regret"] for row in of),
+            spread(costs_of_choice(found[name])),
+        ])  # fmt: skip
+    heads = ["family", "draws", *kinds, "perfect network", "recommended", "regret", "cut-off"]
+    used = [i for i in range(len(heads)) if any(line[i] for line in lines)]
+    return page.table([heads[i] for i in used], [[line[i] for i in used] for line in lines])
+
+
+def drawn(rows: Sequence[Row]) -> Figure:
+    """Draw the errors over the frequency above which a simulator is wrong: median and range."""
+    figure, axis = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
     plain = [row for row in rows if row["times"] is None]
-    methods = dict.fromkeys(method for row in plain for method in row["errors"])
-    errors = {m: [row["errors"][m] for row in plain if m in row["errors"]] for m in methods}
-    lines = ["| method | draws | error | recommended |", "|---|---:|---:|---:|"]
-    for method, of in sorted(errors.items(), key=lambda each: statistics.median(each[1])):
-        count = sum(row["recommended"] == method for row in plain)
-        lines.append(f"| `{method}` | {len(of)} | {spread(of)} | {count or ''} |")
-    said = [f"Regret of the recommendation: {spread(row['regret'] for row in plain)}."]
-    for band in ("low", "high"):
-        if of := [row["floors"][band] for row in plain if band in row["floors"]]:
-            said.append(f"A perfect network beside the simulator's {band} band: {spread(of)}.")
-    if costs := costs_of_choice(rows):
-        said.append(f"Error at the chosen cut-off over that at the best: {spread(costs)}.")
-    about = getattr(FAMILIES[name], "func", FAMILIES[name]).__doc__
-    return "\n\n".join([f"## {name}", str(about), "\n".join(lines), " ".join(said)])
+    of_edge = {edge: [row for row in plain if row["family"] == above(edge)] for edge in EDGES}
+    for kind, label in LABELS.items():
+        points = [(edge, best_of(of, kind)) for edge, of in of_edge.items() if of]
+        if kind == "perfect network":
+            points = [(edge, [row["floors"]["low"] for row in of]) for edge, of in of_edge.items()]
+        edges = [edge for edge, of in points if of]
+        lowest, median, highest = np.transpose(
+            [np.quantile(of, [0, 0.5, 1]) for _, of in points if of]
+        )
+        style = "--" if kind == "perfect network" else "-"
+        (line,) = axis.plot(edges, median, style, marker="o", label=label)
+        axis.fill_between(edges, lowest, highest, alpha=0.12, color=line.get_color())
+    axis.set(
+        xlabel="frequency above which the simulator is noise (Hz)",
+        ylabel="forecast RMSE (deviations of the slow part)",
+        xscale="log", yscale="log", xticks=EDGES, xticklabels=[f"{edge:g}" for edge in EDGES],
+    )  # fmt: skip
+    axis.minorticks_off()
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small", ncols=2)
+    return figure
 
 
 def main() -> None:
@@ -214,14 +274,12 @@ def main() -> None:
     parser.add_argument("--development", action="store_true")
     parser.add_argument("--times", nargs="+", type=float, default=[None], metavar="FACTOR")
     parser.add_argument("--budget", default="2m")
-    parser.add_argument("--out", type=Path, default=Path("out/families.jsonl"))
-    parser.add_argument("--table", action="store_true", help="print the tables, and run nothing")
+    parser.add_argument("--out", type=Path, default=page.OUT / FILE)
+    parser.add_argument("--table", action="store_true", help="print the table, and run nothing")
     given = parser.parse_args()
     if given.table:
-        rows = clock.read(given.out)
-        of = {name: [row for row in rows if row["family"] == name] for name in FAMILIES}
-        there = [name for name in FAMILIES if any(row["times"] is None for row in of[name])]
-        print("\n\n".join(table(name, of[name]) for name in there))
+        print(table(clock.read(given.out)))
+        page.save(drawn(clock.read(given.out)), PICTURE)
         return
     draws = (DEVELOPMENT if given.development else REPORTED)[: given.draws]
     shared = {"asked": seconds(given.budget), "seed": 0, "beside": 0}

@@ -45,7 +45,7 @@ def main() -> None:
     out = parser.parse_args().out
     points = _points(out)
     if points:
-        _save(_over_time(points), out / AGAINST)
+        save(_over_time(points), out / AGAINST)
     for name in TABLES:
         with replacing(Path("docs/tables", f"{name}.md")) as temporary:
             temporary.write_text(table_of(name, out), encoding="utf-8")
@@ -66,7 +66,7 @@ def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> str:
         [
             f"`splitband compare --budget {asked:g}s`{_beside(beside)}",
             clock.usual(of),
-            *(_spread(each, benchmark.scale) for each in zip(*_errors(of), strict=True)),
+            *(spread(each, benchmark.scale) for each in zip(*_errors(of), strict=True)),
             str(len(of)),
         ]
         for (_, asked, beside), of in clock.groups(rows).items()
@@ -81,10 +81,10 @@ def _all(rows: Sequence[clock.Row]) -> str:
         [
             name,
             f"{asked:g} s{_beside(beside)}",
-            _spread(row["used"] for row in of),
+            spread(row["used"] for row in of),
             f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
             clock.usual(of),
-            "above" if name in SETS else _spread(row["errors"][0] for row in of),
+            "above" if name in SETS else spread(row["errors"][0] for row in of),
             str(len(of)),
         ]
         for (name, asked, beside), of in clock.groups(rows).items()
@@ -100,11 +100,11 @@ def _errors(rows: Iterable[clock.Row]) -> list[list[float]]:
     return [row["errors"] for row in rows]
 
 
-def _spread(values: Iterable[float], scale: float = 1.0) -> str:
-    """Return the median, and the range of several values."""
+def spread(values: Iterable[float], scale: float = 1.0) -> str:
+    """Return the median, and the range of several values; nothing of none."""
     of = [scale * value for value in values]
-    text = f"{statistics.median(of):.3g}"
-    return text if len(of) == 1 else f"{text} ({min(of):.3g} to {max(of):.3g})"
+    text = f"{statistics.median(of):.3g}" if of else ""
+    return text if len(of) < 2 else f"{text} ({min(of):.3g} to {max(of):.3g})"
 
 
 def _title(name: str) -> str:
@@ -162,7 +162,7 @@ def _steps(of: Sequence[against.Point], i: int, longest: float) -> tuple[Array, 
     return times, errors
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120)
     plt.close(figure)

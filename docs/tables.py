@@ -23,7 +23,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks import clock, page, recommendation
+from benchmarks import clock, families, page, recommendation
 from benchmarks.sets import SETS
 from reproduction import statements
 
@@ -378,18 +378,19 @@ def readme_benchmarks() -> str:
 
 def filtered_residual() -> str:
     """Return errors of a simulator and a network with a filter between them, and without."""
-    kinds = ("filtered-gru-calibrated-conditioned", "residual-gru-calibrated-conditioned")
     rows = []
-    for title, name in (
-        ("Van der Pol oscillator", "results/beyond/v"),
-        ("drill string, default training", "results/beyond/vi"),
-        ("drill string, training searched", "results/drill-string"),
+    for title, name, error, digits in (
+        ("Van der Pol oscillator", "results/beyond/v", "total_rmse_mean", 3),
+        ("drill string, default training", "results/beyond/vi", "total_rmse_mean", 3),
+        ("drill string, training searched", "results/drill-string", "total_rmse_mean", 3),
+        ("demo (forecast)", "results/demo", "forecast_rmse_mean", 2),
     ):
         methods = _read(name)["methods"]
-        rows.append([title, *(f"{methods[kind]['total_rmse_mean']:.3f}" for kind in kinds)])
-    demo = _read("results/demo")["methods"]
-    errors = (demo[kind.replace("-calibrated", "")]["forecast_rmse_mean"] for kind in kinds)
-    rows.append(["demo (forecast)", *(f"{error:.2f}" for error in errors)])
+        first = (
+            next(facts for method, facts in methods.items() if method.startswith(kind))
+            for kind in ("filtered", "residual")
+        )
+        rows.append([title, *(f"{facts[error]:.{digits}f}" for facts in first)])
     return _table(["record", "filtered", "residual"], rows)
 
 
@@ -561,6 +562,14 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
+def _families(simulator: bool) -> str:
+    """Return what the families of drawn records came to, those with a simulator or the others."""
+    rows = clock.read(page.OUT / families.FILE)
+    return families.table(
+        rows, [n for n in families.FAMILIES if (n in families.SPLIT) != simulator]
+    )
+
+
 TABLES: dict[str, Callable[[], str]] = {
     **{
         function.__name__.replace("_", "-"): function
@@ -571,6 +580,8 @@ TABLES: dict[str, Callable[[], str]] = {
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
+    "families": partial(_families, simulator=True),
+    "families-split": partial(_families, simulator=False),
 }  # fmt: skip
 """The files of docs/tables, without their suffix."""
 COMPUTED: dict[str, Callable[[], Any]] = {

@@ -102,17 +102,15 @@ def test_the_families_are_drawn_from_their_seeds_and_tabled(
         assert one.y_sim is None or np.array_equal(one.y_sim, again.y_sim)
         assert not np.array_equal(one.y, other.y)
         assert len(one) == families.SAMPLES
-    row = {"draw": 1000, "times": None, "recommended": "gru", "regret": 2.0}
+    row = {"family": "crane", "draw": 1000, "times": None, "recommended": "gru", "regret": 2.0}
     rows = [
         row | {"errors": {"gru": 1.0, "filtered-gru": 0.5}, "floors": {"low": 0.25}},
         row | {"errors": {"filtered-gru": 0.5}, "times": 1.0},
         row | {"errors": {"filtered-gru": 0.4}, "times": 2.0},
     ]
-    table = families.table("crane", rows)
-    assert "| `filtered-gru` | 1 | 0.5 (0.5 to 0.5) |  |\n| `gru` | 1 | 1 (1 to 1) | 1 |" in table
-    assert "Regret of the recommendation: 2 (2 to 2)." in table
-    assert "low band: 0.25 (0.25 to 0.25). Error at the chosen" in table
-    assert "at the best: 1.25 (1.25 to 1.25)." in table
+    *_, line = families.table(rows).splitlines()
+    cells = [cell.split(" (")[0] for cell in line.strip("| ").split(" | ")]
+    assert cells == ["crane", "1", "0.5", "1", "0.25", "network", "2", "1.25"]
 
 
 def test_a_run_that_is_there_is_not_run_again(

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband import Record
+from splitband import Record, plan
 from splitband.data import drill_string
 from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
@@ -100,6 +100,18 @@ def test_the_terms_that_pay_are_found_together(delay: float, clock: float, ny: i
     assert (found.delay == 0, found.clock == 1) == (delay == 0, clock == 1)
     left = (y - found.apply(simulation(ny=ny), SAMPLES, DT))[TRAIN:]
     assert np.std(left, axis=0) == pytest.approx([NOISE] * ny, rel=0.15)
+
+
+def test_noise_above_the_band_of_a_hybrid_does_not_change_its_gain() -> None:
+    y = measured(gain=(1.7,))
+    fast = np.diff(np.random.default_rng(3).standard_normal((SAMPLES + 1, 1)), axis=0)
+    noisy = Record(y, DT, y_sim=simulation(SAMPLES) + 0.5 * fast)
+    whole, below = (Calibrated(terms=["gain"], below=f).fit(noisy).applied for f in (None, 1.0))
+    assert whole.gain is not None
+    assert whole.gain[0] < 1.0  # least squares with an uncertain regressor
+    assert below.gain == pytest.approx([1.7], rel=0.05)
+    (planned,) = plan(noisy, TRAIN, "filtered-gru-calibrated").methods
+    assert planned.get_params()["base"].below == planned.get_params()["bands"].cutoff
 
 
 def test_a_perfect_simulator_is_left_as_it_comes() -> None:
