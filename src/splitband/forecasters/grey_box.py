@@ -107,9 +107,8 @@ class GreyBox(Forecaster):
         self.adjusted: Adjusted | None = None
         self.memory = 0
         self.u: Array | None = None
-
-    y: Array | None = None
-    """The training samples, by which a history of another run is told."""
+        self.y: Array | None = None
+        """Inputs and samples of the training record, by which a history of another run is told."""
 
     @property
     def name(self) -> str:
