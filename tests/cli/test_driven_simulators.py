@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 import scipy.signal
 
+import splitband as sb
 from tests.cli.support import assert_fails, call, results
 from tests.simulators.fmus import COMPILES, built
 
@@ -57,6 +58,21 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
     call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
+
+
+@needs_gcc
+def test_an_fmu_without_parameters_to_fit_runs_as_it_was_fitted(tmp_path: Path) -> None:
+    """In Python it is in a grey box, whose inputs are held and whose values are all given."""
+    built(Path("Plant.fmu").resolve(), ["ModelExchange"], inputs=("valve",), output="level")
+    past, ahead = (sb.read(f"{part}.csv", inputs=["valve"], columns=["level"])
+                   for part in ("past", "ahead"))  # fmt: skip
+    model = sb.GreyBox(sb.Fmu("Plant.fmu", held=True)).fit(past)
+    model.save("model")
+    call(
+        "simulate model --simulator Plant.fmu --future-inputs ahead.csv --steps 40",
+        tmp_path / "sim.csv",
+    )
+    np.testing.assert_allclose(pd.read_csv(tmp_path / "sim.csv")["level"], ahead.y[:, 0], atol=1e-6)
 
 
 @needs_gcc

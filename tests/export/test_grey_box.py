@@ -129,6 +129,8 @@ def test_another_run_begins_in_a_state_of_its_own(tmp_path: Path) -> None:
     model.memory = 0
     wanted = model.predict(50, other[:150]).y
     np.testing.assert_allclose(wanted, other.y[150:], atol=0.01)
+    much_later = model.predict(50, replace(other[:150], start=1e6)).y
+    np.testing.assert_allclose(much_later, wanted, atol=1e-6)
     for other_record in (False, True):
         files = model.export(tmp_path / "rig.c", history=other[:150], other_record=other_record)
         assert "end of the history with which" in files[1].read_text()

@@ -30,7 +30,7 @@ from splitband.baselines.refinement import (
     solved,
     total,
 )
-from splitband.baselines.subspace import Subspace, stable, subspace
+from splitband.baselines.subspace import Subspace, most_rows, stable, subspace
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
@@ -342,9 +342,7 @@ def _subspaces(runs: Sequence[Run], most: int) -> Iterator[Subspace]:
     samples = sum(run.u.shape[1] for run in runs)
     for stride in _STRIDES:
         count = samples // stride
-        # As many as have the windows that `subspace` asks for.
-        enough = int((count + len(runs)) / (2 * len(runs) + 2.4 * (ny + nu)))
-        fits = min(count // (3 * (ny + nu)), enough)
+        fits = min(count // (3 * (ny + nu)), most_rows(count, len(runs), ny + nu))
         rows = min(most // ny + 2, 42) if stride == 1 else 12
         rows = min(max(rows, 10), fits, 60)
         if rows < 2 or (stride > 1 and rows < 8):

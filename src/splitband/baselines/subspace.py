@@ -19,6 +19,8 @@ _WORK = 3e9
 distances. Bounds the time to about a second."""
 _RANK = 1e-9
 """Directions of the data below this share of the largest one are rounding. Rounding."""
+_WINDOWS = 1.2
+"""Fewest windows of the records, in multiples of the values in one of them. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,11 @@ def _root(a: Array, stride: int) -> Array:
     return np.asarray(np.real(vectors @ np.diag(turned) @ np.linalg.pinv(vectors)))
 
 
+def most_rows(samples: int, records: int, signals: int) -> int:
+    """Return the most block rows for which so many records without gaps have enough windows."""
+    return int((samples + records) / (2 * records + 2 * _WINDOWS * signals))
+
+
 def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1) -> Subspace | None:
     """Return the subspace of records, weighted as in CVA; None where too few windows have no gap.
 
@@ -81,7 +88,7 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
         views = np.lib.stride_tricks.sliding_window_view(both, 2 * rows, axis=0)
         seen.append(views[~np.isnan(views).any(axis=(1, 2))])
     windows = np.concatenate(seen) if seen else np.zeros((0, nu + ny, 2 * rows))
-    if len(windows) < 1.2 * width:
+    if len(windows) < _WINDOWS * width:
         return None
     thin = int(np.ceil(2 * len(windows) * width**2 / _WORK))
     windows = windows[::thin] if len(windows) // thin >= 2 * width else windows

@@ -21,7 +21,6 @@ from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
-from splitband.forecasters.simulation import simulations
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
 from splitband.simulators.opening import open_simulator, read_beside, simulated
@@ -259,18 +258,18 @@ def with_simulator(
         if "simulator" in model.needs or model.parameters:
             raise InputError(f"--simulator must be given for {model.name}, which runs one")
         return model
-    if used := model.parameters.get("used"):
+    used = model.parameters.get("used")
+    if used is not None:
         if not (".py:" in options.simulator or options.simulator.lower().endswith(".fmu")):
             raise InputError(
                 f"--simulator must be the FILE.py:FUNCTION or .fmu that {model.name} was fitted "
                 f"with, got {options.simulator}"
             )
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
-        options = replace(options, parameters=options.parameters or own)
-    if any(getattr(each.simulator, "held", False) for each in simulations(model)):
-        options = replace(options, held=True)  # as it was fitted
+        held = options.held or bool(model.parameters.get("held"))
+        options = replace(options, parameters=options.parameters or own, held=held)
     found = simulator_of(options, past, time_column)
-    if not used:
+    if used is None:
         _check_run_as_it_is("--simulator", options.simulator, found)
         found = matched(found, past.columns, past.inputs)
     if isinstance(found, Recorded):

@@ -249,7 +249,8 @@ class Responses:
         """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
 
         It is the Fourier transform of the impulse response, whose last value is taken to stay: it
-        is near 0 where the step response settles, and the slope of an integrator.
+        is near 0 where the step response settles, and the slope of an integrator. Where the step
+        response still swings at its end, low frequencies need more `steps`.
         """
         impulse = np.diff(self.y, axis=0, prepend=np.zeros_like(self.y[:1]))
         frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)[1:]

@@ -107,9 +107,8 @@ class GreyBox(Forecaster):
         self.adjusted: Adjusted | None = None
         self.memory = 0
         self.u: Array | None = None
-
-    y: Array | None = None
-    """The training samples, by which a history of another run is told."""
+        self.y: Array | None = None
+        """Inputs and samples of the training record, by which a history of another run is told."""
 
     @property
     def name(self) -> str:
@@ -190,8 +189,8 @@ class GreyBox(Forecaster):
     def trajectory(self, known: ForecastContext) -> Array:
         """Return the simulation over the history and the forecast, `(time + steps, ny)`.
 
-        Where all inputs since the first sample of the training record are known, it starts from the
-        state of that sample; else the state at the first sample of the history is estimated.
+        Where the history goes on from the training record, it starts from the state of the first
+        sample of that; else the state at the first sample of the history is estimated.
         """
         return self._simulated(known, self._experiment(known))[0]
 
@@ -373,13 +372,15 @@ class GreyBox(Forecaster):
         return since / self.require_fitted().record.sampling_time
 
     def _anchored(self, known: ForecastContext) -> bool:
-        """Return whether all inputs since the first sample of the training record are known.
+        """Return whether a history begins in the training record, or right after it.
 
-        A history with other inputs or samples than those of the training record at the same times
-        is of another run, although its time stamps may be alike, as of loggers that begin at 0.
+        Then all inputs since the first sample of that are known. A history with other inputs or
+        samples at the same times is of another run, although its time stamps may be alike, as of
+        loggers that begin at 0; one that begins later may be.
         """
-        begin, most = known.begin, np.inf if self.u is None else len(self.u)
-        if begin is None or begin % 1 or not 0 <= begin <= most:
+        assert self.y is not None
+        begin = known.begin
+        if begin is None or begin % 1 or not 0 <= begin <= len(self.y):
             return False
         for ours, theirs in ((self.u, known.u), (self.y, known.y)):
             if ours is not None and theirs is not None:

@@ -152,8 +152,8 @@ class ResidualTests:
         )
         if self.size is None:
             return said
-        left = f"{100 * self.size:.2g} % of the output's standard deviation"
-        return f"{said} The RMS of the residuals is {left}."
+        left = np.format_float_positional(100 * self.size, 2, fractional=False, trim="-")
+        return f"{said} The RMS of the residuals is {left} % of the output's standard deviation."
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""

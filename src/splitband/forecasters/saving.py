@@ -43,8 +43,8 @@ from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
 from splitband.simulators.base import Absent
 
-FORMAT = 7
-"""Version of the description, which changes with the attributes of what is saved."""
+FORMAT = 8
+"""Version of the description, which changes with attributes of what is saved, and their meaning."""
 FILE, WEIGHTS = outputs.DESCRIPTION, outputs.WEIGHTS
 LARGEST_DESCRIPTION = 2**28
 """Largest size of a description in bytes: bounds the memory."""

@@ -43,8 +43,6 @@ def part(function: F) -> F:
     return compiled
 
 
-KERNELS: list[Any] = []
-"""Every kernel of the modules that are loaded."""
 _SOURCES = hashlib.sha256(
     b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
 ).hexdigest()
@@ -58,7 +56,6 @@ def kernel(function: F) -> F:
     compiled: Any = njit(cache=True, **_OPTIONS)(function)
     kept = compiled._cache._cache_file
     kept._source_stamp = kept._source_stamp, _SOURCES
-    KERNELS.append(compiled)
     compile_or_load = compiled.compile
 
     def alone(signature: Any) -> Any:

@@ -145,13 +145,10 @@ def warnings(comparison: Comparison) -> list[str]:
 
 
 def _unstable(comparison: Comparison) -> list[str]:
-    """Return a sentence if the recommended model is known to be unstable."""
+    """Return a sentence if the recommended model is known to have no bounded simulations."""
+    said = "The recommended model is unstable, or integrates: a simulation may grow without bound."
     stable = all(fit.report.stable for fit in comparison.fits[comparison.recommended])
-    return (
-        []
-        if stable
-        else ["The recommended model is unstable: a simulation may grow without bound."]
-    )
+    return [] if stable else [said]
 
 
 def _left_range(comparison: Comparison) -> list[str]:

@@ -154,7 +154,6 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         if not (best.cut or deadline.over):
             unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
         estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
-    doubt = _doubt(shooting, unknowns, window, deadline)
     fractions = unknowns[: len(fractions)]
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
@@ -170,6 +169,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
     remarks += [remark for remark, holds in more.items() if holds]
     agreed = len(agreeing), len(ranked)
+    doubt = _doubt(shooting, unknowns, window, deadline)
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut, doubt=doubt)
 
 
