@@ -272,7 +272,8 @@ def _described(found: Sinusoids) -> str:
         trend = "an exponential"
     count -= int((found.frequencies == 0).sum())
     if series:
-        said.append(f"{series} harmonics of a period of {1 / found.frequencies[0]:.6g} samples")
+        period = f"a period of {1 / found.frequencies[0]:.6g} samples"
+        said.append(f"{series} harmonic{'s' * (series > 1)} of {period}")
     if count > series:
         of_them = f" ({decaying} decaying)" if decaying else ""
         said.append(f"{count - series} sinusoid{'s' * (count - series > 1)}{of_them}")
