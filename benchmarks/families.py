@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, StrMethodFormatter
 
 from benchmarks import clock, page
 from benchmarks.clock import Row
@@ -241,7 +242,7 @@ def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
 
 def drawn(rows: Sequence[Row]) -> Figure:
     """Draw the errors over the frequency above which a simulator is wrong: median and range."""
-    figure, axis = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
+    figure, axis = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     plain = [row for row in rows if row["times"] is None]
     of_edge = {edge: [row for row in plain if row["family"] == above(edge)] for edge in EDGES}
     for kind, label in LABELS.items():
@@ -254,15 +255,18 @@ def drawn(rows: Sequence[Row]) -> Figure:
         )
         style = "--" if kind == "perfect network" else "-"
         (line,) = axis.plot(edges, median, style, marker="o", label=label)
-        axis.fill_between(edges, lowest, highest, alpha=0.12, color=line.get_color())
+        if style == "-":
+            axis.fill_between(edges, lowest, highest, alpha=0.12, color=line.get_color())
     axis.set(
         xlabel="frequency above which the simulator is noise (Hz)",
         ylabel="forecast RMSE (deviations of the slow part)",
         xscale="log", yscale="log", xticks=EDGES, xticklabels=[f"{edge:g}" for edge in EDGES],
     )  # fmt: skip
     axis.minorticks_off()
+    axis.yaxis.set_major_locator(LogLocator(subs=(1, 3)))
+    axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.grid(alpha=0.3)
-    axis.legend(fontsize="small", ncols=2)
+    figure.legend(fontsize="small", ncols=2, loc="outside lower center")
     return figure
 
 

@@ -86,8 +86,8 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     ),
     (
         "docs/why.md",
-        "other black boxes have {published[lowest]:.2f} to {published[highest]:.2f} V and the command "
-        "about {usual[tanks5][median]:.2f} V",
+        "other black boxes have {published[lowest]:.2f} to {published[highest]:.2f} V and the "
+        "command about {usual[tanks5][median]:.2f} V",
     ),
     ("docs/why.md", "on {over_best[records]} records {over_best[mean]:.2f} times on average"),
     ("docs/howto/intervals.md", "Networks: {benchmarks/recommendation-default[all][inside]:.0%}"),
@@ -290,8 +290,7 @@ def published(name: str = "tanks5") -> dict[str, float]:
     scores = [
         float(scores[0])
         for method, scores in SETS[name].published.items()
-        if re.fullmatch(r"[\d.]+", scores[0])
-        and not re.search("grey box|linear", method)
+        if re.fullmatch(r"[\d.]+", scores[0]) and not re.search("grey box|linear", method)
     ]
     return {"lowest": min(scores), "highest": max(scores)}
 
@@ -562,12 +561,10 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
-def _families(simulator: bool) -> str:
-    """Return what the families of drawn records came to, those with a simulator or the others."""
+def families_table() -> str:
+    """Return what the families of drawn records with a simulator came to."""
     rows = clock.read(page.OUT / families.FILE)
-    return families.table(
-        rows, [n for n in families.FAMILIES if (n in families.SPLIT) != simulator]
-    )
+    return families.table(rows, [name for name in families.FAMILIES if name not in families.SPLIT])
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -580,8 +577,7 @@ TABLES: dict[str, Callable[[], str]] = {
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
-    "families": partial(_families, simulator=True),
-    "families-split": partial(_families, simulator=False),
+    "families": families_table,
 }  # fmt: skip
 """The files of docs/tables, without their suffix."""
 COMPUTED: dict[str, Callable[[], Any]] = {
