@@ -16,6 +16,7 @@ from splitband.data.reading import ColumnError
 from splitband.data.timing import in_words
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (
+    Absent,
     Recorded,
     Simulator,
     SimulatorTimeoutError,
@@ -233,4 +234,6 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
             raise
         y_sim = output(least)
     rest = y_sim[len(record) :]
-    return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
+    said = Absent.of(simulator)
+    beyond = rest if len(rest) else None
+    return replace(record, y_sim=y_sim[: len(record)], beyond=beyond, simulator=said)
