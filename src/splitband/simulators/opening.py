@@ -125,11 +125,13 @@ def open_simulator(  # noqa: PLR0913
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
-    return Isolated(
+    made = Isolated(
         file, function or None, () if function else tuple(columns), timeout, tuple(reads),
         None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
         begin if function else begin or 0.0, held,
     )  # fmt: skip
+    # Not before it is matched does an FMU say whether inputs drive it.
+    return made.matched(record.columns, record.inputs)
 
 
 def is_fitted(simulator: Any) -> bool:
