@@ -86,8 +86,8 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     ),
     (
         "docs/why.md",
-        "other black boxes have {published[lowest]:.2f} to {published[highest]:.2f} V and the command "
-        "about {usual[tanks5][median]:.2f} V",
+        "other black boxes have {published[lowest]:.2f} to {published[highest]:.2f} V and the "
+        "command about {usual[tanks5][median]:.2f} V",
     ),
     ("docs/why.md", "on {over_best[records]} records {over_best[mean]:.2f} times on average"),
     ("docs/howto/intervals.md", "Networks: {benchmarks/recommendation-default[all][inside]:.0%}"),
@@ -290,8 +290,7 @@ def published(name: str = "tanks5") -> dict[str, float]:
     scores = [
         float(scores[0])
         for method, scores in SETS[name].published.items()
-        if re.fullmatch(r"[\d.]+", scores[0])
-        and not re.search("grey box|linear", method)
+        if re.fullmatch(r"[\d.]+", scores[0]) and not re.search("grey box|linear", method)
     ]
     return {"lowest": min(scores), "highest": max(scores)}
 
