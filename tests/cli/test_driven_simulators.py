@@ -63,7 +63,7 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     found = model.predict(10, u=np.stack([HEATER, VALVE], axis=1)[TRAIN:])
     assert abs(found.y - record.y[TRAIN:][:10]).max() < 1e-6
     other = sb.read("other.csv", inputs=["heater", "opening"], columns=["level"])
-    with pytest.raises(ValueError, match="inputs, heater, opening, .* it has valve, heater"):
+    with pytest.raises(ValueError, match=r"inputs, heater, opening, .* it has valve, heater"):
         sb.open_simulator("Plant.fmu", other)
 
 
