@@ -158,6 +158,17 @@ def test_a_delay_of_any_length_is_found(delay: int) -> None:
     assert fit_percent(y[delay:], found.simulate(u[:, None])[delay:]).min() > 99
 
 
+def test_a_delay_of_more_than_half_the_record_is_simulated_as_it_was_fitted() -> None:
+    u = np.random.default_rng(0).standard_normal(100)
+    late = np.append(np.full(60, u[0]), u[:-60])
+    y = (
+        scipy.signal.lfilter([0.5], [1, -0.95], late)[:, None]
+        + 5 * 0.95 ** np.arange(100.0)[:, None]
+    )
+    found = sb.Linear(order=1, delay=60, integrators=0).fit(sb.Record(y, 0.1, u=u)).model
+    assert fit_percent(y, found.simulate(u[:, None])).min() > 99
+
+
 def test_each_output_has_delays_of_its_own() -> None:
     rng = np.random.default_rng(0)
     u = rng.standard_normal((2000, 1))

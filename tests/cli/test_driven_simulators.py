@@ -58,6 +58,13 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
     call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
+    record = sb.read("rig.csv", inputs=["heater", "valve"], columns=["level"])
+    model = sb.Simulation(sb.open_simulator("Plant.fmu", record)).fit(record[:TRAIN])
+    found = model.predict(10, u=np.stack([HEATER, VALVE], axis=1)[TRAIN:])
+    assert abs(found.y - record.y[TRAIN:][:10]).max() < 1e-6
+    other = sb.read("other.csv", inputs=["heater", "opening"], columns=["level"])
+    with pytest.raises(ValueError, match=r"inputs, heater, opening, .* it has valve, heater"):
+        sb.open_simulator("Plant.fmu", other)
 
 
 @needs_gcc

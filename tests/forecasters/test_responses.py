@@ -104,6 +104,49 @@ def test_python_control_simulates_as_the_model_does(linear: sb.Linear) -> None:
     assert (system.input_labels, system.output_labels) == (["flow", "heat"], ["t", "p"])
 
 
+class Swinging(sb.Forecaster):
+    """A lightly damped mode, which a response of 200 samples does not show to its end."""
+
+    name = "swinging"
+    needs = frozenset({"inputs"})
+    A = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
+
+    def extrapolate(self, known: sb.ForecastContext) -> Any:
+        assert known.u is not None
+        return scipy.signal.lfilter([0.0, 0.1], self.A, known.u[:, :1], axis=0)[len(known.y) :]
+
+
+def test_a_mode_that_swings_on_is_simulated_until_it_has_settled() -> None:
+    u = np.random.default_rng(0).standard_normal(100)
+    model = Swinging().fit(sb.Record(u, DT, u=u))
+    found = model.step_responses(200)
+    frequencies, gains = found.frequency_response()
+    _, expected = scipy.signal.dfreqresp(([0.1, 0.0], model.A, DT), 2 * np.pi * frequencies * DT)
+    assert len(found.y) == 200
+    np.testing.assert_allclose(abs(gains[:, 0, 0]), abs(expected), rtol=0.01)
+
+
+def test_an_input_that_never_moved_and_a_point_that_fails_are_left_out_and_said() -> None:
+    u = np.stack([np.full(200, 3.0), np.linspace(0, 4, 200)], axis=1)
+    model = Rooted().fit(sb.Record(u[:, 1], DT, u=u))
+    found = respond_over_range(model)
+    assert [each.share for each in found] == [None, 0.9]
+    assert (found[0].inputs, found[0].y.shape) == (("u1",), (500, 1, 1))
+    assert ["u0 never moved" in found[0].remarks[0], "10 %" in found[0].remarks[1]] == [True, True]
+
+
+class Rooted(sb.Forecaster):
+    """The output is not a number for small inputs."""
+
+    name = "rooted"
+    needs = frozenset({"inputs"})
+
+    def extrapolate(self, known: sb.ForecastContext) -> Any:
+        assert known.u is not None
+        u = known.u[len(known.y) :, 1:]
+        return np.where(u < 1, np.nan, u)
+
+
 class Squared(sb.Forecaster):
     """The output is the input's square: its small-signal gain is twice the operating point."""
 

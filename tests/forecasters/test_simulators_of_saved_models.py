@@ -102,6 +102,24 @@ def test_a_simulator_with_another_start_is_refused(saved: Any, given: Any, tmp_p
     np.testing.assert_array_equal(again.y, model.predict(STEPS).y)
 
 
+def test_a_model_by_name_knows_how_the_simulator_of_its_record_was_run(tmp_path: Path) -> None:
+    """The record contains its output; the command line runs it again as it was run."""
+    (tmp_path / "f.py").write_text(
+        "import numpy as np\n\ndef sine(time):\n    return np.sin(time)\n"
+    )
+    function, record = f"{tmp_path}/f.py:sine", tmp_path / "record.csv"
+    RECORD.to_frame().to_csv(record, index=False)
+    line = f"fit {record} --method simulator --out {tmp_path}/model --simulator {function}"
+    assert main(f"{line} --simulator-start 3".split()) == 0
+    line = f"simulate {tmp_path}/model --steps 5 --out {tmp_path}/out.csv --simulator {function}"
+    assert main(line.split()) == 0
+    found = np.loadtxt(tmp_path / "out.csv", delimiter=",", skiprows=1)[:, 1]
+    np.testing.assert_allclose(found, np.sin(3 + DT * (TRAIN + np.arange(5))))
+    assert main(f"{line} --simulator-start 5".split()) == 2
+    with pytest.raises(ValueError, match=r"must have start=3.0 .* got start=0.0"):
+        sb.load(tmp_path / "model", simulator=sb.Function(sine))
+
+
 def test_a_simulator_that_nobody_asks_for_is_refused(tmp_path: Path) -> None:
     sb.Mean().fit(RECORD).save(tmp_path)
     with pytest.raises(ValueError, match="simulator must be left out for mean"):

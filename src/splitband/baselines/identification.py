@@ -142,7 +142,10 @@ def _of_outputs(
     )  # fmt: skip
     model = model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
     u = records[0][1]
-    return model.begun(u, len(u) - runs[0].u.shape[1])
+    begin = len(u) - runs[0].u.shape[1]
+    if not begin:  # fitted from the first sample on, as where nothing is late
+        return replace(model, late=(0,) * model.ny)
+    return model.begun(u, begin)
 
 
 def _delay_errors(

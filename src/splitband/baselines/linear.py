@@ -41,7 +41,8 @@ class LinearModel:
     noise : Covariance of e, `(ny, ny)`.
     mean : Mean of each input, `(nu,)`.
     taps : Input and delay in samples of each column of B and D.
-    late : Longest delay that acts on each output, `ny` of them.
+    late : Longest delay that acts on each output, `ny` of them; 0 where it is half of the first
+        record or more, as the fit then begins with the record.
     first : State at the first sample of the first record, `(n,)`; see `held`.
     last : State after the last sample of it, by the Kalman filter, `(n,)`.
     centre, root : Mean of the states in training, and a root R of their covariance R R', `(n, n)`.

@@ -48,6 +48,8 @@ def check(
     results.save_check(found, out, model, responses, Usage(asked=asked))
     for line in str(found).splitlines():
         showing.console.print(line)
+    for remark in responses[0].remarks if responses else ():
+        showing.warn(remark)
     for gains in table.of_gains(responses):
         showing.table(gains)
     showing.results_of(out)

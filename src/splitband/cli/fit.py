@@ -113,9 +113,11 @@ def fit(
         write_facts(new, facts | outcome | {"environment": environment()})
     shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     doubts = filter(None, [forecaster.parameters.get("doubt")])
+    described = training_in_words or forecaster.describe()
     for note in (*report.notes, *doubts):
         showing.warn(note)
-    said = f"{forecaster._title}, {training_in_words or forecaster.describe()}: fitted to "
+        described = described.replace(f"; {note}", "")  # it is said once
+    said = f"{forecaster._title}, {described}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
     if error is not None:
         begin = max(forecaster.warmup, 2)

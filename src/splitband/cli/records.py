@@ -21,6 +21,7 @@ from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
+from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
 from splitband.simulators.opening import open_simulator, read_beside, simulated
@@ -258,16 +259,20 @@ def with_simulator(
         if "simulator" in model.needs or model.parameters:
             raise InputError(f"--simulator must be given for {model.name}, which runs one")
         return model
-    used = model.parameters.get("used")
+    used, runs = model.parameters.get("used"), ".py:" in options.simulator
+    runs |= options.simulator.lower().endswith(".fmu")
+    for saved in filter(None, map(description_of, simulations(model)) if runs else ()):
+        held = options.held or bool(saved.held)  # what is not given is as it was
+        start = options.simulator_start or (str(saved.start) if saved.start else None)
+        options = replace(options, held=held, simulator_start=start)
     if used is not None:
-        if not (".py:" in options.simulator or options.simulator.lower().endswith(".fmu")):
+        if not runs:
             raise InputError(
                 f"--simulator must be the FILE.py:FUNCTION or .fmu that {model.name} was fitted "
                 f"with, got {options.simulator}"
             )
         own = ",".join(f"{name}={value!r}" for name, value in used.items())
-        held = options.held or bool(model.parameters.get("held"))
-        options = replace(options, parameters=options.parameters or own, held=held)
+        options = replace(options, parameters=options.parameters or own)
     found = simulator_of(options, past, time_column)
     if used is None:
         _check_run_as_it_is("--simulator", options.simulator, found)

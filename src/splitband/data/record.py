@@ -64,6 +64,8 @@ class Record:
     start : time stamp of the first sample, seconds or a date. None for a record without time
         stamps: other signals are then assumed to begin with it.
     prepared : the steps of `detrend`, `clip_outliers` and `resample` so far, in their order.
+    simulator : description of the simulator that computed y_sim, where splitband ran it: a saved
+        model knows it again by it.
 
     Raises
     ------
@@ -97,6 +99,7 @@ class Record:
     measured: Flags | None = None
     start: Stamp | None = None
     prepared: tuple[Preparation, ...] = ()
+    simulator: Any = None
 
     def __post_init__(self) -> None:
         y = signal_of("y", self.y)

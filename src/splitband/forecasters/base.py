@@ -356,6 +356,10 @@ class Forecaster(WithRepr, ABC):
 
         return respond(self, steps, at, size)
 
+    def _system(self) -> tuple[Array, Array, Array, Array] | None:
+        """Return A, B, C and D of a linear model in state space; None for any other one."""
+        return None
+
     def accuracy(self) -> Accuracy:
         """Return poles, gains and delays with standard errors: of `Linear` alone."""
         raise InputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from splitband.data import Record, require_records
 from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.prediction import Prediction
+from splitband.forecasters.prediction import OVERFLOWED, Prediction
 from splitband.forecasters.residuals import (
     CONFIDENCE,
     LAGS,
@@ -33,6 +33,12 @@ AHEAD = (1, 10)
 """Horizons in samples of the predictions from within the record. Layout."""
 ORIGINS = 100
 """Largest number of origins of these predictions, evenly spaced. Bounds the time."""
+SETTLED = 0.02
+"""A step response has settled where its slope stays within this share of its largest one from what
+it ends with, for the last quarter; the 2 % of the settling time, a convention."""
+LONGEST = 16
+"""Longest simulation of a response for its frequency response, in multiples of the samples asked
+for. Bounds the time."""
 LONGER = 10
 """Length of the free run that must stay in range, in multiples of the record. By eye."""
 
@@ -225,6 +231,10 @@ class Responses:
     columns, inputs : Names of outputs and inputs.
     at : The operating point, `(nu,)`.
     size : Sizes of the simulated steps, `(nu,)`.
+    whole : The response until it has settled, or to `LONGEST` times the samples of `y`.
+    system : A, B, C and D of a linear model in state space, whose frequency response is exact.
+    share : Where all inputs are in their ranges in training; None for their means, or as asked.
+    remarks : Sentences on what is missing, see `respond_over_range`.
     """
 
     y: Array
@@ -233,6 +243,20 @@ class Responses:
     inputs: tuple[str, ...]
     at: Array
     size: Array
+    whole: Array
+    system: tuple[Array, Array, Array, Array] | None = None
+    share: float | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def place(self) -> str:
+        """Return where the inputs are in their ranges, in words."""
+        return "the mean" if self.share is None else f"{self.share:.0%}".replace("%", " %")
+
+    @property
+    def settled(self) -> bool:
+        """Return whether the frequency response is that of the model, also at low frequencies."""
+        return self.system is not None or _settled(self.whole)
 
     @property
     def time(self) -> Array:
@@ -248,21 +272,44 @@ class Responses:
     def frequency_response(self) -> tuple[Array, npt.NDArray[np.complex128]]:
         """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
 
-        It is the Fourier transform of the impulse response, whose last value is taken to stay: it
-        is near 0 where the step response settles, and the slope of an integrator. Where the step
-        response still swings at its end, low frequencies need more `steps`.
+        That of `Linear` is exact. For others it is the Fourier transform of the impulse response
+        of `whole`, whose last value is taken to stay: it is near 0 where the step response settles,
+        and the slope of an integrator. It is wrong where this has not `settled`.
         """
-        impulse = np.diff(self.y, axis=0, prepend=np.zeros_like(self.y[:1]))
-        frequencies = np.fft.rfftfreq(len(impulse), self.sampling_time)[1:]
+        frequencies = np.fft.rfftfreq(len(self.y), self.sampling_time)[1:]
         z = np.exp(2j * np.pi * frequencies * self.sampling_time)[:, None, None]
-        gain = np.fft.rfft(impulse, axis=0)[1:] + impulse[-1] * z / (z - 1)
+        if self.system is not None:
+            a, b, c, d = self.system
+            gain = c @ np.linalg.solve(z * np.eye(len(a)) - a, b + 0 * z) + d
+        else:
+            impulse, every = _impulse(self.whole), len(self.whole) // len(self.y)
+            gain = np.fft.rfft(impulse, axis=0)[every::every] + impulse[-1] * z / (z - 1)
         return np.asarray(frequencies, np.float64), np.asarray(gain, np.complex128)
 
 
+def _impulse(y: Array) -> Array:
+    """Return the impulse response of a step response, `(steps, ny, nu)`."""
+    return np.diff(y, axis=0, prepend=np.zeros_like(y[:1]))
+
+
+def _settled(y: Array) -> bool:
+    """Return whether the slope of all step responses has come to its last value."""
+    impulse = _impulse(y)
+    left = abs(impulse[-(len(y) // 4 or 1) :] - impulse[-1]).max(axis=0)
+    return bool((left <= SETTLED * abs(impulse).max(axis=0)).all())
+
+
 def respond(
-    forecaster: Forecaster, steps: int, at: npt.ArrayLike | None, size: npt.ArrayLike | None
+    forecaster: Forecaster,
+    steps: int = 500,
+    at: npt.ArrayLike | None = None,
+    size: npt.ArrayLike | None = None,
+    moving: bool = False,
 ) -> Responses:
-    """Return the responses of a fitted forecaster; see `Forecaster.step_responses`."""
+    """Return the responses of a fitted forecaster; see `Forecaster.step_responses`.
+
+    With `moving` just those to the inputs that were not constant in training.
+    """
     fitted = forecaster.require_fitted()
     record, steps = fitted.record, whole("steps", steps)
     if fitted.u_summary is None:
@@ -274,7 +321,8 @@ def respond(
     low, high, mean = fitted.u_summary
     held = mean if at is None else _each("at", at, record.nu)
     sizes = SHARE * (high - low) if size is None else _each("size", size, record.nu)
-    if not sizes.all():
+    of = np.flatnonzero(sizes) if moving else np.arange(record.nu)
+    if not (len(of) and sizes[of].all()):
         raise InputError(
             "size must not be 0: give one for an input that was constant in training, "
             f"got {sizes.tolist()}"
@@ -287,34 +335,66 @@ def respond(
             ExtrapolationWarning,
             stacklevel=3,
         )
-    found = np.empty((steps, record.ny, record.nu))
-    for i, of_input in enumerate(sizes):
-        # Up and down: even-order nonlinearities cancel.
-        ends = []
-        for half in (0.5 * of_input, -0.5 * of_input):
-            u = np.tile(held, (2 * steps, 1))
-            u[steps:, i] += half
-            with without_warnings(ExtrapolationWarning):
-                ends.append(forecaster.predict(2 * steps, u=u).y[steps:])
-        found[:, :, i] = (ends[0] - ends[1]) / of_input
-    return Responses(found, record.sampling_time, record.columns, record.inputs, held, sizes)
+
+    def simulated(steps: int) -> Array:
+        found = np.empty((steps, record.ny, len(of)))
+        for k, i in enumerate(of):
+            # Up and down: even-order nonlinearities cancel.
+            ends = []
+            for half in (0.5 * sizes[i], -0.5 * sizes[i]):
+                u = np.tile(held, (2 * steps, 1))
+                u[steps:, i] += half
+                with without_warnings(ExtrapolationWarning):
+                    ends.append(forecaster.predict(2 * steps, u=u).y[steps:])
+            up, down = (np.where(abs(y) < OVERFLOWED, y, np.nan) for y in ends)
+            found[:, :, k] = (up - down) / sizes[i]
+        return found
+
+    y = settled = longer = simulated(steps)
+    system = forecaster._system()
+    while system is None and not _settled(settled) and np.isfinite(longer).all():
+        settled = longer
+        if len(longer) >= LONGEST * steps:
+            break
+        longer = simulated(2 * len(longer))
+    if system is not None:
+        a, b, c, d = system
+        system = a, b[:, of], c, d[:, of]
+    inputs = tuple(record.inputs[i] for i in of)
+    return Responses(y, record.sampling_time, record.columns, inputs, held[of], sizes[of],
+                     settled, system)  # fmt: skip
 
 
 def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     """Return the responses of a fitted forecaster at the means of its training inputs.
 
     Those of a nonlinear one follow with all inputs at `SHARE` and at 1 - `SHARE` of their ranges in
-    training. There are none for one without inputs, or whose simulator stays outside of it.
+    training. There are none for one without inputs, or whose simulator stays outside of it. What
+    else is left out, `remarks` of the first say.
     """
     try:
-        every = [forecaster.step_responses()]
+        every = [respond(forecaster, moving=True)]
     except InputError:
         return []
-    if not forecaster.affine:
-        low, high, _ = forecaster.require_fitted().u_summary  # type: ignore[misc]  # it has inputs
-        for share in (SHARE, 1 - SHARE):
-            every.append(forecaster.step_responses(at=low + share * (high - low)))
-    return every if all(np.isfinite(each.y).all() for each in every) and every[0].y.any() else []
+    low, high, _ = forecaster.require_fitted().u_summary  # type: ignore[misc]  # it has inputs
+    for share in () if forecaster.affine else (SHARE, 1 - SHARE):
+        at = low + share * (high - low)
+        every.append(replace(respond(forecaster, at=at, moving=True), share=share))
+    finite = [each for each in every if np.isfinite(each.y).all()]
+    if not finite or not finite[0].y.any():
+        return []
+    names = forecaster.require_fitted().record.inputs
+    still = [name for name in names if name not in every[0].inputs]
+    said = [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
+    said += [f"The response at {each.place} of the training inputs is not finite: left out."
+             for each in every if each not in finite]  # fmt: skip
+    for each in [each for each in finite if not each.settled][:1]:
+        after = len(each.whole) * each.sampling_time
+        said.append(
+            f"{forecaster.name} has not settled after {after:.4g} s: its gain and phase at low "
+            "frequencies are uncertain."
+        )
+    return [replace(finite[0], remarks=tuple(said)), *finite[1:]]
 
 
 def _each(what: str, value: npt.ArrayLike, nu: int) -> Array:

@@ -141,8 +141,12 @@ class Linear(Forecaster):
         Its inputs and outputs are deviations from `operating_point`.
         """
         self.require_fitted()
-        matrices = self.model.state_space()
-        return scipy.signal.StateSpace(*matrices, dt=self.require_fitted().record.sampling_time)
+        return scipy.signal.StateSpace(
+            *self._system(), dt=self.require_fitted().record.sampling_time
+        )
+
+    def _system(self) -> tuple[Array, Array, Array, Array]:
+        return self.model.state_space()
 
     def operating_point(self) -> tuple[Array, Array]:
         """Return the inputs `(nu,)` and outputs `(ny,)` at the operating point."""

@@ -34,14 +34,14 @@ import safetensors.numpy
 from splitband import networks
 from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.simulation import simulations
+from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime import outputs
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing, to_json, write_text
 from splitband.runtime.options import is_saved, options
 from splitband.simulators import Simulator
-from splitband.simulators.base import Absent
+from splitband.simulators.base import matched
 
 FORMAT = 8
 """Version of the description, which changes with attributes of what is saved, and their meaning."""
@@ -245,10 +245,16 @@ def _give(forecaster: Forecaster, simulator: Simulator) -> None:
     given = [*simulations(forecaster)]
     if not given:
         raise InputError(f"simulator must be left out for {forecaster.name}, which asks for none")
-    saved = [each.simulator for each in given if isinstance(each.simulator, Absent)]
-    for said in dict.fromkeys([each.difference(simulator) for each in saved]):
-        if said:
-            warnings.warn(said, stacklevel=3)
+    differences = []
+    for each in given:
+        other = simulator
+        if each.simulator is None and each.fitted is not None:  # it was run beside the record
+            record = each.fitted.record
+            other = matched(simulator, record.columns, record.inputs)
+        if (saved := description_of(each)) is not None:
+            differences.append(saved.difference(other))
+    for said in filter(None, dict.fromkeys(differences)):
+        warnings.warn(said, stacklevel=3)
     for each in given:
         each.simulator = simulator
 

@@ -118,6 +118,14 @@ def simulations(value: Any) -> Iterator[Any]:
             yield from simulations(part)
 
 
+def description_of(part: Any) -> Absent | None:
+    """Return the description of the simulator that a part of a saved forecaster was fitted with."""
+    said = part.simulator
+    if said is None and part.fitted is not None:
+        said = part.fitted.record.simulator
+    return said if isinstance(said, Absent) else None
+
+
 class SimulatorForecaster(Forecaster):
     """Forecast with a simulator's output.
 

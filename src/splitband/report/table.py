@@ -33,7 +33,7 @@ from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import COVERAGE, RULE, Trial, by_reason
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
-from splitband.forecasters.checking import SHARE, Responses
+from splitband.forecasters.checking import Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
@@ -596,19 +596,19 @@ def of_gains(found: Sequence[Responses]) -> list[Table]:
     """Return a table of a nonlinear model's final responses; see `respond_over_range`."""
     if len(found) < 2:
         return []
-    middle, low, high = found
+    first = found[0]
     pairs = {
         f"{u} to {y}": (j, i)
-        for i, u in enumerate(middle.inputs)
-        for j, y in enumerate(middle.columns)
+        for i, u in enumerate(first.inputs)
+        for j, y in enumerate(first.columns)
     }
-    places = {f"at {percent(SHARE)}": low, "at the mean": middle, f"at {percent(1 - SHARE)}": high}
     listed = [
-        Column(place, "record", {n: float(r.y[-1][at]) for n, at in pairs.items()}, ranked=False)
-        for place, r in places.items()
-    ]
+        Column(f"at {r.place}", "record", {n: float(r.y[-1][at]) for n, at in pairs.items()},
+               ranked=False)
+        for r in sorted(found, key=lambda r: 0.5 if r.share is None else r.share)
+    ]  # fmt: skip
     title = (
-        f"Step responses after {middle.time[-1]:.4g} s, for a step of 1 (static gain, if settled), "
+        f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled), "
         "where all inputs are at these shares of their ranges in training"
     )
     return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]

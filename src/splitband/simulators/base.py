@@ -370,7 +370,8 @@ class Absent:
         own = getattr(simulator, "own_times", False)
         start = None if own else getattr(simulator, "start", None) or 0.0
         held = getattr(simulator, "held", None) if getattr(simulator, "driven", False) else None
-        return cls(type(simulator).__name__, file, said and str(said), fitted, start, held)
+        kind = getattr(simulator, "kind", type(simulator).__name__)
+        return cls(kind, file, said and str(said), fitted, start, held)
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError; the message says which simulator to pass, and how."""

@@ -8,7 +8,6 @@ at a time, tells.
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
+from splitband.simulators.code import content_digest
 from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
 from splitband.simulators.fmu_unit import EXCHANGE, Unit
 from splitband.simulators.parameters import Adjustable, Given, Point, Response
@@ -183,7 +183,7 @@ class Fmu(Adjustable):
 
     def digest(self) -> str:
         """Return an identifier of the response, without the values of parameters."""
-        content = hashlib.sha256(self.path.read_bytes()).hexdigest()
+        content = content_digest([self.path])
         return f"{content} {self.outputs} {self.inputs} {self.start} {self.held}"
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -63,6 +63,11 @@ class Isolated:
             raise _not_an_equation(self.name)
 
     @property
+    def kind(self) -> str:
+        """Return the name of the class that it stands for in the description of a saved model."""
+        return "Fmu" if self.function is None else "Function"
+
+    @property
     def name(self) -> str:
         """Return the name in messages: the file, and the function in it."""
         return self.path if self.function is None else f"{self.path}:{self.function}"
@@ -108,8 +113,8 @@ class Isolated:
         if self.function is not None:
             return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
-        held = " held" if self.held else ""
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0}{held}"
+        # Without values of parameters, as that of an `Fmu`.
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held} []"
 
 
 def _how(code: int) -> str:
@@ -195,8 +200,8 @@ def adjustable_from(  # noqa: PLR0913
 def _not_an_equation(name: str) -> InputError:
     """Return the error for a function whose inputs are to be held."""
     return InputError(
-        "held (--held) must be left out but for a differential equation or an .fmu, got "
-        f"{name}, which is given the samples of the inputs alone"
+        "simulator must be a differential equation or an .fmu where inputs are held (--held, or by "
+        f"the saved model), got {name}, which is given the samples of the inputs alone"
     )
 
 

@@ -16,6 +16,7 @@ from splitband.data.reading import ColumnError
 from splitband.data.timing import in_words
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (
+    Absent,
     Recorded,
     Simulator,
     SimulatorTimeoutError,
@@ -124,11 +125,13 @@ def open_simulator(  # noqa: PLR0913
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
-    return Isolated(
+    made = Isolated(
         file, function or None, () if function else tuple(columns), timeout, tuple(reads),
         None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
         begin if function else begin or 0.0, held,
     )  # fmt: skip
+    # Not before it is matched does an FMU say whether inputs drive it.
+    return made.matched(record.columns, record.inputs)
 
 
 def is_fitted(simulator: Any) -> bool:
@@ -233,4 +236,6 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
             raise
         y_sim = output(least)
     rest = y_sim[len(record) :]
-    return replace(record, y_sim=y_sim[: len(record)], beyond=rest if len(rest) else None)
+    said = Absent.of(simulator)
+    beyond = rest if len(rest) else None
+    return replace(record, y_sim=y_sim[: len(record)], beyond=beyond, simulator=said)

@@ -143,9 +143,12 @@ def _responses_of(
             "ranges in training. Where the curves differ, the model is nonlinear: its gain depends "
             "on the operating point."
         )
+    remarks = dict.fromkeys(said for of in found.values() for said in of[0].remarks)
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [said, text], tables=table.of_gains(most), plots=drawn)
+    return Section(
+        "responses", title, [said, text, *remarks], tables=table.of_gains(most), plots=drawn
+    )
 
 
 def _linear_of(result: Comparison) -> Linear | None:

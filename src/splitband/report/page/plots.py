@@ -338,9 +338,6 @@ def gains(record: Record, model: LinearModel) -> list[Chart]:
     return plots
 
 
-OPERATING_POINTS = "", f" at {percent(SHARE)} (dashed)", f" at {percent(1 - SHARE)} (dotted)"
-
-
 def responses(
     found: Mapping[str, Sequence[Responses]], styles: Mapping[str, Method], bode: bool = True
 ) -> list[Chart]:
@@ -351,14 +348,19 @@ def responses(
     """
     first = next(iter(found.values()))[0]
     frequencies, _ = first.frequency_response()
-    every = [(n, k, each) for n, of in found.items() for k, each in enumerate(of)]
-    labels = [(styles[n].label or n) + OPERATING_POINTS[k] for n, k, _ in every]
-    looks = [(f"c{styles[n].color}", k) for n, k, _ in every]
-    gains = [each.frequency_response()[1] for *_, each in every]
+    every = [(n, each) for n, of in found.items() for each in of]
+    kinds = {None: 0, SHARE: 1, 1 - SHARE: 2}
+    named = {None: "", SHARE: " (dashed)", 1 - SHARE: " (dotted)"}
+    labels = [
+        (styles[n].label or n) + (f" at {each.place}" if each.share else "") + named[each.share]
+        for n, each in every
+    ]
+    looks = [(f"c{styles[n].color}", kinds[each.share]) for n, each in every]
+    gains = [each.frequency_response()[1] for _, each in every]
     time, over = Axis.over(first.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
     plots = []
     for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
-        steps, of = [each.y[:, j, i] for *_, each in every], [gain[:, j, i] for gain in gains]
+        steps, of = [each.y[:, j, i] for _, each in every], [gain[:, j, i] for gain in gains]
         sizes = [_decibels(np.abs(gain)) for gain in of]
         phases = [np.degrees(np.unwrap(np.angle(gain))) for gain in of]
         drawn = (
