@@ -36,14 +36,13 @@ from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
-from splitband.metrics import channel_rmse, fit_percent, leaving
+from splitband.metrics import channel_rmse, fit_percent, leaving, tenths
 from splitband.report.numbers import (
     aligned,
     complex_in_words,
     decimals,
     number,
     percent,
-    tenths,
 )
 from splitband.report.predicted import Protocol, predicted, run_of, what_was_known
 from splitband.runtime.arrays import Array
@@ -593,24 +592,28 @@ COLUMNS = {
 
 
 def of_gains(found: Sequence[Responses]) -> list[Table]:
-    """Return a table of a nonlinear model's final responses; see `respond_over_range`."""
-    if len(found) < 2:
+    """Return a table of a model's final responses; see `respond_over_range`."""
+    if not found:
         return []
-    middle, low, high = found
+    middle, *ends = found
     pairs = {
         f"{u} to {y}": (j, i)
         for i, u in enumerate(middle.inputs)
         for j, y in enumerate(middle.columns)
     }
-    places = {f"at {percent(SHARE)}": low, "at the mean": middle, f"at {percent(1 - SHARE)}": high}
+    places = {"at the mean": middle}
+    if ends:
+        low, high = ends
+        places = {f"at {percent(SHARE)}": low, **places, f"at {percent(1 - SHARE)}": high}
     listed = [
         Column(place, "record", {n: float(r.y[-1][at]) for n, at in pairs.items()}, ranked=False)
         for place, r in places.items()
     ]
     title = (
-        f"Step responses after {middle.time[-1]:.4g} s, for a step of 1 (static gain, if settled), "
-        "where all inputs are at these shares of their ranges in training"
+        f"Step responses after {middle.time[-1]:.4g} s, for a step of 1 (static gain, if settled)"
     )
+    if ends:
+        title += ", where all inputs are at these shares of their ranges in training"
     return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]
 
 
