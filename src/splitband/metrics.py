@@ -83,6 +83,15 @@ def spread(y: npt.ArrayLike) -> Array:
     return np.asarray(np.where(_varies(y), np.nanstd(y, axis=0), 1.0))
 
 
+LOWEST_FIT = -999.0
+"""Percent: a worse fit is shown as less than this."""
+
+
+def tenths(value: float) -> str:
+    """Return a number with one decimal place; a fit in percent far below 0 as less than that."""
+    return f"{round(value, 1) + 0.0:.1f}" if value >= LOWEST_FIT else f"< {LOWEST_FIT:.0f}"
+
+
 DIVERGED = 3.0
 """Largest distance of a prediction from the middle of the training range, in multiples of half its
 width. By eye."""

@@ -229,6 +229,20 @@ def test_errors_of_a_nonlinear_system_are_not_taken_for_a_controller() -> None:
     assert identified([(record.y, record.u)]).by == "output error"
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_sensors_of_the_output_are_not_taken_for_a_controller(seed: int) -> None:
+    rng, time = np.random.default_rng(seed), 0.02 * np.arange(3000)
+    angle = sum(
+        rng.normal(0, 6) / (1 + 0.3 * k)
+        * np.sin(2 * np.pi * (0.03 * (k + 1) * rng.uniform(0.6, 1.4) * time + rng.uniform(0, 1)))
+        for k in range(25)
+    )  # fmt: skip
+    u = angle[:, None] + 3 * rng.standard_normal((3000, 1))
+    y = angle[:, None] + 0.05 * rng.standard_normal((3000, 1))
+    found = identified([(y[:2250], u[:2250])])
+    assert fit_percent(y[2250:], found.simulate(u)[2250:]) > 75
+
+
 def closed_loop(seed: int) -> tuple[sb.Record, sb.Record]:
     """One run, with the controller's output and with the set-point as the input."""
     rng = np.random.default_rng(seed)

@@ -119,6 +119,7 @@ def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: P
     doubtful = replace(seeds, fits=fits, trial=trial)
     said = " ".join(words.warnings(doubtful))
     assert said.startswith("The recommended model is unstable")
+    assert "No method predicts this record better than its mean." in said
     assert "as wide as the record itself" in said
     assert "GRU (gru): no result: it diverged." in said
     page = page_text(doubtful, tmp_path)

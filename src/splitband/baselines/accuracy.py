@@ -38,7 +38,7 @@ Matrices = tuple[Array, Array, Array, Array]
 
 
 @saved
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Accuracy:
     """Hold estimates and their standard errors; an error is NaN where it was not computed.
 
@@ -61,6 +61,15 @@ class Accuracy:
     response: Array
     response_errors: Array
     delay_errors: Array
+
+    def __repr__(self) -> str:
+        """Return poles and static gains, with half of their 95 % intervals."""
+        sizes = zip(self.poles, NORMAL * self.pole_errors[:, 2], strict=True)
+        said = [f"pole {pole:.4g}, its absolute value ± {error:.2g}" for pole, error in sizes]
+        for (i, j), gain in np.ndenumerate(self.gains):
+            error = NORMAL * self.gain_errors[i, j]
+            said.append(f"static gain of output {i} for input {j}: {gain:.4g} ± {error:.2g}")
+        return "\n".join(said)
 
     @property
     def poles(self) -> Complex:

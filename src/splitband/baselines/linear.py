@@ -318,6 +318,12 @@ class LinearModel:
         """Return the poles in the z plane, without those at 0 of delays, `(n,)` complex."""
         return np.asarray(np.linalg.eigvals(self.a), np.complex128)
 
+    @property
+    def stable(self) -> bool:
+        """Return whether all poles but the integrators are inside of the unit circle."""
+        poles = sorted(self.poles(), key=lambda pole: abs(pole - 1))[self.integrators :]
+        return all(abs(pole) < 1 for pole in poles)
+
     def __str__(self) -> str:
         poles = f"{self.order} pole{'s' * (self.order != 1)}"
         held = f", {self.integrators} of them at 1" if self.integrators else ""

@@ -23,6 +23,7 @@ from splitband.evaluation.run import fit as fit_planned
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin, held_out_of
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import unmoved
 from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
@@ -114,7 +115,8 @@ def fit(
     shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     doubts = filter(None, [forecaster.parameters.get("doubt")])
     described = training_in_words or forecaster.describe()
-    for note in (*report.notes, *doubts):
+    still = unmoved([training, *plan.others])
+    for note in dict.fromkeys((*still, *report.notes, *doubts)):
         showing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
     said = f"{forecaster._title}, {described}: fitted to "

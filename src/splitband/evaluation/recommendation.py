@@ -20,6 +20,7 @@ from splitband.forecasters.backtest import (
     interval_errors,
     median_forecasts,
 )
+from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import channel_rmse, rmse, spread
 
@@ -154,7 +155,7 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
         else:
             kept.append(fit)
     if not kept:
-        kept, said = [*fits], ["unstable: a simulation may grow without bound"]
+        kept, said = [*fits], [UNSTABLE]
     return [replace(kept[0], notes=(*kept[0].notes, *said)), *kept[1:]]
 
 

@@ -38,11 +38,12 @@ def _header(program: Program, precision: Precision) -> str:
         for leaf in program.leaves
         if leaf.begun.size
     ] or ["    char nothing;"]
+    rows = program.given.get("y_sim", (0,))[0]
     signals = [
         f"y[{record.ny}]: {', '.join(record.columns)}",
         f"u[{record.nu}]: {', '.join(record.inputs)}" if "u" in program.given else "",
-        f"y_sim{list(program.given['y_sim'])}: the simulator's output of the sample, and of the "
-        "next one if there are two rows" if "y_sim" in program.given else "",
+        f"y_sim{list(program.given['y_sim'])}: the simulator's output of this sample"
+        + ", then of the next one" * (rows > 1) if rows else "",
     ]  # fmt: skip
     if program.raw:
         done = ", ".join(dict.fromkeys(type(s).__name__.lower() for s in record.prepared))

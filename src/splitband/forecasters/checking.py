@@ -22,7 +22,13 @@ from splitband.forecasters.residuals import (
     ResidualTests,
     residual_tests,
 )
-from splitband.metrics import Extrapolation, ExtrapolationWarning, fit_percent, leaves_range
+from splitband.metrics import (
+    Extrapolation,
+    ExtrapolationWarning,
+    fit_percent,
+    leaves_range,
+    tenths,
+)
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -86,7 +92,7 @@ class ModelCheck:
 
     def in_words(self) -> list[str]:
         """Return the results in sentences, without the fits."""
-        said = [test.verdict() for test in self.tests]
+        said = [test.finding() for test in self.tests]
         if self.unchecked:
             said.append(f"Stability was not checked: {self.unchecked}.")
         elif self.leaves is None:
@@ -101,7 +107,7 @@ class ModelCheck:
 
     def __str__(self) -> str:
         fits = [
-            f"{column}: fit {of[i]:.1f} % ({horizon})"
+            f"{column}: fit {tenths(of[i])} % ({horizon})"
             for i, column in enumerate(self.record.columns)
             for horizon, of in self.fits.items()
         ]

@@ -15,9 +15,19 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
+UNSTABLE = "unstable: a simulation may grow without bound"
+"""What is said of a model that is not `FitReport.stable`."""
 NEAR_ROW = 1e-3
 """Tolerance in samples: a history that begins this close to a training sample begins at it.
 Rounding."""
+
+
+def unmoved(records: Sequence[Record]) -> list[str]:
+    """Return a remark on the inputs that are constant in all training records, if there are any."""
+    inputs = [r.u for r in records if r.u is not None]
+    names = records[0].inputs if inputs else ()
+    still = [name for j, name in enumerate(names) if max(np.ptp(u[:, j]) for u in inputs) == 0]
+    return [f"constant in training, effect unknown: {', '.join(still)}"] if still else []
 
 
 @saved

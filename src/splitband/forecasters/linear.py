@@ -18,6 +18,7 @@ from splitband.baselines.kalman import most_probable
 from splitband.baselines.linear import LinearModel
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.fitted import UNSTABLE, unmoved
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import Part, State, delay_line
 from splitband.runtime.arguments import whole
@@ -94,7 +95,7 @@ class Linear(Forecaster):
         self.fitted = self.require_fitted().reporting(
             cut=current().over,
             notes=tuple(self._notes(records)),
-            stable=bool((abs(self.model.poles()) < 1).all()),
+            stable=self.model.stable,
         )
 
     def extrapolate(self, known: ForecastContext) -> Array:
@@ -208,11 +209,9 @@ class Linear(Forecaster):
         return found.astype(int)
 
     def _notes(self, records: Sequence[Record]) -> list[str]:
-        """Return remarks on inputs that tell nothing."""
-        names = records[0].inputs
-        inputs = [r.u for r in records if r.u is not None]
-        still = [name for j, name in enumerate(names) if max(np.ptp(u[:, j]) for u in inputs) == 0]
-        said = [f"constant in training, effect unknown: {', '.join(still)}"] if still else []
+        """Return remarks on poles outside of the unit circle, and on inputs that tell nothing."""
+        said = [] if self.model.stable else [UNSTABLE]
+        said += unmoved(records)
         if self.model.silent:
             step = self.require_fitted().record.sampling_time
             hertz = ", ".join(f"{a / (2 * np.pi * step):.4g}" for a in self.model.silent)

@@ -128,15 +128,20 @@ class ResidualTests:
         return self.outcome != "rejected"
 
     def verdict(self) -> str:
-        """Return the result of the tests, in a sentence or two."""
+        """Return the result of the tests with its reason, in a sentence or two."""
+        level = f" at {100 * CONFIDENCE:.0f} %" if self.dependent else ""
+        return f"{self.outcome.capitalize()}{level}: {self.finding('the')}"
+
+    def finding(self, the: str = "The") -> str:
+        """Return what the tests find, in a sentence or two that begin with `the`."""
         if self.dependent:
-            return self._rejection()
+            return f"{the} {self._rejection()}"
         if self.white:
             independent = "do not depend on the inputs and " if self.inputs else ""
-            return f"Accepted: the residuals of {self.output} {independent}are white noise."
+            return f"{the} residuals of {self.output} {independent}are white noise."
         independent = "do not depend on the inputs, but " if self.inputs else ""
         return (
-            f"Not rejected: the residuals of {self.output} {independent}are not white noise. "
+            f"{the} residuals of {self.output} {independent}are not white noise. "
             "Either a disturbance acts or the model lacks dynamics; this record cannot tell which."
         )
 
@@ -147,8 +152,8 @@ class ResidualTests:
         if not self._alone:
             names += f", if only nonlinearly (all tests together: p = {self.p:.1g})"
         said = (
-            f"Rejected at {100 * CONFIDENCE:.0f} %: the residuals of {self.output} still "
-            f"depend on {names}, so the model does not capture {whose} full effect."
+            f"residuals of {self.output} still depend on {names}, so the model does not capture "
+            f"{whose} full effect."
         )
         if self.size is None:
             return said

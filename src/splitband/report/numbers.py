@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
-LOWEST_FIT = -999.0
-"""Percent: a worse fit is shown as less than this."""
 _SMALLEST, _LARGEST = 1e-3, 1e5
 """Range of the numbers that are written without an exponent."""
 
@@ -25,13 +23,8 @@ def number(value: float | None) -> str:
 
 def percent(share: float) -> str:
     """Return a share as a percentage."""
-    digits = f"{100 * share:.0f}" if share >= 0.1 else f"{100 * share:.2g}"
+    digits = f"{100 * share:.0f}" if abs(share) >= 0.1 else f"{100 * share:.2g}"
     return f"{digits}\N{NO-BREAK SPACE}%"
-
-
-def tenths(value: float) -> str:
-    """Return a number with one decimal place; a fit in percent far below 0 as less than that."""
-    return f"{round(value, 1) + 0.0:.1f}" if value >= LOWEST_FIT else f"< {LOWEST_FIT:.0f}"
 
 
 def decimals(values: Sequence[float]) -> int:

@@ -14,9 +14,9 @@ import pandas as pd
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import fit_percent, rmse
+from splitband.metrics import fit_percent, rmse, tenths
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import number, tenths
+from splitband.report.numbers import number
 from splitband.report.predicted import Predicted, predicted
 from splitband.report.table import labels_of, ordered
 from splitband.runtime.errors import missing

@@ -36,14 +36,13 @@ from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.checking import Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
-from splitband.metrics import channel_rmse, fit_percent, leaving
+from splitband.metrics import channel_rmse, fit_percent, leaving, tenths
 from splitband.report.numbers import (
     aligned,
     complex_in_words,
     decimals,
     number,
     percent,
-    tenths,
 )
 from splitband.report.predicted import Protocol, predicted, run_of, what_was_known
 from splitband.runtime.arrays import Array
@@ -593,8 +592,8 @@ COLUMNS = {
 
 
 def of_gains(found: Sequence[Responses]) -> list[Table]:
-    """Return a table of a nonlinear model's final responses; see `respond_over_range`."""
-    if len(found) < 2:
+    """Return a table of a model's final responses; see `respond_over_range`."""
+    if not found:
         return []
     first = found[0]
     pairs = {
@@ -608,9 +607,10 @@ def of_gains(found: Sequence[Responses]) -> list[Table]:
         for r in sorted(found, key=lambda r: 0.5 if r.share is None else r.share)
     ]  # fmt: skip
     title = (
-        f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled), "
-        "where all inputs are at these shares of their ranges in training"
+        f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled)"
     )
+    if len(found) > 1:
+        title += ", where all inputs are at these shares of their ranges in training"
     return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]
 
 

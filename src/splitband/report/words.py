@@ -12,6 +12,8 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
+from splitband.forecasters.fitted import UNSTABLE, unmoved
+from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
@@ -98,7 +100,13 @@ def afterwards(comparison: Comparison) -> list[str]:
     fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
     if not fits or best not in fits[0].values or len(comparison.fits) == 1:
         return []
-    better = [c for c in fits if c.best and c.values[c.best] > c.values[best]]
+    better = [
+        c
+        for c in fits
+        if c.best
+        and c.values[c.best] > c.values[best] + c.spreads.get(best, 0.0)
+        and c.entry(c.best) != c.entry(best)
+    ]
     if not better:
         others = "method with a result" if without_result(comparison) else "method"
         return [f"No other {others} had a better fit."]
@@ -131,6 +139,8 @@ def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers, the gravest first."""
     return [
         *_unstable(comparison),
+        *_worse_than_mean(comparison),
+        *(f"All methods: {said}." for said in _unmoved(comparison)),
         *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
         *_left_range(comparison),
         *_wide_interval(comparison),
@@ -144,11 +154,33 @@ def warnings(comparison: Comparison) -> list[str]:
     ]
 
 
+def _worse_than_mean(comparison: Comparison) -> list[str]:
+    """Return a sentence if the recommended method is worse than the mean on unseen samples."""
+    best = comparison.recommended
+    fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
+    worse = [c for c in fits if c.values.get(best, 0.0) < 0]
+    if not worse:
+        return []
+    what = "The recommended method does not predict"
+    if all(max(c.values.values()) < 0 for c in worse):
+        what = "No method predicts"
+    named = " and ".join(filter(None, (f"{c.channel} {c.record}".strip() for c in worse)))
+    return [f"{what} {named or 'this record'} better than its mean."]
+
+
+def _unmoved(comparison: Comparison) -> list[str]:
+    """Return a remark on inputs that never move in training, which holds for all methods."""
+    return unmoved([comparison.plan.training, *comparison.plan.others])
+
+
 def _unstable(comparison: Comparison) -> list[str]:
-    """Return a sentence if the recommended model is known to have no bounded simulations."""
-    said = "The recommended model is unstable, or integrates: a simulation may grow without bound."
-    stable = all(fit.report.stable for fit in comparison.fits[comparison.recommended])
-    return [] if stable else [said]
+    """Return a sentence if the recommended model is known to be unstable, or integrates."""
+    fits = comparison.fits[comparison.recommended]
+    if not all(fit.report.stable for fit in fits):
+        return [f"The recommended model is {UNSTABLE}."]
+    if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
+        return ["The recommended model integrates: a constant input makes it grow steadily."]
+    return []
 
 
 def _left_range(comparison: Comparison) -> list[str]:
@@ -219,13 +251,18 @@ def _few_held_out(train: int) -> list[str]:
 def _notes(comparison: Comparison) -> list[str]:
     """Return the doubts of predictions and the notes of fits, with the methods they are of."""
     called = {name: titled(name, words) for name, words in labels_of(comparison).items()}
-    doubts: dict[str, list[str]] = {}
-    for name, prediction in comparison.predictions.items():
-        for doubt in prediction.doubts:
+    doubts, general = dict[str, list[str]](), _unmoved(comparison)
+    for name, runs in comparison.fits.items():
+        said = [run.fitted.parameters.get("doubt") for run in runs]
+        if name in comparison.predictions:
+            said += comparison.predictions[name].doubts
+        for doubt in dict.fromkeys(filter(None, said)):
             doubts.setdefault(doubt, []).append(called[name])
     best, tests = comparison.medians[comparison.recommended], comparison.tests
     notes = {
-        name: dict.fromkeys(note for run in runs for note in run.report.notes)
+        name: dict.fromkeys(
+            note for run in runs for note in run.report.notes if note not in general
+        )
         for name, runs in comparison.fits.items()
     }
     return [

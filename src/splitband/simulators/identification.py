@@ -267,7 +267,7 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     better, how = ("held", "--held") if simulator.held else ("interpolated", "without --held")
     return (
         f"the record favours inputs that are {better} between samples, held={simulator.held} "
-        f"({how}): error {there} in place of {here} of its deviation"
+        f"({how}): RMSE {there} instead of {here} standard deviations of the output"
     )
 
 

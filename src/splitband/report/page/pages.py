@@ -19,6 +19,7 @@ from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
+from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
 from splitband.report import table, words
 from splitband.report.environment import environment
@@ -39,7 +40,8 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     record, trial, best = result.record, result.require_trial(), result.recommended
     listed = table.of_comparison(result)
     called = {name: listed.label(name) for name in ordered(trial, result.fits)}
-    styles = method_styles(called, best, listed.minor)
+    leaving = {name for name in called if name != best and table.leaving_range(result, name)}
+    styles = method_styles(called, best, {*listed.minor, *leaving})
     every = [each for each in predicted(result) if each.predictions]
     first = [each for each in every if each.protocol == every[0].protocol]
     shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
@@ -318,10 +320,13 @@ def of_check(
     styles = {name: Method(name, label=model.in_words() or name)}
     drawn = plots.OverTime(shown, styles)
     facts = [
-        (column, "\n".join(f"fit {of[i]:.1f} %, {horizon}" for horizon, of in result.fits.items()))
+        (
+            column,
+            "\n".join(f"fit {tenths(of[i])} %, {horizon}" for horizon, of in result.fits.items()),
+        )
         for i, column in enumerate(record.columns)
     ]
-    said = [test.verdict() for test in result.tests]
+    said = [test.finding() for test in result.tests]
     sections = [
         Section("answer", f"{result.outcome.capitalize()}: {result.title or name}",
                 result.in_words(), facts=facts, plots=[*drawn.outputs(), *drawn.inputs()]),

@@ -18,9 +18,9 @@ from splitband.forecasters.backtest import Fit
 from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.prediction import Prediction
 from splitband.forecasters.residuals import Correlation
-from splitband.metrics import cumulative_rmse, fit_percent
+from splitband.metrics import DIVERGED, cumulative_rmse, fit_percent, tenths
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import number, percent, squared, tenths
+from splitband.report.numbers import number, percent, squared
 from splitband.report.page.charts import (
     FAINT,
     LOW,
@@ -64,7 +64,9 @@ class OverTime:
         seen = padded(record.y_with_gaps[:, i], self._length, first=True)
         recommended = next(m for m in self.styles.values() if m.recommended)
         best = shown.predictions.get(recommended.name)
-        scale = [seen[shown.first :], *([] if best is None else [best.y[:, i]])]
+        scale = [seen[shown.first :]]
+        if best is not None and np.isfinite(seen).any():
+            scale.append(np.clip(best.y[:, i], *limits([seen], DIVERGED)))
         caption = f"{column}: {shown.says}"
         if best is not None and best.level is not None:
             caption += f"; shaded: {percent(best.level)} interval"
@@ -121,6 +123,8 @@ class OverTime:
             scale = limits(
                 [left[n] for n in left if self.styles[n].recommended] or [*left.values()]
             )
+            reach = DIVERGED * float(np.ptp(limits([self.record.y_with_gaps[:, i]])))
+            scale = max(scale[0], -reach), min(scale[1], reach)
             caption = f"{column}: residuals, {shown.says}"
             chart = Chart(self.axis, _with("residual", unit), scale, caption, LOW)
             chart.mark(0.0, "zero", "width")
@@ -406,7 +410,8 @@ def correlation(output: str, found: Correlation) -> Chart:
     most = max(2 * band, 1.1 * float(abs(values).max()))
     chance = f"p = {number(found.p)}" if found.p >= 0.001 else "p < 0.001"
     outside = f"{int((abs(values) > band).sum())} of {len(values)} outside ± {number(band)}"
-    caption = f"{output} with {'its own past' if own else found.of}, {chance}; {outside}"
+    what = "its own past" if own else found.of
+    caption = f"{output} with {what}, all lags together: {chance}; one by one: {outside}"
     axis = Axis.over(own + np.arange(len(values), dtype=float), "lag (samples)")
     chart = Chart(axis, "correlation", (-most, most), caption, SMALL, small=True)
     shaded = BoxAnnotation(bottom=-band, top=band, fill_alpha=0.2, tags=["c0"])
