@@ -90,6 +90,7 @@ class ModelCheck:
                 f"The free run over {LONGER} times the record, with its inputs repeated, leaves "
                 f"the range of the training record by far after {self.leaves:,} samples."
             )
+        said += self.simulation.doubts
         names = self.record.inputs
         return said + [each.describe(names[each.channel]) for each in self.beyond]
 
