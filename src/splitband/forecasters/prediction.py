@@ -24,6 +24,7 @@ from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
+from splitband.training.settings import default_warmup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -304,6 +305,11 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
     y, parts = extrapolated(forecaster, known)
     beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
     messages = [each.describe(past.inputs[each.channel], " of the prediction") for each in beyond]
+    used = known.y[-(forecaster.warmup or default_warmup(len(known.y))) :]
+    messages += [
+        each.describe(past.columns[each.channel], f" of the history's last {len(used)}")
+        for each in fitted.outputs_beyond(used)
+    ]
     messages += (doubts := forecaster.doubts(known))
     if zones_differ(past.start, fitted.record.start):
         messages.append(
