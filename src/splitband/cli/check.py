@@ -38,7 +38,7 @@ def check(
     with plots of all of it and, for a model with inputs, its responses to steps.
     """
     model = forecasters.load(model_dir)
-    past = records.history_of(record, "--record", model.require_fitted().record, files)
+    past = records.history_of(record, "--record", model, files)
     model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)
     with showing.warnings_as_lines():

@@ -169,13 +169,20 @@ def load_further(
     return found
 
 
-def history_of(file: Path, option: str, record: Record, files: FileOptions) -> Record:
+def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -> Record:
     """Read the measured history that an option names, at the training record's sampling time."""
+    record = model.require_fitted().record
     step = record.sampling_time
-    past = _read(
-        file, f"{option} must be a file", files, record, columns=record.columns,
-        inputs=record.inputs, fallback_sampling_time=step,
-    )  # fmt: skip
+    try:
+        past = _read(
+            file, f"{option} must be a file", files, record, columns=record.columns,
+            inputs=record.inputs, fallback_sampling_time=step,
+        )  # fmt: skip
+    except ColumnError as error:
+        raise ColumnError(
+            f"{error}; a simulation begins with {model.warmup or 'some'} measured samples of every "
+            "output, from which the state of the model is estimated"
+        ) from None
     announce(past, str(file))
     if not near_sampling(past.sampling_time, step):
         raise InputError(
