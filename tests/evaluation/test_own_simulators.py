@@ -64,6 +64,7 @@ def test_further_records_have_the_simulator_at_their_own_times() -> None:
     np.testing.assert_allclose(found.fits[model.name][0].tests[0].y, expected, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:output y is beyond its range")
 def test_an_export_that_covers_both_days_says_each_of_them() -> None:
     first, second = pd.Timestamp("2024-05-01"), pd.Timestamp("2024-05-02")
     days = np.arange(2 * 86400 // 60) / 60.0
