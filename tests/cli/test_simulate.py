@@ -45,8 +45,12 @@ def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_
 
 def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_path: Path) -> None:
     pd.read_csv("future.csv").assign(force=9.0).to_csv(tmp_path / "push.csv", index=False)
-    bare = "future_bare.csv --time-column ''"
-    for to, name in (("plain", "future.csv"), ("strong", tmp_path / "push.csv"), ("bare", bare)):
+    no_stamps = "future_bare.csv --time-column ''"
+    for to, name in (
+        ("plain", "future.csv"),
+        ("strong", tmp_path / "push.csv"),
+        ("bare", no_stamps),
+    ):
         call(f"simulate {driven_model} --history history.csv --steps 20 --future-inputs {name}",
              tmp_path / f"{to}.csv")  # fmt: skip
     plain, strong, bare = (

@@ -147,7 +147,8 @@ class Fitted:
 
         Such outputs may be in other units.
         """
-        found = extrapolations(*self.y_range, y)
+        low, high = self.y_range
+        found = extrapolations(low, high, y)
         return [replace(each, kind="output") for each in found]
 
 
