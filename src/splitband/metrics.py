@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -120,7 +120,7 @@ def leaving(samples: int) -> str:
 
 
 BEYOND = 0.1
-"""Margin by which an input may exceed its range in training, as a share of that range. By eye."""
+"""Margin by which a signal may exceed its range in training, as a share of that range. By eye."""
 
 
 class ExtrapolationWarning(UserWarning):
@@ -129,14 +129,15 @@ class ExtrapolationWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Describe an input that leaves its range in training.
+    """Describe an input, or a measured output, that leaves its range in training.
 
     Attributes
     ----------
-    channel : Index of the input, counted from 0.
+    channel : Index of the signal, counted from 0.
     low, high : Its range in training.
     farthest : The value that is farthest outside the range.
     after : Number of samples before the first one outside the range.
+    kind : Which of the two it is.
     """
 
     channel: int
@@ -144,13 +145,14 @@ class Extrapolation:
     high: float
     farthest: float
     after: int
+    kind: Literal["input", "output"] = "input"
 
     def describe(self, name: str = "", of: str = "") -> str:
-        """Describe it in words, with the input's name, and what its samples are counted in."""
+        """Describe it in words, with the signal's name, and what its samples are counted in."""
         trained = f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g} only"
         return (
-            f"input {name or f'u{self.channel}'} is beyond its range in training ({trained}) from "
-            f"sample {self.after}{of} on, {'down' if self.farthest < self.low else 'up'} to "
+            f"{self.kind} {name or f'u{self.channel}'} is beyond its range in training ({trained}) "
+            f"from sample {self.after}{of} on, {'down' if self.farthest < self.low else 'up'} to "
             f"{self.farthest:g}: predictions from there on are extrapolations"
         )
 

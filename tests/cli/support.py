@@ -80,7 +80,8 @@ def write_records(folder: Path) -> None:
         "history": record.iloc[:50], "history_slow": slow,
         "history_renamed": record.iloc[:50].rename(columns={"a": "z"}),
         "future": record.iloc[50:70][["time", "force"]],
-        "future_short": record.iloc[50:60][["force"]],
+        "future_bare": record.iloc[50:70][["force"]],
+        "future_short": record.iloc[50:60][["time", "force"]],
     }  # fmt: skip
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)

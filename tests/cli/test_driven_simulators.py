@@ -83,12 +83,15 @@ def test_an_fmu_without_parameters_to_fit_runs_as_it_was_fitted(tmp_path: Path) 
 
 
 @needs_gcc
-def test_a_plant_compares_and_simulates_without_error(tmp_path: Path) -> None:
-    """With its training part, beyond it, and on a record that tests it."""
+def test_a_plant_compares_and_simulates_without_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With its training part, beyond it, and on a record that tests it, here with known samples."""
     fmu()
     rig = "--inputs heater,valve --columns level --simulator Plant.fmu"
-    call(f"compare rig.csv {rig} --methods simulator,mean --train {TRAIN} --test rig.csv "
-         "--test-simulator Plant.fmu", tmp_path / "out")  # fmt: skip
+    call(f"compare rig.csv {rig} --methods simulator,mean --train {TRAIN} --test rig.csv",
+         tmp_path / "out")  # fmt: skip
+    assert "test record rig are training samples" in capsys.readouterr().out
     found = results(tmp_path / "out")["methods"]["simulator"]
     assert max(*found["forecast_rmse"], *found["total_rmse"], *found["test_rmse"][0]) < 1e-6
     call(f"fit past.csv {rig} --method simulator", tmp_path / "model")

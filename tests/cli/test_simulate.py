@@ -44,14 +44,22 @@ def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_
 
 
 def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_path: Path) -> None:
-    pd.DataFrame({"force": [9.0] * 20}).to_csv(tmp_path / "strong.csv", index=False)
-    for name in ("future.csv", str(tmp_path / "strong.csv")):
+    pd.read_csv("future.csv").assign(force=9.0).to_csv(tmp_path / "push.csv", index=False)
+    no_stamps = "future_bare.csv --time-column ''"
+    for to, name in (
+        ("plain", "future.csv"),
+        ("strong", tmp_path / "push.csv"),
+        ("bare", no_stamps),
+    ):
         call(f"simulate {driven_model} --history history.csv --steps 20 --future-inputs {name}",
-             tmp_path / f"to-{Path(name).stem}.csv")  # fmt: skip
-    plain, strong = (written(tmp_path / f"to-{name}.csv") for name in ("future", "strong"))
+             tmp_path / f"{to}.csv")  # fmt: skip
+    plain, strong, bare = (
+        written(tmp_path / f"{to}.csv")["a"] for to in ("plain", "strong", "bare")
+    )
     expected = simulated(load(driven_model)[0], A[40:50, None], 20, FORCE[40:70, None])
-    np.testing.assert_allclose(plain[["a"]], expected, atol=1e-6)
-    assert np.abs(plain["a"] - strong["a"])[0] > 1e-3  # an input acts on its own sample already
+    np.testing.assert_allclose(plain, expected[:, 0], atol=1e-6)
+    np.testing.assert_array_equal(bare, plain)
+    assert np.abs(plain - strong)[0] > 1e-3  # an input acts on its own sample already
 
 
 def test_forecast_goes_on_from_the_end_of_a_record(

@@ -50,6 +50,7 @@ def test_the_saved_model_remembers_it(tmp_path: object) -> None:
     assert (expected.lower < expected.y).all()
 
 
+@pytest.mark.filterwarnings("ignore:output y is beyond its range")
 def test_outliers_are_limited_in_a_history_too() -> None:
     y = X.copy()
     y[50], y[420] = 500.0, -500.0

@@ -88,7 +88,7 @@ def test_a_stamp_far_away_is_refused_before_room_is_made_for_it(
 
 def test_what_is_no_gap_is_refused(tmp_path: Path) -> None:
     path = text_file(tmp_path, "t,y,dead,word\n0,1,inf,1\n1,2,-inf,broken\n2,,,2\n3,4,,3\n")
-    words = "must have a finite value in channel 1: it has none"
+    words = "column 'dead' must hold finite values: it has none"
     assert words in message(path, columns=["y", "dead"], gaps="mask")
     assert words.replace("1", "0") in message(path, columns="y", inputs="dead", gaps="mask")
     assert "row 1 holds 'broken'" in message(path, columns="word", gaps="mask")

@@ -1,5 +1,6 @@
-"""Inputs that go beyond what was seen of them in training are said to."""
+"""Signals that go beyond what was seen of them in training are said to."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def test_a_constant_may_not_change_and_others_may_go_a_tenth_beyond() -> None:
     assert not extrapolations(low, high, u[:2])
 
 
-def test_a_forecaster_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path) -> None:
+def test_a_forecaster_warns_of_signals_that_it_was_not_trained_on(tmp_path: Path) -> None:
     u = np.random.default_rng(0).uniform(-1, 1, (LENGTH, 1))
     training = Record(np.cumsum(u, axis=0), 0.1, u=u)
     model = Single(GRU(4), Settings(30, 10, 1)).fit(training)
@@ -50,6 +51,10 @@ def test_a_forecaster_warns_of_inputs_that_it_was_not_trained_on(tmp_path: Path)
         ):
             trained.predict(20, u=np.r_[u[:19], [[1e4]]])
         assert not any("beyond" in said for said in trained.predict(20, u=u[:20]).warnings)
+    fahrenheit = replace(training, y=1.8 * training.y + 320)
+    with pytest.warns(ExtrapolationWarning, match="output y is beyond its range"):
+        model.predict(20, fahrenheit, u[:20], other_record=True)
+    assert "output y is beyond its range" in str(model.check_residuals(fahrenheit))
 
 
 def test_commands_warn_of_inputs_beyond_training(

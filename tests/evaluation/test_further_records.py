@@ -42,6 +42,7 @@ def test_baselines_learn_from_all_records(linear: sb.Linear) -> None:
     assert rmse(np.asarray(y), TEST.y[10:]) < 0.1 * found.errors(mean).tests[0]
 
 
+@pytest.mark.filterwarnings("ignore:output y is beyond its range")
 def test_an_input_within_the_range_of_any_training_record_is_not_warned_of(
     linear: sb.Linear,
 ) -> None:

@@ -68,7 +68,7 @@ def test_an_export_that_covers_both_days_says_each_of_them() -> None:
     first, second = pd.Timestamp("2024-05-01"), pd.Timestamp("2024-05-02")
     days = np.arange(2 * 86400 // 60) / 60.0
     model = sb.Simulation(sb.Recorded(np.sin(days), 60.0, first))
-    record = Record(np.sin(days[:200]), 60.0, start=first)
+    record = Record(np.sin(days[:400]), 60.0, start=first)
     test = Record(np.sin(days[1440:1540]), 60.0, start=second)
     found = model.fit(record).predict(88, test[:12], other_record=True)
     np.testing.assert_allclose(found.y[:, 0], np.sin(days[1452:1540]), atol=1e-9)

@@ -56,6 +56,7 @@ def test_a_warm_up_that_is_left_open_leaves_most_of_a_short_test_record(
     assert found.settings.warmup == warmup
 
 
+@pytest.mark.filterwarnings("ignore:output y is beyond its range")
 def test_what_a_network_says_is_its_free_run_from_the_first_samples(usual: sb.Comparison) -> None:
     model = sb.Single(sb.GRU(4), settings=QUICK).fit(driven(TRAIN, 0), seed=1)
     for test, said in zip(TESTS, usual.fits["gru"][1].tests, strict=True):

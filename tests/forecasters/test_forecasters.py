@@ -196,6 +196,20 @@ def test_a_simulation_that_ends_too_early_for_its_clock_is_said_to(several: bool
     assert not [text for text in model.predict(50).warnings if "too early" in text]
 
 
+def test_a_late_simulator_runs_on_with_the_inputs_that_are_known_after_the_forecast() -> None:
+    """As those of a slice of a longer record; without them it says that its end is held."""
+    u = np.sin(0.3 * np.arange(300.0))[:, None]
+    whole = Record(np.roll(u, -3), DT, u=u)
+    late = sb.Function(lambda time, u: u)
+    model = sb.Calibrated(late, terms=["delay"]).fit(whole[:200])
+    longer, found = model.predict(50, whole[:220]).y, model.predict(10, whole[:220])
+    np.testing.assert_allclose(found.y, longer[:10], rtol=0, atol=1e-6)
+    assert not found.warnings
+    with pytest.warns(ExtrapolationWarning, match="for the last 3 of 10 samples"):
+        model.predict(10, whole[:220], u=u[220:230])
+    assert "ends too early" in str(model.check_residuals(whole))
+
+
 def test_the_stamps_of_another_record_are_not_compared() -> None:
     """Dates in one, seconds in the other."""
     other = replace(record()[:30], start=7.0)

@@ -128,7 +128,7 @@ def test_the_time_since_the_training_record_asks_for_its_sampling() -> None:
     harmonic = sb.Harmonic().fit(Record(np.sin(t), DT))
     with pytest.raises(ValueError, match=r"for harmonic, .* every 0.1 s, got every 0.1005 s"):
         harmonic.predict(5, Record(np.sin(1.005 * t), 1.005 * DT))
-    assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(t, 1.005 * DT))
+    assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(np.sin(t), 1.005 * DT))
 
 
 @pytest.mark.parametrize(

@@ -239,6 +239,7 @@ class Own:
         return np.cumsum(u[:, 0])
 
 
+@pytest.mark.filterwarnings("ignore:output y is beyond its range")
 def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
     record = sb.Record(np.cumsum(STEPS) + 0.01 * WAVE, DT, u=STEPS, start=0.0)
     train, ahead = record[:80], record.u[80:]  # type: ignore[index]

@@ -34,11 +34,11 @@ def check(
     Prints the fit of a simulation and of predictions 1 and 10 samples ahead, tests whether the
     residuals of the simulation still depend on the inputs, and whether they are white noise (99 %),
     and whether a simulation of ten times the record, with its inputs repeated, stays in range.
-    Names inputs beyond their range in training. OUT gets results.json, and report.html with plots
-    of all of it and, for a model with inputs, its responses to steps.
+    Names inputs and outputs beyond their range in training. OUT gets results.json, and report.html
+    with plots of all of it and, for a model with inputs, its responses to steps.
     """
     model = forecasters.load(model_dir)
-    past = records.history_of(record, "--record", model.require_fitted().record, files)
+    past = records.history_of(record, "--record", model, files)
     model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)
     with showing.warnings_as_lines():

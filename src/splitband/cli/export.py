@@ -55,9 +55,9 @@ def export(
     output is an input.
     """
     forecaster = forecasters.load(model_dir)
-    past = record = forecaster.require_fitted().record
+    past = forecaster.require_fitted().record
     if history is not None:
-        past = records.history_of(history, "--history", record, files)
+        past = records.history_of(history, "--history", forecaster, files)
     if simulator.simulator is not None:
         forecaster = records.with_simulator(
             forecaster, model_dir, simulator, past, 0, files.time_column

@@ -180,7 +180,13 @@ OtherRun = Annotated[
           "training record. Refused where a forecast depends on them.", None, True, "--other-run"),
 ]  # fmt: skip
 FutureInputs = Annotated[
-    Path | None, panel("Record")("Planned inputs of the samples to predict.", "FILE", False)
+    Path | None,
+    panel("Record")(
+        "Planned inputs of the samples to predict, found by their time stamps; without any in both "
+        "files, its first row follows the last sample.",
+        "FILE",
+        False,
+    ),
 ]
 Calibrate = Annotated[
     bool,

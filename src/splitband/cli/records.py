@@ -14,6 +14,7 @@ import numpy.typing as npt
 from splitband.cli import showing
 from splitband.cli.options import FileOptions, RecordOptions, SimulatorOptions, names
 from splitband.data import Record, aligned, read, resampled
+from splitband.data.alignment import reach
 from splitband.data.named import RECORDS
 from splitband.data.reading import ColumnError
 from splitband.data.signals import described, row_ranges, same_names
@@ -21,6 +22,7 @@ from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
+from splitband.forecasters.prediction import continued
 from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
@@ -167,13 +169,20 @@ def load_further(
     return found
 
 
-def history_of(file: Path, option: str, record: Record, files: FileOptions) -> Record:
+def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -> Record:
     """Read the measured history that an option names, at the training record's sampling time."""
+    record = model.require_fitted().record
     step = record.sampling_time
-    past = _read(
-        file, f"{option} must be a file", files, record, columns=record.columns,
-        inputs=record.inputs, fallback_sampling_time=step,
-    )  # fmt: skip
+    try:
+        past = _read(
+            file, f"{option} must be a file", files, record, columns=record.columns,
+            inputs=record.inputs, fallback_sampling_time=step,
+        )  # fmt: skip
+    except ColumnError as error:
+        raise ColumnError(
+            f"{error}; a simulation begins with {model.warmup or 'some'} measured samples of every "
+            "output, from which the state of the model is estimated"
+        ) from None
     announce(past, str(file))
     if not near_sampling(past.sampling_time, step):
         raise InputError(
@@ -191,9 +200,10 @@ def history_of(file: Path, option: str, record: Record, files: FileOptions) -> R
 def inputs_ahead(
     file: Path | None, known: Record, steps: int, files: FileOptions, since: int = 0
 ) -> npt.NDArray[np.float64] | None:
-    """Return the known inputs of the samples after a record, `(steps, nu)`; None without inputs.
+    """Return the known inputs after a record, `(steps or more, nu)`; None without inputs.
 
-    From a named record without time stamps, they are taken from its sample `since` on.
+    From a named record without time stamps, they are taken from its sample `since` on. Raises
+    ValueError for a file whose first row may lie at the beginning of the record or at its end.
     """
     inputs = known.inputs
     if file is None:
@@ -205,7 +215,9 @@ def inputs_ahead(
         return None
     if not inputs:
         raise InputError("this record has no known inputs: leave out --future-inputs")
-    ahead = known.grid.after(steps)
+    option, ahead = f"--future-inputs {file}", known.grid.after(steps)
+    if files.time_column == "":  # no time stamp counts, those of a saved record included
+        ahead = replace(ahead, start=None)
     if str(file) in RECORDS:
         named = RECORDS[str(file)].make()
         assert named.u is not None
@@ -213,11 +225,23 @@ def inputs_ahead(
         coming = coming if named.start is not None else coming[since:]
     else:
         coming = _beside(file, "--future-inputs", ahead.step, files, columns=inputs)
+        if (coming.start is None) != (ahead.start is None):
+            lacks = "the planned inputs" if coming.start is None else "these samples"
+            raise InputError(
+                f"{option} and the samples before it must both have time stamps, or neither: "
+                f"{lacks} have none, so that the first planned row may belong to the first of "
+                "these samples or follow the last; with --time-column '' no stamps count, and it "
+                "follows the last"
+            )
     # Linear interpolation, as inputs may jump.
-    u = aligned(f"--future-inputs {file}", coming.y, coming.grid, ahead, smooth=False)
+    u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
     if u.note:
         showing.console.print(f"{file}: {u.note}")
-    return u.values
+    if (more := reach(coming.grid, ahead)) > steps:  # for a simulator whose output is late
+        ahead = replace(ahead, samples=more)
+        u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
+    assert known.u is not None
+    return continued(option, known.u, u.values, u.values, steps, more=True)[len(known) :]
 
 
 def simulator_of(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:

@@ -51,7 +51,7 @@ def simulate(
     record = forecaster.require_fitted().record
     past = record
     if history is not None:
-        past = records.history_of(history, "--history", record, files)
+        past = records.history_of(history, "--history", forecaster, files)
     since = 0 if history else forecaster.require_fitted().begin + len(record)
     u = records.inputs_ahead(future_inputs, past, steps, files, since)
     forecaster = records.with_simulator(

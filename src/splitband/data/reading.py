@@ -286,6 +286,9 @@ def _matrix(
 ) -> Array:
     """Check every cell of some columns, and return them as a matrix, with NaN in missing rows."""
     matrix = np.column_stack([_values(name, table[name]) for name in names])
+    for name, values in zip(names, matrix.T, strict=True):
+        if not np.isfinite(values).any():
+            raise ColumnError(f"column {name!r} must hold finite values: it has none")
     for name, values in zip(names if gaps == "refuse" else (), matrix.T, strict=False):
         try:
             require_finite(f"column {name!r}", values[:, None])

@@ -218,8 +218,8 @@ def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -
     raise InputError(
         f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
         f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}; "
-        "time_column='' (--time-column '') ignores the stamps"
-        + (", gaps='mask' (--gaps mask) allows for missing rows" if column is not None else "")
+        + ("gaps='mask' (--gaps mask) excludes missing rows; " if column is not None else "")
+        + "time_column='' (--time-column '') ignores the stamps and takes all rows to be even"
     )
 
 

@@ -13,7 +13,9 @@ from splitband.data.signals import first_after
 from splitband.forecasters.backtest import first_held_out, for_trial
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.training.settings import default_warmup
 
 if TYPE_CHECKING:
     from splitband.evaluation.plan import Plan
@@ -91,6 +93,30 @@ def check(plan: Plan) -> None:
             wrong.append(error)
     if len(wrong) == len(plan.methods):
         raise wrong[0]
+
+
+def repeats_training(test: Record, plan: Plan) -> bool:
+    """Return whether a test record and a training record share samples in a row, by their values.
+
+    Two parts of one measurement overlap where one of them begins within the other.
+    """
+    a = _samples(test)
+    each = [_samples(record) for record in (plan.training, *plan.others)]
+    return any(_begins_in(a, b) or _begins_in(b, a) for b in each)
+
+
+def _samples(record: Record) -> Array:
+    """Return outputs and inputs, from the sample on at which they first change."""
+    rows = record.y if record.u is None else np.column_stack([record.y, record.u])
+    changes = np.flatnonzero(np.diff(rows, axis=0).any(axis=1))
+    return rows[changes[0] :] if len(changes) else rows[:0]
+
+
+def _begins_in(samples: Array, others: Array) -> bool:
+    """Return whether the first samples, a warm-up of them, are in a row among others."""
+    begin = samples[: default_warmup(len(samples))]
+    at = np.flatnonzero((others == begin[0]).all(axis=1)) if len(samples) else ()
+    return any(np.array_equal(others[row : row + len(begin)], begin) for row in at)
 
 
 def _check_records(plan: Plan) -> None:

@@ -31,6 +31,7 @@ from splitband.forecasters.network import Network, with_defaults
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
+from splitband.simulators.base import is_driven, matched
 from splitband.simulators.identification import check_runs
 from splitband.simulators.opening import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
@@ -180,7 +181,7 @@ def plan(  # noqa: PLR0913
         output are known (`u_beyond`, `beyond`); 0 is for fitting alone.
     others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to; each is simulated to its end after
-        a warm-up on its first samples.
+        a warm-up on its first samples. A simulator that inputs drive runs for them and `others`.
     initial : Measured samples at the beginning of a test record, by default the warm-up.
     settings : Training settings of the networks, or some of them, such as `{"epochs": 5}`. All but
         `warmup` fix how networks are trained. By default that is searched on the last quarter of
@@ -235,6 +236,7 @@ def plan(  # noqa: PLR0913
     fitted: Any = simulator if is_fitted(simulator) else None
     ahead = (horizon or 0) if train == len(record) else 0
     record = _with_output(record, simulator, names, ahead)
+    others, tests = ([_driven(each, simulator) for each in several] for several in (others, tests))
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, Settings) else None
@@ -252,14 +254,13 @@ def plan(  # noqa: PLR0913
     beside = names is None and chosen.choice is not None and record.y_sim is not None
     if beside or _any_takes_bands(listed, "high"):
         high = high_bands(bands or OPEN, training, decided)
-    small = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
-    named_sizes = sizes or small
+    usual = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     if names is None:
         asked = _default_methods(record, chosen, high, fitted)
     if fitted is not None:
         check_runs(fitted, record)
     found = Plan(
-        record, train, horizon, (), decided, chosen, named_sizes, others=tuple(others),
+        record, train, horizon, (), decided, chosen, sizes or usual, others=tuple(others),
         tests=tuple(tests), initial=initial, simulator=fitted, rounds=rounds, seed=seed,
         seeds=seeds, refit=refit, high=high,
     )  # fmt: skip
@@ -324,6 +325,18 @@ def _with_output(
     longer = any(_known(each)._calibrates for each in expected)
     running: Any = simulator
     return simulated(record, running, ahead, longer)
+
+
+def _driven(further: Record, simulator: Simulator | Adjustable | str | None) -> Record:
+    """Return a further record with the output of a simulator that its inputs drive, if it lacks it.
+
+    A function of time alone says nothing of another record.
+    """
+    no_output = simulator is None or isinstance(simulator, str) or is_fitted(simulator)
+    if no_output or further.y_sim is not None:
+        return further
+    running: Any = matched(simulator, further.columns, further.inputs)
+    return simulated(further, running, longer=True) if is_driven(running) else further
 
 
 def _completed(

@@ -276,9 +276,10 @@ class Forecaster(WithRepr, ABC):
         -----
         ExtrapolationWarning
             For a history whose dates have a time zone where those of the training record have none,
-            or the reverse, for inputs beyond their range in training, for a simulator's output that
-            ends too early, for a history shorter than the warm-up, for a function of time that
-            disagrees with the history, and for a prediction far outside the training range.
+            or the reverse, for inputs, or last outputs of the history, beyond their range in
+            training, for a simulator's output that ends too early, for a history shorter than the
+            warm-up, for a function of time that disagrees with the history, and for a prediction
+            far outside the training range.
         """
         fitted = self.require_fitted()
         if history is not None:
@@ -320,7 +321,7 @@ class Forecaster(WithRepr, ABC):
         """Check the fitted forecaster on a record, preferably one that it was not fitted to.
 
         Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
-        residuals, whether a long free run stays in range, and inputs beyond their range in
+        residuals, whether a long free run stays in range, and signals beyond their range in
         training; see `splitband.forecasters.checking`. For an `anchored` forecaster, the time
         stamps of `record` count from the beginning of the training record.
 

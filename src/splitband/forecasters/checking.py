@@ -63,7 +63,7 @@ class ModelCheck:
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
         training record by far; None where it stays.
     unchecked : Why there is no such run; empty where there is one.
-    beyond : Inputs outside their range in training.
+    beyond : Inputs and outputs outside their range in training.
     title : What the forecaster is, in words, with its name.
     """
 
@@ -102,8 +102,9 @@ class ModelCheck:
                 f"The free run over {LONGER} times the record, with its inputs repeated, leaves "
                 f"the range of the training record by far after {self.leaves:,} samples."
             )
-        names = self.record.inputs
-        return said + [each.describe(names[each.channel]) for each in self.beyond]
+        said += self.simulation.doubts
+        names = {"input": self.record.inputs, "output": self.record.columns}
+        return said + [each.describe(names[each.kind][each.channel]) for each in self.beyond]
 
     def __str__(self) -> str:
         fits = [
@@ -133,7 +134,7 @@ class ModelCheck:
             "residuals": [test.as_json() for test in self.tests],
             "leaves_range_after": self.leaves,
             "unchecked": self.unchecked,
-            "inputs_beyond_training": [asdict(each) for each in self.beyond],
+            "beyond_training": [asdict(each) for each in self.beyond],
             "in_words": self.in_words(),
         }
 
@@ -158,8 +159,9 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
             unchecked = "it needs the simulator's output beyond the record"
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free)
-    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked,
-                      tuple(fitted.inputs_beyond(record.u)), forecaster._title)  # fmt: skip
+    beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
+    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond,
+                      forecaster._title)  # fmt: skip
 
 
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:

@@ -152,6 +152,15 @@ class Fitted:
         low, high, _ = self.u_summary
         return extrapolations(low, high, u)
 
+    def outputs_beyond(self, y: Array) -> list[Extrapolation]:
+        """Return which measured outputs `y`, `(time, ny)`, leave their range in training.
+
+        Such outputs may be in other units.
+        """
+        low, high = self.y_range
+        found = extrapolations(low, high, y)
+        return [replace(each, kind="output") for each in found]
+
 
 def first_only(fitted: Fitted) -> str:
     """Return the end of a description, on further training records that were not used."""

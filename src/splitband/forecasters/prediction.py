@@ -24,6 +24,7 @@ from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
+from splitband.training.settings import default_warmup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +47,8 @@ class ForecastContext:
     grid : The times of `y`, by the clock of its record.
     own : Whether `y` is the training record or its end, to which the model is already fitted.
     since : First row of a trajectory that is used; the rows before it are ignored.
+    u_beyond : The inputs after those of `u`, `(any time, nu)`, as far as they are known: a
+        simulator whose calibrated clock is fast, or whose output is late, runs on with them.
     """
 
     y: Array
@@ -56,6 +59,7 @@ class ForecastContext:
     grid: Grid | None = None
     own: bool = False
     since: int = 0
+    u_beyond: Array | None = None
 
 
 def continued(
@@ -261,11 +265,12 @@ def known_of(
                 f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
             )
         past, begin = history, None if other_record else fitted.begins(history)
-    inputs = None
+    inputs = u_beyond = None
     if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
         raise InputError("u must hold finite numbers, got some that are not")
     if past.u is not None:
-        inputs = continued("u", past.u, past.u_beyond, u, steps)
+        inputs = continued("u", past.u, past.u_beyond, u, steps, more=True)
+        inputs, u_beyond = np.split(inputs, [len(past) + steps])
     elif u is not None:
         raise InputError("u must be left out: the record has no inputs")
     simulated = None
@@ -276,7 +281,9 @@ def known_of(
             )
         simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
     own = history is None and not other_record
-    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own)
+    return ForecastContext(
+        past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own, u_beyond=u_beyond
+    )
 
 
 def extrapolated(forecaster: Forecaster, known: ForecastContext) -> tuple[Array, dict[str, Array]]:
@@ -298,6 +305,11 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
     y, parts = extrapolated(forecaster, known)
     beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
     messages = [each.describe(past.inputs[each.channel], " of the prediction") for each in beyond]
+    used = known.y[-(forecaster.warmup or default_warmup(len(known.y))) :]
+    messages += [
+        each.describe(past.columns[each.channel], f" of the history's last {len(used)}")
+        for each in fitted.outputs_beyond(used)
+    ]
     messages += (doubts := forecaster.doubts(known))
     if zones_differ(past.start, fitted.record.start):
         messages.append(

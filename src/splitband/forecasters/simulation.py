@@ -261,8 +261,9 @@ class SimulatorForecaster(Forecaster):
         """
         if not self._driven or known.u is None:
             return None
+        u = known.u if known.u_beyond is None else np.concatenate([known.u, known.u_beyond])
         if begin <= 0:
-            return known.u
+            return u
         fitted = self.require_fitted()
         past = fitted.record.u if self.u is None and not fitted.begin else self.u
         if past is None or begin % 1 or begin > len(past):
@@ -271,7 +272,7 @@ class SimulatorForecaster(Forecaster):
                 "whose simulator is driven by all inputs since that began; with other_record=True "
                 "(--other-run) the simulator begins with the history"
             )
-        return np.concatenate([past[: int(begin)], known.u])
+        return np.concatenate([past[: int(begin)], u])
 
     @property
     def _at_own_times(self) -> bool:
@@ -323,7 +324,7 @@ class SimulatorForecaster(Forecaster):
         if self._at_own_times:
             end = float(self.simulator.reach(self._times(known)))
         elif self._driven and known.u is not None:
-            end = begin + len(known.u)
+            end = begin + len(known.u) + (0 if known.u_beyond is None else len(known.u_beyond))
         elif self.simulator is None and known.y_sim is not None:
             end = begin + len(known.y_sim)
         else:

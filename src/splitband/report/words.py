@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from splitband.data import Record
+from splitband.evaluation.checks import repeats_training
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import WORTH_TRAINING, Trial, by_reason
@@ -139,6 +140,7 @@ def warnings(comparison: Comparison) -> list[str]:
     """Return what readers should know before they rely on the numbers, the gravest first."""
     return [
         *_unstable(comparison),
+        *_seen(comparison),
         *_worse_than_mean(comparison),
         *(f"All methods: {said}." for said in _unmoved(comparison)),
         *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
@@ -181,6 +183,16 @@ def _unstable(comparison: Comparison) -> list[str]:
     if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
         return ["The recommended model integrates: a constant input makes it grow steadily."]
     return []
+
+
+def _seen(comparison: Comparison) -> list[str]:
+    """Return a sentence for each test record that a method was trained on."""
+    return [
+        f"Samples of the test record {test.name} are training samples: its fit is not one on new "
+        "data."
+        for test in comparison.tests
+        if repeats_training(test, comparison.plan)
+    ]
 
 
 def _left_range(comparison: Comparison) -> list[str]:
