@@ -128,6 +128,8 @@ SPLIT = "five tones", "trend and season", "beating", "driven van der Pol", "Mack
 """Kinds of records without a simulator that have a slow and a fast part."""
 COLUMNS = "filtered", "residual", "network", "split", "simulator", "baseline"
 """Kinds of methods in the table; of several of a kind, the one with the lowest error counts."""
+HYBRIDS = "filtered", "residual"
+"""Of these the table has the range, too."""
 NETWORKS = "gru", "state-space"
 LABELS = {
     "filtered": "simulator below the cut-off, network above",
@@ -211,6 +213,11 @@ def best_of(rows: Iterable[Row], kind: str) -> list[float]:
     return [min(errors) for errors in every if errors]
 
 
+def middle(values: Sequence[float]) -> str:
+    """Return the median of several values; nothing of none."""
+    return f"{statistics.median(values):.3g}" if values else ""
+
+
 def costs_of_choice(rows: Sequence[Row]) -> list[float]:
     """Return, by draw, the hybrid's error at the chosen cut-off over that at the best one."""
     by_draw: dict[int, dict[float, float]] = {}
@@ -230,11 +237,10 @@ def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
     for name, of in shown.items():
         chosen = statistics.multimode(kind_of(row["recommended"]) for row in of)
         floors = [min(row["floors"].values()) for row in of if row["floors"]]
-        lines.append([
-            name, str(len(of)), *(spread(best_of(of, kind)) for kind in kinds), spread(floors),
-            ", ".join(chosen), spread(row["regret"] for row in of),
-            spread(costs_of_choice(found[name])),
-        ])  # fmt: skip
+        errors = [(spread if k in HYBRIDS else middle)(best_of(of, k)) for k in kinds]
+        regret, cost = (row["regret"] for row in of), costs_of_choice(found[name])
+        results = [middle(floors), ", ".join(chosen), spread(regret), spread(cost)]
+        lines.append([name, str(len(of)), *errors, *results])
     heads = ["family", "draws", *kinds, "perfect network", "recommended", "regret", "cut-off"]
     used = [i for i in range(len(heads)) if any(line[i] for line in lines)]
     return page.table([heads[i] for i in used], [[line[i] for i in used] for line in lines])
