@@ -450,15 +450,13 @@ def usual_names(record: Record, bands: Bands, high: Bands = OPEN) -> list[str]:
     if bands.choice is None or bands.choice.simulator_helps is None:
         return names
     below, above = bands.choice, high.choice
+    at = next(i for i, name in enumerate(names) if name.startswith("filtered-"))
+    hybrids = names[at : at + 1] if below.simulator_helps else []
     helps = above is not None and above.simulator_helps
-    if above is not None and helps:
-        at = next(i for i, name in enumerate(names) if name.startswith("filtered-"))
-        kept = [] if not below.simulator_helps else names[at : at + 1]
-        if not kept or above.expected < below.expected:
-            return [*names[:at], "filtered-high-state-space-conditioned", *kept, *names[at + 1 :]]
-        return names
-    if below.simulator_helps:
-        return names
+    if above is not None and helps and (not hybrids or above.expected < below.expected):
+        hybrids = ["filtered-high-state-space-conditioned", *hybrids]
+    if hybrids:
+        return [*names[:at], *hybrids, *names[at + 1 :]]
     learned = default_names(False, driven)
     trained = next(i for i, name in enumerate(learned) if name in QUICK)
     kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
