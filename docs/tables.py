@@ -375,24 +375,6 @@ def readme_benchmarks() -> str:
     ).strip()
 
 
-def filtered_residual() -> str:
-    """Return errors of a simulator and a network with a filter between them, and without."""
-    rows = []
-    for title, name, error, digits in (
-        ("Van der Pol oscillator", "results/beyond/v", "total_rmse_mean", 3),
-        ("drill string, default training", "results/beyond/vi", "total_rmse_mean", 3),
-        ("drill string, training searched", "results/drill-string", "total_rmse_mean", 3),
-        ("demo (forecast)", "results/demo", "forecast_rmse_mean", 2),
-    ):
-        methods = _read(name)["methods"]
-        first = (
-            next(facts for method, facts in methods.items() if method.startswith(kind))
-            for kind in ("filtered", "residual")
-        )
-        rows.append([title, *(f"{facts[error]:.{digits}f}" for facts in first)])
-    return _table(["record", "filtered", "residual"], rows)
-
-
 def physics_wrong() -> str:
     """Return errors of incomplete equations, networks and hybrids, and what was recommended."""
     kinds = {
@@ -571,7 +553,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **{
         function.__name__.replace("_", "-"): function
         for function in (
-            beyond, filtered_residual, fuzz, memory, physics_wrong, speed_accuracy,
+            beyond, fuzz, memory, physics_wrong, speed_accuracy,
             speed_state_space, speed_steps, speed_training,
         )
     },
