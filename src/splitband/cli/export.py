@@ -51,8 +51,7 @@ def export(
     contains its sources. ONNX is the graph of one step, with a second one of a whole simulation.
     CasADi is the function of one step, with a second one of the state. It goes on from the end of
     --history. An equation that --simulator names is integrated in the exported model; any other
-    simulator of a hybrid, and one that is not named, stays outside: its
-    output is an input.
+    simulator of a hybrid, and one that is not named, stays outside: its output is an input.
     """
     forecaster = forecasters.load(model_dir)
     past = forecaster.require_fitted().record
