@@ -100,6 +100,20 @@ def test_time_is_the_named_axis_or_the_usual_one_and_torch_gives_the_same_number
     np.testing.assert_allclose(found.numpy(), steady, rtol=0, atol=TIGHT)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_torch_filters_with_a_steady_state_that_lies_backwards(
+    order: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As SciPy gives it from 1.18 on, where Python is 3.12 or newer."""
+    found = scipy.signal.lfilter_zi
+    backwards = lambda b, a: found(b, a)[::-1].copy()[::-1]  # noqa: E731
+    monkeypatch.setattr(scipy.signal, "lfilter_zi", backwards)
+    (b, a), x = butterworth(0.9 * CUTOFF, RATE, order), noise(40)
+    for run, scipys, start in WAYS:
+        y = run(b, a, torch.from_numpy(x), start=start)
+        np.testing.assert_allclose(y.numpy(), scipys(b, a, x, start, 0), atol=TIGHT)
+
+
 @pytest.mark.parametrize(("order", "cutoff"), [(1, CUTOFF), (2, CUTOFF), (5, 0.01 * RATE)])
 @pytest.mark.parametrize("start", BOTH_WAYS)
 def test_float32_stays_float32_with_float32_accuracy(

@@ -139,7 +139,8 @@ def _state_after(b: Array, a: Array, x: Any, y: Any) -> list[Any]:
 @lru_cache(maxsize=64)
 def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
     """Return the steady state `(P,)` for a constant input of 1."""
-    return scipy.signal.lfilter_zi(b, a)
+    # From SciPy 1.18 on it lies backwards in memory, which torch refuses.
+    return scipy.signal.lfilter_zi(b, a).copy()
 
 
 def _check_start(start: Start) -> None:
