@@ -1,6 +1,6 @@
 """Networks on a GPU: whether they learn the same as on the CPU, and how many at once make it pay.
 
-    python -m benchmarks.gpu [--out docs/benchmarks/gpu.json] [--device cuda]
+    python -m benchmarks.gpu [--out docs/results/benchmarks/gpu.json] [--device cuda]
 
 A rollout is a chain of small products. On the CPU it is one call of a compiled kernel; on a GPU it
 is the plain loop, which starts some kernels for every sample, with one row to compute or with

@@ -1,10 +1,12 @@
 """Batches of nothing, and models on a GPU."""
 
+import pickle  # noqa: TID251  as between processes
+
 import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, EulerMLP, Record, Settings
+from splitband import GRU, EulerMLP, Record, Settings, Single, compare
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task
@@ -60,3 +62,22 @@ def test_a_model_on_a_gpu_is_trained_and_takes_and_gives_arrays(method: str, gap
         y_sim = r.y_sim[70:] if "filtered" in method and r.y_sim is not None else None
         found.append(simulated(model, r.y[70:80], 40, y_sim=y_sim))
     np.testing.assert_allclose(found[0], found[1], rtol=1e-2, atol=1e-2)
+
+
+def test_a_process_is_sent_a_model_on_the_cpu_and_puts_it_on_its_device() -> None:
+    """A GPU's tensors cannot be sent on; a device without memory stands for it here."""
+    fitted = Single(GRU(3), SETTINGS).fit(record(gaps=False))
+    values = pickle.dumps(fitted)
+    fitted._device = torch.device("meta")
+    sent = pickle.dumps(fitted)
+    assert len(sent) == pytest.approx(len(values), abs=100)  # the weights are in it
+    found = pickle.loads(sent)
+    assert {p.device.type for p in found.model.parameters()} == {"meta"}
+
+
+@gpu
+def test_trainings_on_a_gpu_go_on_in_other_processes() -> None:
+    result = compare(
+        record(gaps=False), 80, ["gru", "mean"], rounds=2, seeds=2, device="cuda", cores=2
+    )
+    assert "gru" in result.medians

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
@@ -153,6 +154,21 @@ class Network(Forecaster):
         if self._fitted_base is not None:
             self._fitted_base.to(device)
         return super().to(device)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state for another process, the model on the CPU.
+
+        Tensors of a GPU cannot be passed on by the process that receives them.
+        """
+        state, model = {**vars(self)}, self.model
+        if model is not None and str(self._device) != "cpu":
+            state["model"] = deepcopy(model).to("cpu")
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        if self.model is not None:
+            self.model.to(self._device)
 
     def _trained_as(self, settings: Settings | None) -> Self:
         """Return a copy with other settings."""
