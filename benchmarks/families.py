@@ -43,7 +43,9 @@ from splitband.metrics import rmse
 
 Array = npt.NDArray[np.float64]
 Generator = np.random.Generator
-FILE, PICTURE = "families.jsonl", Path(__file__).parents[1] / "docs/img/filter-pays.png"
+FILE, BEFORE = "families.jsonl", "families-before.jsonl"
+"""Results, and those of commit 280ec1e7, before `compare` was changed by development draws."""
+PICTURE = Path(__file__).parents[1] / "docs/img/filter-pays.png"
 SAMPLES, STEP = 2000, 0.1
 """Of a drawn record: its samples, and its sampling time in s."""
 EDGES = 0.25, 0.5, 1.0, 2.0
@@ -128,8 +130,6 @@ SPLIT = "five tones", "trend and season", "beating", "driven van der Pol", "Mack
 """Kinds of records without a simulator that have a slow and a fast part."""
 COLUMNS = "filtered", "residual", "network", "split", "simulator", "baseline"
 """Kinds of methods in the table; of several of a kind, the one with the lowest error counts."""
-HYBRIDS = "filtered", "residual"
-"""Of these the table has the range, too."""
 NETWORKS = "gru", "state-space"
 LABELS = {
     "filtered": "simulator below the cut-off, network above",
@@ -237,7 +237,7 @@ def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
     for name, of in shown.items():
         chosen = statistics.multimode(kind_of(row["recommended"]) for row in of)
         floors = [min(row["floors"].values()) for row in of if row["floors"]]
-        errors = [(spread if k in HYBRIDS else middle)(best_of(of, k)) for k in kinds]
+        errors = [spread(best_of(of, k)) for k in kinds]
         regret, cost = (row["regret"] for row in of), costs_of_choice(found[name])
         results = [middle(floors), ", ".join(chosen), spread(regret), spread(cost)]
         lines.append([name, str(len(of)), *errors, *results])

@@ -543,10 +543,10 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
-def families_table() -> str:
-    """Return what the families of drawn records with a simulator came to."""
-    rows = clock.read(page.OUT / families.FILE)
-    return families.table(rows, [name for name in families.FAMILIES if name not in families.SPLIT])
+def families_table(file: str, with_simulator: bool) -> str:
+    """Return what the families of drawn records came to, with a simulator or without."""
+    named = [name for name in families.FAMILIES if (name in families.SPLIT) != with_simulator]
+    return families.table(clock.read(page.OUT / file), named)
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -559,7 +559,9 @@ TABLES: dict[str, Callable[[], str]] = {
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
-    "families": families_table,
+    "families": partial(families_table, families.FILE, True),
+    "families-before": partial(families_table, families.BEFORE, True),
+    "families-split": partial(families_table, families.FILE, False),
 }  # fmt: skip
 """The files of docs/tables, without their suffix."""
 COMPUTED: dict[str, Callable[[], Any]] = {

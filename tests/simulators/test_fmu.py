@@ -22,6 +22,14 @@ def test_an_fmu_follows_the_equation_it_was_built_from(van_der_pol_fmu: Path) ->
     np.testing.assert_allclose(found, oscillator(1.0, (-2.0, 1.0)), atol=1e-8)
 
 
+def test_an_fmpy_that_is_too_old_is_refused(
+    van_der_pol_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fmpy.__version__", "0.3.9")
+    with pytest.raises(ValueError, match=r"an FMU needs FMPy 0.3.29 or newer, not 0.3.9: pip"):
+        Fmu(van_der_pol_fmu, ["x"])
+
+
 def test_an_fmu_starts_afresh_in_every_run_from_its_start_values(van_der_pol_fmu: Path) -> None:
     with Fmu(van_der_pol_fmu, ["x"], {"mu": 3.0, "x": 0.5}) as fmu:
         first = run(fmu, SAMPLES, DT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,6 +29,8 @@ SIGNALS = "Signals"
 names of the record's columns, and whether an input need not be driven."""
 _MOST = 12
 """Most names in a message. Layout."""
+_OLDEST = "0.3.29"
+"""Of FMPy. With 0.3.26 outputs that a co-simulation computes in its step are a step late."""
 
 
 class Variables:
@@ -224,6 +227,11 @@ def _fmpy() -> Any:
         import fmpy  # noqa: PLC0415  the optional extra
     except ImportError:
         raise missing("an FMU", "FMPy", "fmu") from None
+    there, oldest = (
+        [int(n) for n in re.findall(r"\d+", v)[:3]] for v in (fmpy.__version__, _OLDEST)
+    )
+    if there < oldest:
+        raise missing("an FMU", f"FMPy {_OLDEST} or newer, not {fmpy.__version__}", "fmu")
     return fmpy
 
 
