@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -213,6 +214,13 @@ def best_of(rows: Iterable[Row], kind: str) -> list[float]:
     return [min(errors) for errors in every if errors]
 
 
+def pays(row: Row) -> bool:
+    """Return whether a filter is better: than the residual hybrid, or than one network."""
+    kinds = ("filtered", "residual") if "simulator" in row["errors"] else ("split", "network")
+    filtered, other = (min(best_of([row], kind), default=math.inf) for kind in kinds)
+    return filtered < other
+
+
 def middle(values: Sequence[float]) -> str:
     """Return the median of several values; nothing of none."""
     return f"{statistics.median(values):.3g}" if values else ""
@@ -240,8 +248,9 @@ def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
         errors = [spread(best_of(of, k)) for k in kinds]
         regret, cost = (row["regret"] for row in of), costs_of_choice(found[name])
         results = [middle(floors), ", ".join(chosen), spread(regret), spread(cost)]
-        lines.append([name, str(len(of)), *errors, *results])
-    heads = ["family", "draws", *kinds, "perfect network", "recommended", "regret", "cut-off"]
+        lines.append([name, str(len(of)), str(sum(map(pays, of))), *errors, *results])
+    results = ["perfect network", "recommended", "regret", "cut-off"]
+    heads = ["family", "draws", "filter pays", *kinds, *results]
     used = [i for i in range(len(heads)) if any(line[i] for line in lines)]
     return page.table([heads[i] for i in used], [[line[i] for i in used] for line in lines])
 

@@ -103,14 +103,16 @@ def test_the_families_are_drawn_from_their_seeds_and_tabled(
         assert not np.array_equal(one.y, other.y)
         assert len(one) == families.SAMPLES
     row = {"family": "crane", "draw": 1000, "times": None, "recommended": "gru", "regret": 2.0}
+    errors = {"gru": 1.0, "filtered-gru": 0.5, "residual-gru": 0.8, "simulator": 3.0}
     rows = [
-        row | {"errors": {"gru": 1.0, "filtered-gru": 0.5}, "floors": {"low": 0.25}},
+        row | {"errors": errors, "floors": {"low": 0.25}},
         row | {"errors": {"filtered-gru": 0.5}, "times": 1.0},
         row | {"errors": {"filtered-gru": 0.4}, "times": 2.0},
     ]
     *_, line = families.table(rows).splitlines()
     cells = [cell.split(" (")[0] for cell in line.strip("| ").split(" | ")]
-    assert cells == ["crane", "1", "0.5", "1", "0.25", "network", "2", "1.25"]
+    expected = ["crane", "1", "1", "0.5", "0.8", "1", "3", "0.25", "network", "2", "1.25"]
+    assert cells == expected
 
 
 def test_a_run_that_is_there_is_not_run_again(
