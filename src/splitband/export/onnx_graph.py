@@ -47,7 +47,8 @@ class _Writer:
         """Add a node; return the names of its outputs."""
         self.count += 1
         named = [f"t{self.count}_{i}" for i in range(outputs)]
-        self.nodes.append(helper.make_node(op, inputs, named, **options))
+        # Older ONNX Runtime names what it makes of a node after it: nodes need names of their own.
+        self.nodes.append(helper.make_node(op, inputs, named, f"{op}_{self.count}", **options))
         return named
 
     def one(self, op: str, *inputs: str, **options: Any) -> str:
