@@ -10,6 +10,7 @@ import os
 import runpy
 import sys
 from collections.abc import Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from pebble import ProcessExpired
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError, one_line
 from splitband.runtime.system import end_group, lead_group
-from splitband.runtime.workers import Workers, result_of
+from splitband.runtime.workers import Workers, ended_from_outside, result_of
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Start
 from splitband.simulators.code import content_digest, count_arguments, loaded_files
 from splitband.simulators.fmu import Fmu
@@ -97,6 +98,10 @@ class Isolated:
             raise SimulatorTimeoutError(f"within {self.timeout:g} s") from None
         except ProcessExpired as error:
             raise SimulatorError(f"it ended its process ({_how(error.exitcode)})") from None
+        except BrokenProcessPool as error:
+            # Once it has a leader, it ended before the pool knew who had begun its task.
+            said = ended_from_outside(error) if head is None else "it ended its process"
+            raise SimulatorError(said) from None
         finally:
             if head is not None:  # with the processes that it has started
                 end_group(head)
