@@ -155,11 +155,7 @@ def _lock(lock: BaseFileLock, folder: Path, argument: str) -> None:
 
     Only a file that this call has made is written to: what lies there may be another one's.
     """
-    path = folder / LOCK
-    with contextlib.suppress(OSError):
-        if path.lstat().st_nlink > 1:
-            path.unlink()  # a second name of a file, which the lock would empty
-    new = not os.path.lexists(path)
+    path, new = folder / LOCK, not os.path.lexists(folder / LOCK)
     try:
         lock.acquire(blocking=False)
     except Timeout:
