@@ -247,10 +247,10 @@ def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
         floors = [min(row["floors"].values()) for row in of if row["floors"]]
         errors = [spread(best_of(of, k)) for k in kinds]
         regret, cost = (row["regret"] for row in of), costs_of_choice(found[name])
-        results = [middle(floors), ", ".join(chosen), spread(regret), spread(cost)]
-        lines.append([name, str(len(of)), str(sum(map(pays, of))), *errors, *results])
-    results = ["perfect network", "recommended", "regret", "cut-off"]
-    heads = ["family", "draws", "filter pays", *kinds, *results]
+        advised = [", ".join(chosen), spread(regret), str(sum(map(pays, of)))]
+        lines.append([name, str(len(of)), *advised, *errors, middle(floors), spread(cost)])
+    heads = ["family", "draws", "recommended", "regret", "filter pays"]
+    heads += [*kinds, "perfect network", "cut-off"]
     used = [i for i in range(len(heads)) if any(line[i] for line in lines)]
     return page.table([heads[i] for i in used], [[line[i] for i in used] for line in lines])
 
