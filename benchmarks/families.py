@@ -235,12 +235,14 @@ def costs_of_choice(rows: Sequence[Row]) -> list[float]:
     return [of[1.0] / min(of.values()) for of in by_draw.values() if 1.0 in of and len(of) > 1]
 
 
-def table(rows: Sequence[Row], names: Iterable[str] = FAMILIES) -> str:
+def table(
+    rows: Sequence[Row], names: Iterable[str] = FAMILIES, kinds: Sequence[str] = COLUMNS
+) -> str:
     """Return what each family came to in Markdown: errors, what was recommended, and its regret."""
     found = {name: [row for row in rows if row["family"] == name] for name in names}
     plain = {name: [row for row in of if row["times"] is None] for name, of in found.items()}
     shown = {name: of for name, of in plain.items() if of}
-    kinds = [k for k in COLUMNS if any(best_of(of, k) for of in shown.values())]
+    kinds = [k for k in kinds if any(best_of(of, k) for of in shown.values())]
     lines = []
     for name, of in shown.items():
         chosen = statistics.multimode(kind_of(row["recommended"]) for row in of)

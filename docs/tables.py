@@ -18,7 +18,7 @@ import argparse
 import json
 import re
 import statistics
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -543,10 +543,10 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
-def families_table(file: str, with_simulator: bool) -> str:
+def families_table(file: str, with_simulator: bool, kinds: Sequence[str] = families.COLUMNS) -> str:
     """Return what the families of drawn records came to, with a simulator or without."""
     named = [name for name in families.FAMILIES if (name in families.SPLIT) != with_simulator]
-    return families.table(clock.read(page.OUT / file), named)
+    return families.table(clock.read(page.OUT / file), named, kinds)
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -560,7 +560,7 @@ TABLES: dict[str, Callable[[], str]] = {
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
     "families": partial(families_table, families.FILE, True),
-    "families-before": partial(families_table, families.BEFORE, True),
+    "families-before": partial(families_table, families.BEFORE, True, families.COLUMNS[:2]),
     "families-split": partial(families_table, families.FILE, False),
 }  # fmt: skip
 """The files of docs/tables, without their suffix."""

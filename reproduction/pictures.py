@@ -16,7 +16,7 @@ from splitband.metrics import cumulative_rmse, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import squared
 from splitband.report.pictures import MEASURED, literal, time_label, times_of
-from splitband.report.table import ordered
+from splitband.report.tables import ordered
 
 Array = npt.NDArray[np.float64]
 

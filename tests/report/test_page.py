@@ -20,7 +20,8 @@ from splitband.report.numbers import number
 from splitband.report.page import document, pages
 from splitband.report.page.charts import MOST, Axis, compact
 from splitband.report.page.parts import Usage
-from splitband.report.table import Column, Table, labels_of
+from splitband.report.table import Column, Table
+from splitband.report.tables import labels_of
 from tests.report import comparisons
 
 

@@ -17,7 +17,8 @@ from splitband.evaluation.recommendation import WORTH_TRAINING
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words
 from splitband.report.environment import environment
-from splitband.report.table import Column, Table, columns, labels_of, of_comparison
+from splitband.report.table import Column, Table
+from splitband.report.tables import columns, labels_of, of_comparison
 from tests.report import comparisons
 
 SCALE = 1000.0

@@ -8,7 +8,7 @@ from typing import Annotated
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.checking import respond_over_range
-from splitband.report import results, table
+from splitband.report import results, tables
 from splitband.report.page.parts import Usage
 from splitband.runtime.system import quoted
 
@@ -50,6 +50,6 @@ def check(
         showing.console.print(line)
     for remark in responses[0].remarks if responses else ():
         showing.warn(remark)
-    for gains in table.of_gains(responses):
+    for gains in tables.of_gains(responses):
         showing.table(gains)
     showing.results_of(out)

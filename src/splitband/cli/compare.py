@@ -21,7 +21,7 @@ from splitband.forecasters.network import Network
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.table import of_comparison
+from splitband.report.tables import of_comparison
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import MODEL_FOLDER
 

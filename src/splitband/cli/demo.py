@@ -15,7 +15,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.plan import plan
 from splitband.forecasters.names import Sizes
 from splitband.report.predicted import run_of
-from splitband.report.table import labels_of
+from splitband.report.tables import labels_of
 
 TRAIN = 2000
 """Training samples, half of the record."""

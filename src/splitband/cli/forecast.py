@@ -16,7 +16,7 @@ from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.table import of_forecast as tried_for
+from splitband.report.tables import of_forecast as tried_for
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import MODEL_FOLDER
 

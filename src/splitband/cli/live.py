@@ -20,7 +20,7 @@ from splitband.evaluation.clock import Clock
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.run import Run
 from splitband.report import results
-from splitband.report.table import of_trial
+from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing
 from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.system import available_cores

@@ -11,7 +11,8 @@ import typer
 
 from splitband.cli import showing
 from splitband.report.results import csv_of
-from splitband.report.table import COLUMNS, OVER_ALL, Column, Table, Unit
+from splitband.report.table import OVER_ALL, Column, Table, Unit
+from splitband.report.tables import COLUMNS
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS, to_json, write_text
 from splitband.runtime.outputs import FACTS, FORMAT

@@ -158,7 +158,7 @@ class Comparison:
         Errors are those of the median prediction over seeds, for each channel; columns that end in
         "spread" hold the standard deviation of the seeds' errors.
         """
-        from splitband.report.table import frame  # noqa: PLC0415  of a higher layer
+        from splitband.report.tables import frame  # noqa: PLC0415  of a higher layer
 
         return frame(self)
 
@@ -221,13 +221,13 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the recommendation and the table, which is at most 100 characters wide."""
-        from splitband.report.table import as_text  # noqa: PLC0415  of a higher layer
+        from splitband.report.tables import as_text  # noqa: PLC0415  of a higher layer
 
         return as_text(self)
 
     def _repr_html_(self) -> str:
         """Return the recommendation and the table, for notebooks."""
-        from splitband.report.table import as_html  # noqa: PLC0415  of a higher layer
+        from splitband.report.tables import as_html  # noqa: PLC0415  of a higher layer
 
         return as_html(self)
 

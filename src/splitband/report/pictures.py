@@ -18,7 +18,7 @@ from splitband.metrics import fit_percent, rmse, tenths
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number
 from splitband.report.predicted import Predicted, predicted
-from splitband.report.table import labels_of, ordered
+from splitband.report.tables import labels_of, ordered
 from splitband.runtime.errors import missing
 from splitband.runtime.files import replacing
 

@@ -28,7 +28,8 @@ from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.predicted import Predicted, predicted
-from splitband.report.table import Table, columns, tried
+from splitband.report.table import Table
+from splitband.report.tables import columns, tried
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import write_text
 from splitband.runtime.outputs import MODEL_FOLDER, TEST_PREDICTIONS, staged, write_facts

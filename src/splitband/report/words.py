@@ -20,7 +20,7 @@ from splitband.forecasters.residuals import Outcome
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
 from splitband.report.predicted import run_of
-from splitband.report.table import columns, labels_of, leaving_range
+from splitband.report.tables import columns, labels_of, leaving_range
 
 POOR = 0.15
 """Largest shortfall of an interval's coverage that causes no warning. By eye."""

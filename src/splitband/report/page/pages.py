@@ -21,14 +21,15 @@ from splitband.forecasters.linear import Linear
 from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
-from splitband.report import table, words
+from splitband.report import tables, words
 from splitband.report.environment import environment
 from splitband.report.numbers import complex_in_words, number, percent
 from splitband.report.page import plots
 from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
 from splitband.report.predicted import Predicted, predicted, what_was_known
-from splitband.report.table import Table, ordered, tried
+from splitband.report.table import Table
+from splitband.report.tables import ordered, tried
 from splitband.runtime.arrays import Array
 
 MAX_BODE = 4
@@ -38,9 +39,9 @@ MAX_BODE = 4
 def of_comparison(result: Comparison, used: Usage) -> Page:
     """Return the page of a comparison: the answer, its plot, the other methods, then details."""
     record, trial, best = result.record, result.require_trial(), result.recommended
-    listed = table.of_comparison(result)
+    listed = tables.of_comparison(result)
     called = {name: listed.label(name) for name in ordered(trial, result.fits)}
-    leaving = {name for name in called if name != best and table.leaving_range(result, name)}
+    leaving = {name for name in called if name != best and tables.leaving_range(result, name)}
     styles = method_styles(called, best, {*listed.minor, *leaving})
     every = [each for each in predicted(result) if each.predictions]
     first = [each for each in every if each.protocol == every[0].protocol]
@@ -149,7 +150,7 @@ def _responses_of(
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
     return Section(
-        "responses", title, [said, text, *remarks], tables=table.of_gains(most), plots=drawn
+        "responses", title, [said, text, *remarks], tables=tables.of_gains(most), plots=drawn
     )
 
 
@@ -180,9 +181,9 @@ def _of_linear(fitted: Linear) -> Section:
         text.append("Shaded: the 95 % interval of the gain, by its standard error.")
     pairs = product(enumerate(record.inputs), enumerate(record.columns))
     zeros = [(f"zeros, {u} to {y}", _roots(fitted.zeros(j, i))) for (i, u), (j, y) in pairs]
-    tables = [table.of_poles(fitted)] if model.order else []
+    poles = [tables.of_poles(fitted)] if model.order else []
     return Section(
-        "linear", "Linear model: poles, zeros, order, gain", text, tables=tables,
+        "linear", "Linear model: poles, zeros, order, gain", text, tables=poles,
         plots=[*over_order, *gains], facts=zeros, folded=True,
     )  # fmt: skip
 
@@ -257,13 +258,13 @@ def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
         )
         sections.append(Section("training", "Training", [text], plots=drawn, folded=True))
     if result.attempts:
-        tables = [table.of_attempts(result.attempts)]
+        listed = [tables.of_attempts(result.attempts)]
         text = (
             "Networks were trained on three quarters of the training samples, and scored on the "
             "rest. The best trainings then went on, on all training samples: the table of methods "
             "has their steps, too."
         )
-        sections.append(Section("search", "What was tried", [text], tables=tables, folded=True))
+        sections.append(Section("search", "What was tried", [text], tables=listed, folded=True))
     return sections
 
 
@@ -293,7 +294,7 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
         )
     ]
     shown = Predicted("forecast", "forecast", record, {method: result.prediction}, ahead=steps)
-    listed = table.of_forecast(result)
+    listed = tables.of_forecast(result)
     ahead = plots.OverTime(shown, {method: Method(method, label=listed.label(method))})
     sections = [
         Section(

@@ -1,0 +1,370 @@
+"""Make the tables of comparisons, trials, searches, step responses and poles."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from html import escape
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from splitband.baselines.accuracy import NORMAL
+from splitband.data import Record
+from splitband.evaluation.comparison import Comparison
+from splitband.evaluation.forecast import Forecast
+from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
+from splitband.evaluation.search import Attempt
+from splitband.forecasters.base import Forecaster, titled
+from splitband.forecasters.checking import Responses
+from splitband.forecasters.linear import Linear
+from splitband.forecasters.names import NAMES
+from splitband.metrics import channel_rmse, fit_percent, leaving
+from splitband.report.numbers import complex_in_words, percent
+from splitband.report.predicted import Protocol, predicted, run_of, what_was_known
+from splitband.report.table import Column, Table, Unit
+from splitband.runtime.arrays import Array
+
+
+def of_comparison(comparison: Comparison) -> Table:
+    """Return the table of a comparison: a row for each method, the recommended one first."""
+    record, train, trial = comparison.record, comparison.plan.train, comparison.trial
+    truth = "the noise-free signal" if record.y_true is not None else "what was measured"
+    ahead = f"{run_of(record)} of the {len(record) - train:,} after them, against {truth}"
+    title = (
+        f"{record.name}: {train:,} samples to train on"
+        + (f", {ahead}" if train < len(record) else "")
+        + f". {what_was_known(comparison)}"
+    )
+    notes = remarks(comparison)
+    missing = {} if trial is None else trial.without_result
+    rows = {name: missing.get(name, "") for name in notes}
+    details = {name: note for name, note in notes.items() if name not in missing}
+    called = labels_of(comparison)
+    return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
+
+
+def of_trial(
+    trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str = ""
+) -> Table:
+    """Return the table of a trial: a row for each method, the recommended one first."""
+    rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
+    title = title or f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
+    listed = tried(trial, record, [*trial.errors])
+    return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
+
+
+def of_forecast(result: Forecast) -> Table:
+    """Return the table of what a forecast has tried."""
+    methods = {method.name: method for method in result.plan.methods}
+    return of_trial(result.trial, result.record, methods | {result.method: result.model})
+
+
+def _ranked(table: Table, trial: Trial | None) -> Table:
+    """Return the table with the recommended method marked, and simple ones folded away.
+
+    Of the baselines, a recommended one and the best of the others stay: these are the reference.
+    """
+    if trial is None:
+        return table
+    best = trial.recommended
+    others = trial.trained | trial.failed.keys() | {best}
+    simple = [name for name in table.rows if name not in others]
+    return replace(table, recommended=best, minor=frozenset(simple[1:]))
+
+
+def of_attempts(attempts: Sequence[Attempt]) -> Table:
+    """Return the table of the search for how to train networks."""
+    names = [f"{i}. {each.method}, seed {each.seed}" for i, each in enumerate(attempts, 1)]
+    of = dict(zip(names, attempts, strict=True))
+    scores = {name: each.score for name, each in of.items() if each.score is not None}
+    listed = [
+        Column("round", "count", {n: float(each.round) for n, each in of.items()}, ranked=False),
+        Column("score", "deviation", scores, note=RULE),
+    ]
+    title = (
+        "What was tried, in that order; the score is of a single training, in the table of methods "
+        "of a median"
+    )
+    details = {name: each.training for name, each in of.items()}
+    rows = dict.fromkeys(names, "")
+    return Table(title, listed, rows, "training", listed[1].best, details=details)
+
+
+def columns(comparison: Comparison, *headings: str) -> list[Column]:
+    """Return the columns of a comparison, by default all: fit and error first.
+
+    Errors are of the median of the seeds' predictions, which is the method's prediction, for each
+    output separately. Their spread is the standard deviation of the single seeds' errors.
+    """
+    return [
+        column
+        for heading in headings or COLUMNS
+        for numbers in COLUMNS[heading].of(comparison)
+        for column in _columns(heading, numbers)
+    ]
+
+
+def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
+    """Return the methods sorted by their score, the recommended one first."""
+    return [*methods] if trial is None else trial.ranked(methods)
+
+
+def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
+    """Return the columns of a trial: score and held-out error."""
+    of = {"score": _scores(trial, methods), "held-out RMSE": _held_out(trial, record, methods)}
+    return [column for heading, numbers in of.items() for column in _columns(heading, numbers)]
+
+
+def remarks(comparison: Comparison) -> dict[str, str]:
+    """Return the remarks on each method, or why it failed.
+
+    The methods are in the order of the table's rows.
+    """
+    found = {}
+    for name in ordered(comparison.trial, comparison.fits):
+        left = leaving_range(comparison, name)
+        found[name] = "; ".join(filter(None, (left, comparison.fits[name][0].description)))
+    missing = {} if comparison.trial is None else comparison.trial.without_result
+    return found | {name: why for name, why in missing.items() if name not in found}
+
+
+def leaving_range(comparison: Comparison, name: str) -> str:
+    """Return when a forecast of a method leaves the training range, in words; else empty."""
+    left = comparison.leaves(name)
+    return "" if left is None else leaving(left)
+
+
+def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
+    """Return a method in words; its name, for one of the user that has no description."""
+    method = methods.get(name, NAMES.get(name))
+    return (method.in_words() if method is not None else "") or name
+
+
+def labels(names: Iterable[str], methods: Mapping[str, Forecaster]) -> dict[str, str]:
+    """Return methods in words, by name; those with the same words have their names in brackets."""
+    said = {name: in_words(name, methods) for name in names}
+    count = Counter(said.values())
+    return {n: titled(n, words) if count[words] > 1 else words for n, words in said.items()}
+
+
+def labels_of(comparison: Comparison) -> dict[str, str]:
+    """Return the methods of a comparison in words; what is fitted knows its cut-off."""
+    fitted = {name: fits[0].fitted for name, fits in comparison.fits.items()}
+    failed = () if comparison.trial is None else comparison.trial.failed
+    names = dict.fromkeys([*comparison.fits, *comparison.methods, *failed])
+    return labels(names, comparison.methods | fitted)
+
+
+def frame(result: Comparison) -> pd.DataFrame:
+    """Return a row for each method, see `Comparison.table`."""
+    notes = remarks(result)
+    table: dict[str, Mapping[str, object]] = {}
+    for column in columns(result):
+        table[column.title] = column.values
+        if column.spreads:
+            table[f"{column.title}, spread"] = column.spreads
+    table["note"] = notes
+    if result.trial is not None:
+        table["recommended"] = {name: name == result.recommended for name in result.fits}
+    return pd.DataFrame(table, index=[*notes]).rename_axis("method")
+
+
+def as_text(comparison: Comparison) -> str:
+    """Return the table with as many columns as fit into 100 characters, fit % first."""
+    return f"{comparison!r}\n\n{replace(of_comparison(comparison), title='').as_text()}"
+
+
+def as_html(comparison: Comparison) -> str:
+    """Return the table as HTML without style, the recommended method first, for notebooks."""
+    from splitband.report.page.parts import template  # noqa: PLC0415  it imports this module
+
+    said = f"<p>{escape(repr(comparison))}</p>"
+    return said + str(
+        template("macros.html").module.table(
+            replace(of_comparison(comparison), title=""), "comparison"
+        )
+    )
+
+
+class Numbers(NamedTuple):
+    """Hold numbers by method: one over all outputs or, of a record, one for each channel."""
+
+    values: Mapping[str, Any]
+    record: Record | None = None
+    test: str = ""  # name of the test record
+    spreads: Mapping[str, Any] = MappingProxyType({})
+
+
+def _columns(heading: str, numbers: Numbers) -> list[Column]:
+    """Return the columns of these numbers, which have a unit each."""
+    values, record, test, spreads = numbers
+    unit, note, _ = COLUMNS[heading]
+    if record is None:
+        ranked = unit == "deviation"
+        return [Column(heading, unit, values, ranked=ranked, note=note)] if values else []
+
+    def of(i: int, numbers: Mapping[str, Any]) -> dict[str, float]:
+        return {name: float(of_method[i]) for name, of_method in numbers.items()}
+
+    channels = enumerate(zip(record.columns, record.units, strict=True))
+    return [
+        Column(heading, unit, of(i, values), name if record.ny > 1 else "", test, of(i, spreads),
+               unit != "share", measure, note)
+        for i, (name, measure) in channels
+    ]  # fmt: skip
+
+
+def _errors(
+    protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
+) -> Iterator[Numbers]:
+    """Yield the fits or errors of predictions, of errors also their spread over the seeds."""
+    every = [each for each in predicted(comparison) if each.protocol == protocol]
+    for i, shown in enumerate(every, 1):
+        values, spreads = {}, {}
+        for name, median in shown.predictions.items():
+            truth = shown.truth(median)
+            values[name] = measure(truth, median.y)
+            each = [measure(truth, one.y) for one in shown.trainings[name]]
+            if measure is channel_rmse and len(each) > 1:
+                spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]
+        test = (shown.record.name or str(i)) if protocol == "test" else ""
+        yield Numbers(values, shown.record, test, spreads)
+
+
+def _scores(trial: Trial, methods: Iterable[str]) -> Numbers:
+    scored = trial.final or trial.scores
+    return Numbers({name: trial.penalized_score(name) for name in methods if name in scored})
+
+
+def _held_out(trial: Trial, record: Record, methods: Iterable[str]) -> Numbers:
+    return Numbers({name: trial.errors[name] for name in methods}, record)
+
+
+def _intervals(comparison: Comparison) -> list[Numbers]:
+    if comparison.trial is None or not comparison.predictions:
+        return []
+    held = {name: comparison.coverages(name) for name in comparison.fits}
+    return [Numbers(held, comparison.record)]
+
+
+def _trainings(comparison: Comparison) -> list[Numbers]:
+    counts = {name: float(len(fits)) for name, fits in comparison.fits.items()}
+    return [Numbers(counts)] if max(counts.values(), default=0) > 1 else []
+
+
+def _seconds(comparison: Comparison) -> list[Numbers]:
+    runs = comparison.fits.items()
+    return [Numbers({name: statistics.mean(r.report.seconds for r in rs) for name, rs in runs})]
+
+
+class Quantity(NamedTuple):
+    """Describe a column of comparisons: its unit, what it means, and where its numbers are from."""
+
+    unit: Unit
+    note: str
+    of: Callable[[Comparison], Iterable[Numbers]]
+
+
+_FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
+COLUMNS = {
+    "test fit %": Quantity(
+        "percent", f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as the "
+        "mean of the record", partial(_errors, "test", fit_percent),
+    ),
+    "forecast fit %": Quantity(
+        "percent", f"{_FIT} samples after the training part, which are simulated where inputs are "
+        "known and forecast where there are none: 100 is perfect, 0 is as good as their mean",
+        partial(_errors, "forecast", fit_percent),
+    ),
+    "score": Quantity(
+        "deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
+    ),
+    "in interval": Quantity(
+        "share", "share of the measured samples after the training part in the interval; "
+        f"{percent(COVERAGE)} is ideal", _intervals,
+    ),
+    "test RMSE": Quantity(
+        "record", "root mean squared error of the simulation of this test record",
+        partial(_errors, "test", channel_rmse),
+    ),
+    "forecast RMSE": Quantity(
+        "record", "root mean squared error of the samples after the training part",
+        partial(_errors, "forecast", channel_rmse),
+    ),
+    "held-out RMSE": Quantity(
+        "record", "error on the last quarter of the training samples, by models trained on the "
+        "rest", lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else [],
+    ),
+    "RMSE from the start": Quantity(
+        "record", "of the simulation from the first samples to the end of the record",
+        partial(_errors, "start", channel_rmse),
+    ),
+    "fit % from the start": Quantity(
+        "percent", "of the same simulation", partial(_errors, "start", fit_percent)
+    ),
+    "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
+    "trainings": Quantity(
+        "count", "how many the median is of; after ±: the standard deviation of their errors",
+        _trainings,
+    ),
+}  # fmt: skip
+"""The columns of comparisons by heading; a narrow terminal leaves out the last ones."""
+
+
+def of_gains(found: Sequence[Responses]) -> list[Table]:
+    """Return a table of a model's final responses; see `respond_over_range`."""
+    if not found:
+        return []
+    first = found[0]
+    pairs = {
+        f"{u} to {y}": (j, i)
+        for i, u in enumerate(first.inputs)
+        for j, y in enumerate(first.columns)
+    }
+    listed = [
+        Column(f"at {r.place}", "record", {n: float(r.y[-1][at]) for n, at in pairs.items()},
+               ranked=False)
+        for r in sorted(found, key=lambda r: 0.5 if r.share is None else r.share)
+    ]  # fmt: skip
+    title = (
+        f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled)"
+    )
+    if len(found) > 1:
+        title += ", where all inputs are at these shares of their ranges in training"
+    return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def of_poles(fitted: Linear) -> Table:
+    """Return the table of a linear model's poles: a row for each real one and for each pair.
+
+    The numbers are those of MATLAB's `damp`, with the 95 % interval of the absolute value.
+    """
+    step, accuracy = fitted.require_fitted().record.sampling_time, fitted.model.accuracy
+    poles = fitted.poles() if accuracy is None else accuracy.poles
+    kept = [int(i) for i in np.argsort(-np.abs(poles), kind="stable") if poles[i].imag >= 0]
+    names = {i: f"{n}. {complex_in_words(poles[i])}" for n, i in enumerate(kept, 1)}
+    rates = np.log(poles.astype(np.complex128)) / step  # in the s plane
+
+    def of(values: Array) -> dict[str, float]:
+        known = np.where(np.isfinite(values), values, np.nan)
+        return {names[i]: float(known[i]) for i in kept}
+
+    error = np.full(len(poles), np.nan) if accuracy is None else NORMAL * accuracy.pole_errors[:, 2]
+    errors = {name: size for name, size in of(error).items() if math.isfinite(size) and size}
+    listed = [
+        Column("absolute value", "record", of(np.abs(poles)), spreads=errors, ranked=False),
+        Column("time constant (s)", "record", of(-1 / rates.real), ranked=False),
+        Column("frequency (rad/s)", "record", of(np.abs(rates)), ranked=False),
+        Column("frequency (Hz)", "record", of(np.abs(rates) / (2 * np.pi)), ranked=False),
+        Column("damping ratio", "record", of(-rates.real / np.abs(rates)), ranked=False),
+    ]
+    title = "Poles in the z plane; after ±: half of the 95 % interval"
+    return Table(title, listed, dict.fromkeys(names.values(), ""), "pole")
