@@ -83,6 +83,21 @@ def test_no_command_replaces_what_it_reads(
         assert_fails(f"{given} --out out", (f"out/{each} is read by {option}",), capsys)
 
 
+def test_results_of_a_model_are_not_replaced_by_those_of_another_kind(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    fit = "fit record.csv --columns a --method mean"
+    for first, model, others in ((MEAN, "out/model", (SPECTRUM, fit)), (fit, "out", (MEAN,))):
+        call(first, Path("out"))
+        before = files(Path("out"))
+        for other in others:
+            says = f"--out must not hold a model that the command does not replace, got {model}"
+            assert_fails(f"{other} --out out", (says,), capsys)
+        assert files(Path("out")) == before
+        call(first, Path("out"))
+        shutil.rmtree("out")
+
+
 def test_a_second_command_in_the_folder_is_refused_in_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -1,4 +1,4 @@
-"""Check that --out replaces no input and is not in use by another command."""
+"""Check that --out replaces no input and no other model, and is not in use."""
 
 from __future__ import annotations
 
@@ -11,17 +11,25 @@ from typing import Any
 from splitband.forecasters import saving
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import CHECKPOINTS
-from splitband.runtime.outputs import FACTS, MODEL_FOLDER, belongs_to_result, locked
+from splitband.runtime.outputs import (
+    DESCRIPTION,
+    FACTS,
+    MODEL_FOLDER,
+    belongs_to_result,
+    locked,
+)
 
 TO_A_FILE = ("simulate", "export", "summary")
 """Commands that write a file; all others with --out write a folder."""
+MODELS = {"fit": "", "compare": MODEL_FOLDER, "demo": MODEL_FOLDER, "forecast": MODEL_FOLDER}
+"""Where in --out commands write a model; others write none."""
 
 
 @contextmanager
 def claimed(context: Any) -> Iterator[None]:
     """Check --out against the inputs of a command, and keep other commands out of its folder.
 
-    Raises ValueError if --out would replace an input, or is in use.
+    Raises ValueError if --out would replace an input, has another model, or is in use.
     """
     out = context.params.get("out")
     if out is None:
@@ -31,6 +39,7 @@ def claimed(context: Any) -> Iterator[None]:
         yield
     else:
         refuse_inputs(out, replaced(out), _inputs(context))
+        refuse_other_model(out, MODELS.get(context.command.name))
         with locked(out, "--out"):
             yield
 
@@ -53,6 +62,16 @@ def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]
                     f"--out must not replace a file that the command reads, got {out}: {target} "
                     f"is read by {option}"
                 )
+
+
+def refuse_other_model(out: Path, own: str | None) -> None:
+    """Raise ValueError for a model elsewhere than in `own`: it would stay beside other results."""
+    for place in {"", MODEL_FOLDER} - {own}:
+        if os.path.isfile(out / place / DESCRIPTION):
+            raise InputError(
+                "--out must not hold a model that the command does not replace, got "
+                f"{out / place}: choose another folder"
+            )
 
 
 def _inputs(context: Any) -> dict[Path, str]:

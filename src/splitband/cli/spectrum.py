@@ -41,7 +41,7 @@ def spectrum(
             "all; the cut-off is chosen on three quarters of a file, as in compare",
         ),
     ] = None,
-    out: options.Out = Path("out"),
+    out: options.Out = Path("spectrum"),
     cutoff: options.Cutoff = None,
     order: options.Order = None,
 ) -> None:
