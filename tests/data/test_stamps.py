@@ -216,7 +216,9 @@ def test_a_date_of_numpy_is_a_time_stamp() -> None:
     ("name", "step", "places"),
     [
         *(("Date", *each) for each in ((1.0, 10), (60.0, 7), (86400.0, 0), (0.01, 12))),
-        *(("Time", *each) for each in ((3600.0, 5), (900.0, 10), (1.0, 11))),  # by their step
+        *(
+            ("Time", *each) for each in ((3600.0, 5), (900.0, 10), (1.0, 11), (0.1, 11))
+        ),  # by their step
     ],
 )
 def test_serial_days_of_excel_are_dates(
@@ -267,3 +269,27 @@ def test_a_change_to_summer_time_is_no_gap(tmp_path: Path) -> None:
     found = read(stamped(tmp_path, [time.isoformat() for time in times], "date"))
     assert found.sampling_time == 900
     assert found.start == times[0]
+
+
+def test_the_time_of_the_day_may_be_named_before_the_date(tmp_path: Path) -> None:
+    times = pd.date_range("2024-03-01 20:00", periods=40, freq="h")
+    rows = "".join(f"{at:%H:%M;%d.%m.%Y};{i}\n" for i, at in enumerate(times))
+    path = text_file(tmp_path, f"Uhrzeit;Datum;y\n{rows}")
+    for named in ("Uhrzeit,Datum", "Datum,Uhrzeit"):
+        found = read(path, time_column=named)
+        assert (found.sampling_time, found.start) == (3600, times[0])
+    with pytest.raises(ValueError, match="gaps must be one of refuse, mask, got 'drop'"):
+        read(path, gaps="drop")  # type: ignore[arg-type]
+
+
+def test_a_temperature_that_rises_is_not_the_time(tmp_path: Path) -> None:
+    rows = "".join(f"2024-03-01 10:00:{i:02d},{20 + i / 10},{i}\n" for i in range(40))
+    with pytest.warns(ReadingWarning, match="left out: 'T'"):
+        assert read(text_file(tmp_path, f"date,T,P\n{rows}")).sampling_time == 1
+
+
+def test_a_missing_value_in_single_precision_is_found(tmp_path: Path) -> None:
+    y = np.array([1, 2, -99.9, 3, 4, 5], np.float32)
+    np.savez(tmp_path / "record.npz", time=0.1 * np.arange(6), y=y)
+    found = read(tmp_path / "record.npz", missing="-99.9", gaps="mask")
+    assert np.isnan(found.y_with_gaps[:, 0]).tolist() == (y == y[2]).tolist()

@@ -14,6 +14,7 @@ from splitband.data.signals import ReadingWarning
 from tests.data.support import message, text_file
 
 Y = np.sin(np.arange(40) / 3).round(3)
+DAYS = pd.date_range("2024-03-01", periods=40)
 HOURS = pd.date_range("2024-03-01 20:00", periods=40, freq="h")
 OFF: dict[str, Any] = {"time_column": "", "sampling_time": 1}
 
@@ -50,6 +51,11 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
          ("y",)),
         (table(lambda i: f"{i}h0m"), 3600, 0, ("y",)),
         (table(lambda i: f"{i / 120:.6f}"), 1 / 120, 0, ("y",)),  # a camera of 120 Hz
+        (table(lambda i: f"{DAYS[i]:%d.%m.%Y %H:%M}"), 86400, DAYS[0], ("y",)),
+        (table(lambda i: f"{DAYS[i]:%Y%m%d %H%M}"), 86400, DAYS[0], ("y",)),
+        (table(lambda i: f"{HOURS[i]:%Y.%m.%d %H:%M}"), 3600, HOURS[0], ("y",)),
+        (table(str, "time,y\nmsec.,mm\n"), 1e-3, 0, ("y [mm]",)),
+        *((table(str, f"{name},y\n"), 1e-3, 0, ("y",)) for name in ("Time_ms_", "Time..ms.")),
     ],
 )  # fmt: skip
 def test_files_that_are_read(
@@ -87,7 +93,11 @@ def test_files_that_are_read(
          {"sampling_time": 3600}, 3600),
         (table(lambda i: f"{2024 + i / 8784:.8f}"), "or as years", OFF, 1),
         (table(lambda i: f"{202401 + i // 12 * 100 + i % 12}"), "dates from 2024-01-01", OFF, 1),
-        (table(str, "time,y\nmsec.,mm\n"), "no time column", OFF, 1),
+        (table(lambda i: f"{HOURS[i]:%Y%m%d%H}"), "dates from 2024-03-01", OFF, 1),
+        (table(lambda i: f"{HOURS[i]} UTC+1"), "a time zone of one meaning, +01:00", OFF, 1),
+        ("y\n1\n2\n\n4\n5\n", "line 4 is empty: write nan", None, 0),
+        ("time u y\n0 1 2\n1   3\n2 1 4\n", "line 3 has 2 cells instead of 3", None, 0),
+        ("1,500\n-0,250\n-0,125\n0,000\n", "line 1 may hold decimal commas", None, 0),
         (table(lambda i: str(i // 2)), "must increase: row 1 (0 s) follows 0 s (line 3)", OFF, 1),
         (table(lambda i: f"{i} msec"), "row 0 holds '0 msec' (line 2)", None, 0),
     ],

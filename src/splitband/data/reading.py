@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import pandas as pd
@@ -141,6 +141,8 @@ def read(  # noqa: PLR0913
     frame = path if isinstance(path, pd.DataFrame) else None
     path = Path("DataFrame") if isinstance(path, pd.DataFrame) else Path(path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
+    if gaps not in get_args(Gaps):
+        raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
     try:
         layout = Layout(skip_rows, header_row, words)
         if frame is None:
@@ -179,7 +181,10 @@ def _picked(
     if time_column is None:
         if len(timed) > 1:  # T is a temperature then, unless it increases
             timed = [c for c in timed if also_time(c, table[c])]
-        timed.sort(key=lambda c: TIME_NAMES.index(time_name(c)[0]))
+        words = {c: time_name(c)[0] for c in timed}
+        # Beside a date in each row, T is a temperature that happens to rise.
+        dated = any(w == "date" and table[c].is_unique for c, w in words.items())
+        timed.sort(key=lambda c: (dated and words[c] == "t", TIME_NAMES.index(words[c])))
         _check_alike(table, timed)
         stamps = _dated(table, timed)
     reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
@@ -210,7 +215,7 @@ def _stamps(table: Table, asked: _Names | None) -> list[str]:
     found = _find(table, asked)
     if len(found) > 2:
         raise InputError(f"time_column must be one column, or a date and a time: got {len(found)}")
-    return found
+    return found[::-1] if len(found) == 2 and is_time_of_day(table[found[0]]) else found
 
 
 def _dated(table: Table, timed: Sequence[str]) -> list[str]:

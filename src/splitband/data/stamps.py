@@ -18,22 +18,23 @@ from splitband.runtime.errors import InputError
 
 TIME_NAMES = ("time", "timestamp", "datetime", "t", "date")
 _CLOCK_STEPS = (
-    *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)),
+    0.01, 0.02, 0.05, 0.1, 0.2, 0.25, 0.5,
+    *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30, 45)),
     3600, 7200, 10800, 21600, 43200, 86400,
 )  # fmt: skip
-"""Common sampling times, in seconds, of loggers that count in minutes, hours and days."""
+"""Common sampling times, in seconds, of loggers that count in days."""
 _DAY = 86400.0
 _YEAR = 365.25 * _DAY
 _UNITS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds"), 1e-6),
-    **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nanos", "nanosecond", "nanoseconds"), 1e-9),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
     **dict.fromkeys(("day", "days"), _DAY),
 }
-_UNIT = re.compile(rf"[\s_/(\[]+({'|'.join(_UNITS)})[)\]]?$")
+_UNIT = re.compile(rf"(?:^|[\s_./({{\[-]+)({'|'.join(_UNITS)})[)\]}}._]*$")
 _AROUND = re.compile(r"^(?:[\w\[\]]+\.)+(?=\w+$)|^[%#_\s]+|[\s,(\[]+(?:utc|gmt)[\d:+-]*[)\]]?$")
 """What a name has around the word for time: fields of structures, marks, a time zone."""
 _TIME_OF_DAY = re.compile(
@@ -46,7 +47,14 @@ _DOTTED_TIME = re.compile(r"^([01]?\d|2[0-3])\.([0-5]\d)\.([0-5]\d)\b(?!\.\d*\.)
 _BRACKETS = re.compile(r"[(\[]([^()\[\]]*[^()\[\]\d][^()\[\]]*)[)\]]$")
 _DECIMAL = re.compile(r"(?<=:\d\d),(?=\d)|(?<=:\d\d:\d\d):(?=\d{3})")
 """A comma or a third colon before the fraction of a second."""
-_SHORT_YEAR = re.compile(r"\s*\d\d-\d\d-\d\d\b")
+_SHORT_YEAR = re.compile(r"\s*\d\d([-/])\d\d\1\d\d\b")
+_EITHER_SIGN = re.compile(r"(?:UTC|GMT)\s*[+-]\d")
+"""A zone that some write as hours east of Greenwich, and others, as POSIX does, west of it."""
+_DURATION = re.compile(
+    r"[-+]?(?:\d+ days?,? [-+]?)?\d+:\d\d(?::\d\d)?(?:\.\d*)?"
+    r"|(?:[-+]?\d+(?:\.\d+)?\s*[a-zµμ]+\s*)+|[-+]?P[\dTDHMS.]+",
+    re.IGNORECASE,
+)
 _NO_TIME = re.compile(r"[ T]00:00(:00)?(\.0+)?$")
 _SERIAL_DAYS = {
     "Excel's serial days": 25569.0,
@@ -55,7 +63,10 @@ _SERIAL_DAYS = {
 }
 """Number of the first of January 1970."""
 _FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-_DIGITS = {6: "%Y%m", 10: "%y%m%d%H%M", 8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}
+_DIGITS = {
+    6: ("%Y%m",), 8: ("%Y%m%d",), 10: ("%y%m%d%H%M", "%Y%m%d%H"), 12: ("%Y%m%d%H%M",),
+    14: ("%Y%m%d%H%M%S",),
+}  # fmt: skip
 """Dates that are written as one number, by the number of their digits."""
 
 
@@ -215,15 +226,16 @@ def _is_whole(number: float, *factors: float) -> bool:
 
 def _of_digits(values: Array, dated: bool) -> Iterator[Reading]:
     """Yield the reading of numbers such as 20240131 as dates, if they are dates."""
-    form = _DIGITS.get(len(f"{values[0]:.0f}"))
-    if form is None or (values % 1).any() or values.max() > 1e14:
+    forms = _DIGITS.get(len(f"{values[0]:.0f}"), ())
+    if not forms or (values % 1).any() or values.max() > 1e14:
         return
     written = pd.Series(values.astype(np.int64)).astype(str)
-    dates = pd.to_datetime(written, format=form, errors="coerce")
-    if dates.dt.year.between(1900, 2100).all():
-        since = np.asarray((dates - dates[0]).dt.total_seconds(), np.float64)
-        first, certain = dates[0].as_unit("ns"), dated or values[0] > 1e11
-        yield Reading(f"dates from {first:%Y-%m-%d} on", since, 0.0, first, certain=certain)
+    for form in forms:
+        dates = pd.to_datetime(written, format=form, errors="coerce")
+        if dates.dt.year.between(1900, 2100).all():
+            since = np.asarray((dates - dates[0]).dt.total_seconds(), np.float64)
+            first, certain = dates[0].as_unit("ns"), dated or values[0] > 1e11
+            yield Reading(f"dates from {first:%Y-%m-%d} on", since, 0.0, first, certain=certain)
 
 
 def _of_days(words: str, days: Array, of_1970: float, certain: bool) -> Reading:
@@ -264,10 +276,12 @@ def _of_clock(column: Column) -> list[Reading]:
 
 
 def _seconds(text: Column) -> Array:
-    """Return durations that pandas knows in seconds, NaN for others."""
+    """Return durations in seconds, NaN for others."""
+    # pandas takes much else for a duration: 02.03.2024 10:00 for two hours.
+    durations = text.where(text.str.fullmatch(_DURATION))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = pd.to_timedelta(text, errors="coerce")
+        found = pd.to_timedelta(durations, errors="coerce")
     return np.asarray(found.dt.total_seconds(), dtype=np.float64)
 
 
@@ -351,8 +365,14 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
 
 
 def _check_zones(what: str, column: Column) -> None:
-    """Raise ValueError where some dates have a time zone and others have none."""
+    """Raise ValueError where only some dates have a time zone, or where its sign is not clear."""
     texts = column.astype(str)
+    if (unclear := texts.str.contains(_EITHER_SIGN)).any():
+        row = int(unclear.argmax())
+        raise InputError(
+            f"{what} must have a time zone of one meaning, +01:00 for an hour east of Greenwich: "
+            f"row {row} holds {texts.iloc[row]!r}"
+        )
     zoned = texts.str.contains(_ZONE)
     if zoned.any() and not zoned.all():
         row, other = int(zoned.argmax()), int(zoned.argmin())

@@ -68,7 +68,9 @@ def _without(column: Column, words: Sequence[str]) -> Column:
         return column
     values = pd.to_numeric(column, errors="coerce") if is_text(column) else column
     plain = pd.to_numeric(pd.Series(words).str.replace(",", "."), errors="coerce")
-    missing = values.isin(plain[np.isfinite(plain)])
+    plain = plain[np.isfinite(plain)]
+    single = values.dtype == np.float32  # which holds -99.9 in its own precision
+    missing = values.isin(plain.astype(np.float32) if single else plain)
     if is_text(column):
         missing |= column.astype(str).str.strip().isin(words)
     column = column.mask(missing) if missing.any() else column

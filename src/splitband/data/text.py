@@ -108,11 +108,42 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
     elif len(body) == 1:  # a single row of numbers is read as a column
         cells = first if first[-1] else first[:-1]
         lines, body, names = [f'"{cell or "nan"}"' for cell in cells], body * len(cells), [0]
+    _check_rows(lines, written, body, sep, names, head is not None)
     frame = _with_decimal("\n".join(lines), sep, names)
     if len(frame) == len(body):
         frame.index = pd.Index(body, name="line")
     filled = np.flatnonzero(frame.notna().any(axis=1))  # spreadsheets may end with empty rows
     return frame.iloc[: filled[-1] + 1 if filled.size else 0]
+
+
+def _check_rows(
+    lines: Sequence[str], written: Sequence[str], body: Sequence[int], sep: str,
+    names: Sequence[Any], named: bool,
+) -> None:  # fmt: skip
+    """Raise ValueError for rows whose missing cells, or whose decimal commas, leave a choice."""
+    if len(names) == 1:
+        empty = [i for i in range(body[0], body[-1]) if not written[i - 1].strip()]
+        if empty and 2 * len(empty) < body[-1] - body[0]:  # not every second one
+            raise InputError(
+                f"line {empty[0]} is empty: write nan for a missing value, or remove the line"
+            )
+    if sep == " " and len(names) > 1:
+        short = (i for i in body if len(lines[i - 1].split()) < len(names))
+        if (line := next(short, None)) is not None and '"' not in lines[line - 1]:
+            raise InputError(
+                f"line {line} has {len(lines[line - 1].split())} cells instead of {len(names)}: "
+                "between blanks nothing tells which is missing; write nan in its place"
+            )
+    if sep == "," and not named and len(names) % 2 == 0:
+        first = [_Row.of(i, lines[i - 1], sep).cells for i in body[:_SAMPLE]]
+        cells = [cell for row in first for cell in row]
+        fractions = [cell for row in first for cell in row[1::2]]
+        if all(map(str.isdigit, fractions)) and not any("." in cell for cell in cells) and any(
+            re.fullmatch(r"0\d+", cell) for cell in fractions
+        ):  # fmt: skip
+            raise InputError(
+                f"line {body[0]} may hold decimal commas: between columns they need ; or tabs"
+            )
 
 
 def check_different(names: Sequence[str]) -> None:
