@@ -418,9 +418,9 @@ class GreyBox(Forecaster):
     def _chosen_memory(self, experiment: Experiment) -> int:
         """Return the memory with the lowest forecast error: for a correct model 0, all samples."""
         samples, window = len(experiment.y), self.estimate.window
-        if not self.simulator.states:
-            return 0
         origins = [int(share * samples) for share in STARTS]
+        if not self.simulator.states or origins[0] < SHORTEST:
+            return window if self.simulator.states else 0
         ends = [min(origin + samples // 6, samples) for origin in origins]
 
         def error(forecasts: Sequence[Array]) -> float:

@@ -221,7 +221,7 @@ class SimulatorForecaster(Forecaster):
                 f"{-begin * record.sampling_time:.7g} s earlier"
             )
         if self._at_own_times:
-            return self._recorded(self.simulator, known, begin)
+            return self._recorded(self._in_columns(record), known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             last = self.applied.positions(samples, record.sampling_time, begin)[-1]
@@ -359,6 +359,11 @@ class SimulatorForecaster(Forecaster):
         ahead = record.y_sim[:0] if record.beyond is None else record.beyond
         return np.concatenate([record.y_sim, ahead])
 
+    def _in_columns(self, record: Record) -> Any:
+        """Return its recorded output with the channels of a record."""
+        named = getattr(self.simulator, "in_columns", None)
+        return self.simulator if named is None else named(record.columns)
+
     def _needed(self, samples: int, train: int) -> int:
         """Return how many samples its own simulator must run for to cover `samples`."""
         return samples
@@ -368,7 +373,7 @@ class SimulatorForecaster(Forecaster):
         if hasattr(self.simulator, "ran"):
             return np.asarray(self.simulator.on(grid, u).values)
         if hasattr(self.simulator, "on"):
-            return np.asarray(self.simulator.on(grid).values)
+            return np.asarray(self._in_columns(record).on(grid).values)
         if isinstance(self.simulator, Absent):
             self.simulator.simulate(None)
         simulator = matched(self.simulator, record.columns, record.inputs)

@@ -166,11 +166,12 @@ class Solver:
     def _compile(self, *probe: Any) -> None:
         """Use compiled code if it agrees on a short simulation: it does not check indices."""
         self.tried = True
-        fast = njit(**_OPTIONS)(self.rhs)
-        wrapped = fast if self.arguments > 3 else njit(**_OPTIONS)(_prefixed(fast, self.arguments))
-        compiled = partial(_compiled, wrapped)
         expected = self.solve(*probe)[0]
         try:
+            fast = wrapped = njit(**_OPTIONS)(getattr(self.rhs, "py_func", self.rhs))
+            if self.arguments <= 3:
+                wrapped = njit(**_OPTIONS)(_prefixed(fast, self.arguments))
+            compiled = partial(_compiled, wrapped)
             found = compiled(*probe)[0]
         except Exception:  # code that Numba does not support
             return
@@ -179,9 +180,15 @@ class Solver:
 
 
 @cache
-def solver(rhs: Rhs, arguments: int) -> Solver:
-    """Return the solver of an equation, one for all that solve it."""
-    return Solver(rhs, arguments)
+def solver(rhs: Rhs, arguments: int, code: str | None) -> Solver:
+    """Return the solver of an equation, one for all that solve it.
+
+    `code`: digest of the equation, with the values that it refers to, which compiled code keeps; an
+    equation without one is not compiled.
+    """
+    made = Solver(rhs, arguments)
+    made.tried = code is None
+    return made
 
 
 def _prefixed(rhs: Rhs, arguments: int) -> Rhs:

@@ -275,25 +275,37 @@ class Recorded(WithRepr):
     sampling_time : In s.
     start : Time stamp of the first sample; None if it begins with the record.
     name : Name in messages.
+    columns : Names of the channels, by which those of a record are found.
     """
 
     y: npt.ArrayLike
     sampling_time: float
     start: Stamp | None = None
     name: str = "the exported trajectory"
+    columns: tuple[str, ...] = ()
     own_times: ClassVar[bool] = True
     """Marks a simulator with its own sampling times, which is interpolated to those of a record."""
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
         """Return the channels of a record as a simulator's output, with its time stamps."""
-        return cls(trajectory.y, trajectory.sampling_time, trajectory.start)
+        step, start = trajectory.sampling_time, trajectory.start
+        return cls(trajectory.y, step, start, columns=trajectory.columns)
+
+    def in_columns(self, columns: Sequence[str]) -> Recorded:
+        """Return the channels with these names, in this order; all of them if it has others."""
+        if self.columns == tuple(columns) or not {*columns} <= {*self.columns}:
+            return self
+        places = [self.columns.index(name) for name in columns]
+        return replace(self, y=np.asarray(self.y, float)[:, places], columns=tuple(columns))
 
     def on(self, grid: Grid) -> Aligned:
         """Return the simulation at other times; raises ValueError if it does not cover them."""
         y = np.asarray(self.y, float)
         if not 1 <= y.ndim <= 2 or not y.size:
             raise InputError(f"y must be (time,) or (time, ny) with samples, got {y.shape}")
+        if not np.isfinite(y).all():
+            raise InputError(f"y must be finite, {self.name} holds NaN or infinity")
         return aligned(self.name, y.reshape(len(y), -1), self._grid, grid)
 
     def reach(self, grid: Grid) -> int:

@@ -23,7 +23,7 @@ from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
 from splitband.simulators.code import content_digest
 from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
-from splitband.simulators.fmu_unit import EXCHANGE, Unit
+from splitband.simulators.fmu_unit import EXCHANGE, REAL, Unit
 from splitband.simulators.parameters import Adjustable, Given, Point, Response
 
 SAMPLES = 8
@@ -80,9 +80,21 @@ class Fmu(Adjustable):
         self.outputs = [*(outputs or self._unit.variables.outputs)]
         try:
             self._unit.variables.check([*self.outputs, *self.known.given], self.inputs)
+            self._check_parameters()
         except ValueError:
             self.close()
             raise
+
+    def _check_parameters(self) -> None:
+        """Raise ValueError for values, and ranges, that integer parameters cannot have."""
+        for name in self.known.given:
+            kind = self._unit.by_name[name].type
+            if name in self.known.free and kind not in REAL:
+                raise InputError(
+                    f"parameters must be numbers, not ranges, for {name} of {self.path}, which is "
+                    f"of the type {kind}"
+                )
+            check_inputs(self._unit, [name], np.array([[self.known.range(name)[0]]]), "parameters")
 
     @property
     def driven(self) -> bool:
@@ -148,10 +160,12 @@ class Fmu(Adjustable):
     def _reading(self, task: Task) -> Reading:
         """Return how the outputs are read; with parameters to fit, wherever these are.
 
-        A feedthrough may have a gain of 0 at one place.
+        A feedthrough may have a gain of 0 at one place, and for inputs in another range.
         """
         unit, step = self._unit, round(task.step, 12)
-        key = (*task.outputs, *task.inputs, step, min(len(task.time), SAMPLES))
+        span = () if task.u is None else (*task.u.min(axis=0), *task.u.max(axis=0))
+        what = *task.outputs, *task.inputs, str(self.known), *span
+        key = (*what, step, min(len(task.time), SAMPLES))
         if key in unit.readings:
             return cast("Reading", unit.readings[key])
         found = [reading_of(unit, task)]

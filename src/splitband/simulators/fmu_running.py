@@ -76,8 +76,8 @@ class Access:
         return found
 
 
-def check_inputs(unit: Unit, names: Sequence[str], u: Array) -> None:
-    """Raise ValueError for values that an integer or a Boolean input cannot take."""
+def check_inputs(unit: Unit, names: Sequence[str], u: Array, what: str = "inputs") -> None:
+    """Raise ValueError for values that an integer or a Boolean variable cannot take."""
     for name, column in zip(names, u.T, strict=True):
         kind = unit.by_name[name].type
         whole = kind == "Boolean" or kind in WHOLE
@@ -86,7 +86,7 @@ def check_inputs(unit: Unit, names: Sequence[str], u: Array) -> None:
             wrong |= (column != 0) & (column != 1)
         if wrong.any():
             raise InputError(
-                f"inputs must hold {'0 and 1' if kind == 'Boolean' else 'whole numbers'} for "
+                f"{what} must hold {'0 and 1' if kind == 'Boolean' else 'whole numbers'} for "
                 f"{name} of {unit.path}, which is of the type {kind}: got {column[wrong][0]:g}"
             )
 

@@ -49,7 +49,9 @@ class Variables:
         usable = [v for v in every if v.type in NUMERIC and not (v.shape or v.dimensions)]
         inputs = [v.name for v in usable if v.causality == "input"]
         self.outputs = [v.name for v in usable if v.causality == "output"]
-        self.others = [v.name for v in usable if v.name not in {*self.outputs, *inputs}]
+        # A channel may be called as a parameter is, which is no signal.
+        signals_too = [v for v in usable if "arameter" not in v.causality]
+        self.others = [v.name for v in signals_too if v.name not in {*self.outputs, *inputs}]
         self.optional = [name for name in inputs if name in optional]
         self.inputs = [name for name in inputs if name not in self.optional]
         self.able = {*inputs, *(v.name for v in usable if v.variability == "tunable")}
@@ -185,11 +187,12 @@ class Unit:
         """
         instance = self._idle.pop() if self._idle else self._instance()
         yield instance
-        if hasattr(instance, "reset"):
+        try:
             instance.reset()
-            self._idle.append(instance)
-        else:  # model exchange by FMI 1
+        except Exception:  # FMI 1 for model exchange has none, and others may not be able to
             instance.freeInstance()
+        else:
+            self._idle.append(instance)
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""

@@ -332,7 +332,7 @@ class Ode(UserCode):
         if self.method == "RK45":
             from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
 
-            solve = solver(self.rhs, count_arguments(self.rhs) or 2)
+            solve = solver(self.rhs, count_arguments(self.rhs) or 2, code_digest(self.rhs))
             p = self.p(values)
             x, taken, size = solve(p, begin, time, (u, self.held), steps, self.tolerances)
         else:

@@ -29,6 +29,7 @@ from splitband.simulators.base import (
 )
 from splitband.simulators.calibration import samples_needed
 from splitband.simulators.code import check_open, count_arguments, outline
+from splitband.simulators.functions import UserCode
 from splitband.simulators.isolation import Isolated, adjustable_from, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.parameters import Adjustable, Parameters
@@ -106,7 +107,7 @@ def open_simulator(  # noqa: PLR0913
         raise InputError(f"{error} (--simulator-start)") from None
     if parameters is None and function and exists and outline(file, function) is None:
         # An `Ode` of the file may have ranges to fit itself.
-        parameters = {} if getattr(named_in(file, function), "adjustable", False) else None
+        parameters = {} if isinstance(named_in(file, function), UserCode) else None
     if parameters is None and name in SIMULATORS:
         return SIMULATORS[name]()
     if name.endswith(".py"):

@@ -29,6 +29,8 @@ from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Poi
 
 BAD = 1e3
 """Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""
+FAILED = 1e9
+"""The same in deviations of the noise, of which a wrong state may be far away: bounds rounding."""
 STATE_STEP = 1e-6
 """Relative step of finite differences with respect to a state. Rounding."""
 _STATE_RUNS = 8
@@ -231,11 +233,13 @@ def best_state(
     size: Array,
     step: float,
     most: int,
+    limit: float = BAD,
 ) -> tuple[Array, float]:
     """Return the state of the least squared error, and that error.
 
     `errors` returns the residuals from each of several states; `size` is the typical magnitude of a
-    state, `step` that of finite differences, relative to it, and `most` limits the evaluations.
+    state, `step` that of finite differences, relative to it, `most` limits the evaluations, and
+    `limit` the residuals.
     """
 
     def residuals(x: Array) -> Array:
@@ -243,7 +247,7 @@ def best_state(
 
     def jacobian(x: Array) -> Array:
         at, *others = errors([size * x, *(size * (x + unit) for unit in step * np.eye(len(x)))])
-        return np.stack([_difference(at, other, step) for other in others], axis=1)
+        return np.stack([_difference(at, other, step, limit) for other in others], axis=1)
 
     found = scipy.optimize.least_squares(residuals, begin / size, jacobian, max_nfev=most)
     return np.asarray(size * found.x), float(found.cost)
@@ -256,15 +260,15 @@ def projected(jacobian: Array, count: int) -> Array:
     return np.asarray(jacobian[:, :count] - u @ (u.T @ jacobian[:, :count]))
 
 
-def _difference(at: Array, beside: Array, step: float) -> Array:
+def _difference(at: Array, beside: Array, step: float, limit: float = BAD) -> Array:
     """Return the difference quotient of residuals; 0 where a run failed."""
-    whole = (np.abs(at) < BAD) & (np.abs(beside) < BAD)
+    whole = (np.abs(at) < limit) & (np.abs(beside) < limit)
     return np.asarray(np.where(whole, (beside - at) / step, 0.0))
 
 
-def _scaled_errors(y: Array, measured: Array, scale: Array) -> Array:
+def _scaled_errors(y: Array, measured: Array, scale: Array, limit: float = BAD) -> Array:
     """Return the errors of a simulation in units of `scale`, `(samples * ny,)`, 0 in gaps."""
-    errors = np.where(np.isfinite(y), np.clip((y - measured) / scale, -BAD, BAD), BAD)
+    errors = np.where(np.isfinite(y), np.clip((y - measured) / scale, -limit, limit), limit)
     return np.asarray(np.where(np.isnan(measured), 0.0, errors).ravel())
 
 
@@ -375,12 +379,14 @@ class Adjusted:
             with np.errstate(all="ignore"), _running():
                 found = self.simulator.respond(history.time, history.u, points)
             return [
-                np.concatenate([_scaled_errors(y, history.y, self.noise), (state - mean) / spread])
+                np.concatenate([
+                    _scaled_errors(y, history.y, self.noise, FAILED), (state - mean) / spread
+                ])
                 for (y, _), state in zip(found, states, strict=True)
-            ]
+            ]  # fmt: skip
 
         step = max(STATE_STEP, self.simulator.difference)
-        found = [best_state(errors, state, spread, step, _MOST_RUNS) for state in begin]
+        found = [best_state(errors, state, spread, step, _MOST_RUNS, FAILED) for state in begin]
         return min(found, key=lambda each: each[1])[0]
 
 
