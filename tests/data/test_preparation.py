@@ -83,6 +83,8 @@ def test_a_longer_step_is_the_mean_of_the_samples_since_the_last_one() -> None:
         (lambda r: r.resample(0.25), "sampling_time must be a whole multiple of 0.1 s, got 0.25"),
         (lambda r: r.detrend(2), "order must be 0 .* or 1"),
         (lambda r: sb.Record(r.y, DT).detrend(1), "without time stamps"),
+        (lambda r: r.detrend(1).resample(0.5), "must be changed before detrend"),
+        (lambda r: sb.Record(r.y, DT, u=r.u).prepared_as(r.detrend(1)), "must have time stamps"),
         (lambda r: r.clip_outliers(0), "deviations must be above 0"),
         (lambda r: r.detrend().prepared_as(r), "must be prepared like rig, or not at all"),
         (lambda r: sb.Mean().fit(r.detrend(), r), "must be prepared like the training record"),

@@ -1,6 +1,7 @@
 """A simulator with fitted parameters as a forecaster: from any origin, on any record."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,42 @@ def test_a_black_box_function_is_fitted_too() -> None:
     other = sb.Record(2.0 * y[:30] / 3.0, DT)
     found = model.predict(20, other, other_record=True)
     np.testing.assert_allclose(found.y[:, 0], 2 / 3 * y[30:50], atol=1e-4)
+
+
+def test_a_black_box_is_fitted_to_the_whole_record() -> None:
+    """No window begins later than the record: the first 30 samples, which fit, are not enough."""
+    time = DT * np.arange(400)
+    y = np.where(np.arange(400) < 30, 2.0 * time, 20 * np.sign(np.sin(0.9 * time)))
+    ramp = sb.Function(lambda t, u, p: p.k * (t - t[0]), parameters={"k": (-5.0, 5.0)})
+    model = sb.GreyBox(ramp, starts=4).fit(sb.Record(y, DT))
+    assert model.estimate.values == pytest.approx({"k": time @ y / (time @ time)}, rel=1e-3)
+
+
+def test_a_detrended_record_is_refused_beside_a_simulator_of_its_own() -> None:
+    record = sb.Record(3 + np.sin(DT * np.arange(400)), DT, start=0.0)
+    alone = sb.Function(lambda t: 3 + np.sin(t))
+    fitted = sb.Function(lambda t, u, p: p.a + np.sin(t), parameters={"a": (0.0, 5.0)})
+    for model in (sb.Simulation(alone), sb.GreyBox(fitted)):
+        with pytest.raises(ValueError, match="record must not be detrended for"):
+            model.fit(record.detrend())
+    given = replace(record, y_sim=record.y)
+    found = sb.Simulation().fit(given.detrend()[:300]).predict(3, given[:300])
+    np.testing.assert_allclose(found.y, record.y[300:303])
+
+
+@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+def test_the_state_of_another_run_is_found_far_from_that_in_training() -> None:
+    """A model without an error has a small noise, beside which a wrong state is far away."""
+    time = DT * np.arange(400)
+
+    def cooled(begin: float) -> sb.Record:
+        return sb.Record(20 + (begin - 20) * np.exp(-0.1 * time), DT)
+
+    rig = sb.Ode(lambda t, x, u, p: [-p.k * (x[0] - 20)], [60.0], parameters={"k": (0.01, 1.0)})
+    model = sb.GreyBox(rig, starts=2).fit(cooled(60.0))
+    other = cooled(80.0)
+    found = model.predict(50, other[:50], other_record=True)
+    np.testing.assert_allclose(found.y, other.y[50:100], atol=1e-3)
 
 
 def test_a_loaded_one_asks_for_its_equation_whatever_it_is_asked(

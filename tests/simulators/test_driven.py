@@ -192,6 +192,25 @@ def test_values_that_an_input_cannot_take_are_refused(tmp_path: Path) -> None:
         fmu.simulate(TIME, 2 * ONE[:, None])
 
 
+def test_values_that_a_parameter_cannot_take_are_refused(tmp_path: Path) -> None:
+    path = built(tmp_path / "rig.fmu", inputs=("u", "n"), types=("Real", "Integer"))
+    says = {2.7: "hold whole numbers for n .*Integer: got 2.7", (0, 5): "be .*not ranges, for n "}
+    for value, words in says.items():
+        with pytest.raises(ValueError, match=f"parameters must {words}"):
+            sb.Fmu(path, parameters={"n": value}, inputs=["u"])
+
+
+def test_how_an_output_is_read_is_found_out_for_the_inputs_of_each_record(tmp_path: Path) -> None:
+    """It depends on the inputs at once above 5 only, in its step: then neither read is right."""
+    out = "r[X] + (r[U] > 5 ? r[U] - 5 : 0)"
+    fmu = sb.Fmu(built(tmp_path / "rig.fmu", out=out, mode=1))
+    small, large = sb.Record(lag(STEPS), DT, u=STEPS), sb.Record(STEPS, DT, u=20 * STEPS)
+    found = sb.Simulation(fmu).fit(small).on(small)
+    np.testing.assert_allclose(found.y_sim, small.y, atol=1e-6)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="depends on the inputs at once"):
+        sb.Simulation(fmu).fit(large).on(large)
+
+
 def two(folder: Path, **options: Any) -> sb.Fmu:
     return sb.Fmu(built(folder / "two.fmu", inputs=("valve", "heater"), output="level"), **options)
 

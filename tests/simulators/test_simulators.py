@@ -1,5 +1,6 @@
 """Simulators against closed forms and solvers; what `run` checks, gives up on and keeps."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy.typing as npt
 import pytest
 import scipy.integrate
 
+import splitband as sb
 from splitband import Record
 from splitband.data.named import van_der_pol
 from splitband.metrics import rmse
@@ -54,6 +56,17 @@ def test_a_recorded_trajectory_is_cut_to_the_record() -> None:
 def test_a_recorded_trajectory_comes_from_a_record_that_was_read() -> None:
     record = Record(np.arange(6.0), 0.2)
     np.testing.assert_array_equal(run(Recorded.of(record), 6, 0.2), record.y)
+
+
+def test_a_recorded_trajectory_has_the_channels_of_a_record_by_their_names() -> None:
+    y = np.random.default_rng(0).standard_normal((40, 2))
+    record = Record(y, DT, columns=("a", "b"))
+    swapped = Recorded.of(Record(y[:, ::-1], DT, columns=("b", "a")))
+    for model in (sb.Simulation(swapped), sb.Calibrated(swapped)):
+        np.testing.assert_allclose(model.fit(record[:30]).predict(10).y, y[30:], atol=1e-9)
+    broken = Recorded(np.where(np.arange(40) == 35, np.nan, y[:, 0]), DT)
+    with pytest.raises(ValueError, match="y must be finite, the exported trajectory holds NaN"):
+        sb.Simulation(broken).fit(Record(y[:, 0], DT)[:30]).predict(10)
 
 
 @pytest.mark.parametrize(("other", "got"), [(DT, "got 30$"), (DT / 2, r"got 30 every 0\.025 s")])
@@ -106,6 +119,26 @@ def test_an_ode_that_blows_up_says_when() -> None:
     with pytest.raises(ValueError, match=r"Ode failed.*RK45, stopped before t = 1.05 s") as caught:
         run(Ode(lambda _, x: x**2, [1.0]), SAMPLES, DT)
     assert "\n" not in str(caught.value)
+
+
+RATE = 1.0
+
+
+def falls(t: float, x: Array) -> list[float]:
+    return [-RATE * x[0]]
+
+
+def test_a_compiled_equation_sees_what_its_globals_become(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is compiled after some ten thousand steps; numba keeps the values of globals."""
+    grid = 0.001 * np.arange(20001)
+    called = Ode(falls, [1.0]), Ode(partial(lambda rate, t, x: [-rate * x[0]], 1.0), [1.0])
+    for model in called:
+        for _ in range(3):
+            found = np.ravel(model.simulate(grid))
+        np.testing.assert_allclose(found[1000], np.exp(-1), rtol=1e-5)
+    monkeypatch.setitem(globals(), "RATE", 2.0)
+    for model in (called[0], Ode(falls, [1.0])):
+        np.testing.assert_allclose(np.ravel(model.simulate(grid))[1000], np.exp(-2), rtol=1e-5)
 
 
 def test_a_single_sample_is_the_initial_state() -> None:

@@ -27,6 +27,11 @@ SIGNALS = "y", "y_true", "y_sim", "u", *AHEAD
 class Preparation:
     """Define the interface of a preparation step; by default it changes nothing."""
 
+    @property
+    def timed(self) -> bool:
+        """Return whether it depends on the time."""
+        return False
+
     def apply(self, record: Record) -> Record:
         """Return the prepared record."""
         time = seconds(record)
@@ -70,6 +75,11 @@ class Detrended(Preparation):
     slopes: Numbers
     input_levels: Numbers = ()
     input_slopes: Numbers = ()
+
+    @property
+    def timed(self) -> bool:
+        """Return whether it removes straight lines."""
+        return any((*self.slopes, *self.input_slopes))
 
     @classmethod
     def of(cls, record: Record, order: int) -> Detrended:

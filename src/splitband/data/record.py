@@ -200,10 +200,10 @@ class Record:
 
     def to_frame(self) -> pd.DataFrame:
         """Return a table of time stamps, inputs and outputs, with NaN in gaps."""
-        named = dict(zip(self.columns, self.y_with_gaps.T, strict=True))
-        known = {} if self.u is None else dict(zip(self.inputs, self.u.T, strict=True))
-        header = "time (s)" if "time" in (*named, *known) else "time"
-        return pd.DataFrame({header: self.stamps, **known, **named})
+        header = "time (s)" if "time" in (*self.columns, *self.inputs) else "time"
+        parts = [pd.DataFrame({header: self.stamps})]
+        parts += [] if self.u is None else [pd.DataFrame(self.u, columns=self.inputs)]
+        return pd.concat([*parts, pd.DataFrame(self.y_with_gaps, columns=self.columns)], axis=1)
 
     def detrend(self, order: int = 0) -> Record:
         """Return the record without the means, or straight lines, of its outputs and inputs.
@@ -246,7 +246,17 @@ class Record:
                 f"sampling_time must be a whole multiple of {self.sampling_time:g} s, "
                 f"got {sampling_time:g}"
             )
+        if factor > 1 and any(step.timed for step in self.prepared):
+            raise InputError(
+                "sampling_time must be changed before detrend(1): straight lines over time are "
+                f"those of single samples, not of means, got {sampling_time:g}"
+            )
         return self._with(Resampled(factor)) if factor > 1 else self
+
+    @property
+    def detrended(self) -> bool:
+        """Return whether its means or straight lines have been removed."""
+        return any(isinstance(step, Detrended) for step in self.prepared)
 
     def prepared_as(self, other: Record) -> Record:
         """Return the record prepared like another one.
@@ -259,6 +269,11 @@ class Record:
             raise InputError(
                 f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
                 "or not at all (detrend, clip_outliers, resample)"
+            )
+        if self.start is None and any(step.timed for step in other.prepared):
+            raise InputError(
+                f"{self.name or 'the record'} must have time stamps: straight lines over time were "
+                f"removed from {other.name or 'the other'}, and nothing tells where on them it is"
             )
         return functools.reduce(Record._with, other.prepared, self)
 

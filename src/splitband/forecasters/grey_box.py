@@ -14,7 +14,7 @@ import numpy as np
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.simulation import part_of_given_output
+from splitband.forecasters.simulation import check_level, part_of_given_output
 from splitband.forecasters.stepping import (
     NotSteppedError,
     Part,
@@ -136,6 +136,7 @@ class GreyBox(Forecaster):
             )
         if isinstance(self.simulator, Absent):
             self.simulator.simulate(None)  # raises the error that asks for it
+        check_level(records[0], self.name)
         check_runs(self.simulator, records[0])
 
     _refits = False

@@ -386,6 +386,15 @@ class SimulatorForecaster(Forecaster):
         return super().differentiable(known)
 
 
+def check_level(record: Record, name: str) -> None:
+    """Raise ValueError for a detrended record, whose level its own simulator cannot have."""
+    if record.detrended:
+        raise InputError(
+            f"the record must not be detrended for {name}, whose simulator runs at the measured "
+            "level; output that is given with the record (y_sim) is detrended as well"
+        )
+
+
 @final
 class Simulation(SimulatorForecaster):
     """Forecast with a simulator's output, unchanged.
@@ -397,8 +406,13 @@ class Simulation(SimulatorForecaster):
     """
 
     _slow_part = "simulator"
-
     _words = "simulator"
+
+    def check(self, *records: Record) -> None:
+        """Raise ValueError for wrong records, and for detrended ones beside its own simulator."""
+        super().check(*records)
+        if self.simulator is not None:
+            check_level(records[0], self.name)
 
 
 @final

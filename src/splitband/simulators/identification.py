@@ -139,7 +139,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    window = _window(outcomes, longest)
+    # Without states every window begins with the record: a shorter one leaves out the rest.
+    window = _window(outcomes, longest if simulator.states else math.inf)
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
     fractions = np.array(best.found[window][0])
@@ -209,7 +210,7 @@ def check_runs(simulator: Any, record: Record) -> Any:
     ) from reason
 
 
-def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
+def _window(outcomes: Sequence[StartOutcome], longest: float) -> int:
     """Return the longest window length, unless shorter windows fit far better."""
     found = [(n, error) for each in outcomes for n, (_, error) in each.found.items()]
     lengths = sorted({n for n, _ in found}, reverse=True)
