@@ -1,11 +1,11 @@
 """What becomes of the results where a constant of the package is halved or doubled.
 
-    python -m benchmarks.sensitivity [--groups linear time ...] [--jobs 2] [--names _PAST ...]
+    python -m benchmarks.sensitivity [--groups linear time ...] [--names _PAST ...]
 
-Development seeds only. A constant that changes no result in either direction needs no better value;
-one that never decides anything should go. A share above one half is moved towards 1 or away from
-it. Figures are appended to docs/benchmarks/constants.jsonl as they come, and what is there is not
-computed again; the table of docs/tables/constants.md is made of them.
+Development seeds only. A share above one half is moved towards 1 or away from it. A line of OUT has
+the constant, in how many of the cases the result changes by more than 1 %, and the geometric mean,
+the least and the largest of the new results over the usual ones: the smaller the better. What is
+there is not computed again. A docstring that names this program has its evidence here.
 """
 
 from __future__ import annotations
@@ -27,17 +27,15 @@ from typing import Any
 import numpy as np
 
 import splitband as sb
-from benchmarks import driven, kinds, residuals
+from benchmarks import clock, driven, kinds, residuals
 from benchmarks.commands import PENDULUM
 from benchmarks.recommendation import BASELINES, RecordJob, _comparison
 from docs.constants import SOURCE, Constant, constants
 from splitband.filters.cutoff import choose
 from splitband.metrics import rmse
 from splitband.runtime.caching import KEPT
-from splitband.runtime.files import replacing
-from splitband.runtime.workers import Workers, run_jobs
 
-FILE, PAGE = Path("docs/benchmarks/constants.jsonl"), Path("docs/tables/constants.md")
+FILE = Path(__file__).parents[1] / "docs/results/benchmarks/constants.jsonl"
 FACTORS = 0.5, 2.0
 CHANGED = 0.01
 """A result that differs by less than this share of it has not changed."""
@@ -212,68 +210,47 @@ def moved(value: Any, factor: float) -> Any:
 def _by_eye(files: Sequence[str]) -> Iterator[tuple[Constant, str]]:
     for each in constants():
         path = str(each.path.relative_to(SOURCE))
-        if path in files and (each.kind == "by eye" or "constants.md" in each.said):
+        if path in files and (each.kind == "by eye" or "benchmarks.sensitivity" in each.said):
             yield from ((each, name) for name in each.names)
 
 
 def main() -> None:
-    """Compute what is missing, and write the table."""
+    """Compute what is missing, one constant after the other."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--groups", nargs="+", default=[*GROUPS], choices=[*GROUPS])
     parser.add_argument("--names", nargs="+", help="only these constants")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=FILE)
     given = parser.parse_args()
-    there = {(row["path"], row["name"], row["factor"]) for row in _rows()}
-    jobs = []
+    there = {(row["path"], row["name"], row["factor"]) for row in clock.read(given.out)}
     for group in given.groups:
         every = [
-            (str(each.path.relative_to(SOURCE)), name)
-            for each, name in _by_eye(GROUPS[group][1])
+            Moved(group, path, name, factor)
+            for path, name in _by_eye(GROUPS[group][1])
+            for factor in FACTORS
             if given.names is None or name in given.names
         ]
-        wanted = [(group, "", 1.0), *((p, n, f) for p, n in every for f in FACTORS)]
-        jobs += [Moved(group, *each) for each in wanted if each not in there]
-    with Workers(given.jobs) as workers:
-        for job, future in run_jobs(Moved.results, jobs, workers):
-            row = {**vars(job), "results": future.result()}
-            with FILE.open("a", encoding="utf-8") as file:
+        missing = [each for each in every if (each.path, each.name, each.factor) not in there]
+        usual = Moved(group, "", "", 1.0).results() if missing else {}
+        for each in missing:
+            row = vars(each) | summary(each.results(), usual)
+            with given.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
-            print(job, flush=True)
-    with replacing(PAGE) as temporary:
-        temporary.write_text(page(), encoding="utf-8")
+            print(row, flush=True)
 
 
-def _rows() -> list[dict[str, Any]]:
-    lines = FILE.read_text(encoding="utf-8").splitlines() if FILE.exists() else []
-    return [json.loads(line) for line in lines]
-
-
-def page() -> str:
-    """Return the table of all constants that were moved, as Markdown."""
-    rows = _rows()
-    usual = {row["group"]: row["results"] for row in rows if row["factor"] == 1.0}
-    found: dict[tuple[str, str], dict[float, str]] = {}
-    for row in rows:
-        if row["factor"] != 1.0:
-            of = found.setdefault((row["path"], row["name"]), {})
-            of[row["factor"]] = _in_words(row["results"], usual[row["group"]])
-    doc = (__doc__ or "").split("\n\n")
-    lines = [f"# Constants, halved and doubled\n\n{doc[0]} ({doc[1].strip()}) {doc[2]}"]
-    lines.append("| constant | halved | doubled |\n|---|---|---|")
-    text = "\n".join(f"| {p} `{n}` | {of.get(0.5, '')} | {of.get(2.0, '')} |"
-                     for (p, n), of in sorted(found.items()))  # fmt: skip
-    return "\n\n".join(lines) + "\n" + text + "\n"
-
-
-def _in_words(results: Results, usual: Results) -> str:
-    ratios = [max(results.get(case, math.inf), 1e-12) / max(value, 1e-12)
-              for case, value in usual.items()]  # fmt: skip
+def summary(results: Results, usual: Results) -> dict[str, float]:
+    """Return how results compare with the usual ones; a missing one is infinite."""
+    ratios = [
+        max(results.get(case, math.inf), 1e-12) / max(value, 1e-12) for case, value in usual.items()
+    ]
     finite = [ratio for ratio in ratios if math.isfinite(ratio)]
-    changed = [ratio for ratio in ratios if abs(ratio - 1) > CHANGED]
-    if not changed:
-        return f"none of {len(ratios)} changes"
-    mean, least, most = statistics.geometric_mean(finite), min(ratios), max(ratios)
-    return f"{len(changed)} of {len(ratios)}: {mean:.3f} times ({least:.2f} to {most:.2f})"
+    return {
+        "cases": len(ratios),
+        "changed": sum(abs(ratio - 1) > CHANGED for ratio in ratios),
+        "mean": round(statistics.geometric_mean(finite), 4),
+        "least": round(min(ratios), 4),
+        "most": round(max(ratios), 4),
+    }
 
 
 if __name__ == "__main__":
