@@ -57,6 +57,20 @@ def test_the_frequency_response_is_that_of_the_transfer_function(linear: sb.Line
             np.testing.assert_allclose(gains[:, i, j], expected, atol=1e-9)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("of_u", "of_y"), [(1.0, 1.0), (1e5, 1e-9), (1e5, 1e-12), (1e-9, 1e9)])
+def test_the_transfer_function_does_not_depend_on_units(of_u: float, of_y: float) -> None:
+    u = np.repeat(np.sign(np.random.default_rng(0).standard_normal(150)), 4)
+    a = np.poly([0.9, 0.7])
+    y = scipy.signal.lfilter([0, 0.1, -0.08], a, u)
+    model = sb.Linear(order=2, delay=1).fit(sb.Record(of_y * y, DT, u=of_u * u))
+    system: Any = model.transfer_function()
+    found = scipy.signal.dfreqresp(system, [0.5])[1] * of_u / of_y
+    _, expected = scipy.signal.freqz([0, 0.1, -0.08], a, [0.5])
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    assert abs(model.zeros() - 0.8).min() < 1e-4
+
+
 def test_the_frequency_response_of_an_integrator_rises_towards_low_frequencies() -> None:
     u = np.sign(np.sin(0.05 * np.arange(400)))
     y = scipy.signal.lfilter([0, 0.1], np.poly([1.0, 0.5]), u)

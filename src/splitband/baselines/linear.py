@@ -306,9 +306,13 @@ class LinearModel:
         a = np.poly(self.a) if self.order else np.ones(1)
         b = np.zeros(len(a) + longest)
         for t in columns:
-            # B(z) = det(zI - A + B C) + (D - 1) det(zI - A)
-            own = np.poly(self.a - np.outer(self.b[:, t], self.c[output])) if self.order else a
-            own = own + (self.d[output, t] - 1) * a
+            # B(z) = det(zI - A + B C) - det(zI - A) + D det(zI - A). The difference is linear in
+            # B C, which is scaled to 1: it would drown in rounding where the gain is small.
+            inner = np.outer(self.b[:, t], self.c[output])
+            size = abs(inner).max(initial=0.0) or 1.0
+            own = self.d[output, t] * a
+            if self.order:
+                own = own + size * (np.poly(self.a - inner / size) - a)
             late = longest - self.taps[t][1]
             b[longest - late : longest - late + len(own)] += own
         kept = int(np.argmax(b != 0))  # SciPy warns of leading zeros

@@ -166,7 +166,11 @@ class Linear(Forecaster):
         """
         fitted = self.require_fitted()
         b, a = self.model.transfer_function(output, input_)
-        return scipy.signal.TransferFunction(b, a, dt=fitted.record.sampling_time)
+        system = scipy.signal.TransferFunction(
+            np.ones_like(b), a, dt=fitted.record.sampling_time
+        )
+        system.num = b  # SciPy's constructor takes leading coefficients below 1e-14 for 0
+        return system
 
     def zeros(self, output: int = 0, input_: int = 0) -> npt.NDArray[np.complex128]:
         """Return the zeros of `transfer_function` in the z plane."""
