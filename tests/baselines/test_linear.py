@@ -339,6 +339,26 @@ def test_after_the_deadline_it_is_a_model_of_one_pole_and_says_that_it_was_cut()
     assert not sb.Linear().fit(record).require_fitted().report.cut
 
 
+def test_the_response_of_outputs_with_different_delays_is_that_at_its_angles() -> None:
+    u = inputs(400)
+    late = np.append(np.repeat(u[:1, 0], 150), u[:-150, 0])
+    y = scipy.signal.lfilter([0, 0.1], [1, -0.9], np.stack([late, u[:, 0]], axis=1), axis=0)
+    y += 0.01 * np.random.default_rng(1).standard_normal(y.shape)
+    model = sb.Linear(order=1, delay=[[151], [1]]).fit(sb.Record(y, 0.2, u=u))
+    found = model.accuracy()
+    for k in range(2):
+        _, expected = scipy.signal.dfreqresp(cast(Any, model.transfer_function(k)), found.angles)
+        np.testing.assert_allclose(found.response[:, k, 0], abs(expected), rtol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_infinite_gain_of_an_integrator_has_its_sign(sign: int) -> None:
+    u = inputs()
+    y = scipy.signal.lfilter([0, 0.02 * sign], [1, -1], u[:, 0])
+    model = sb.Linear(order=1, delay=1, integrators=1).fit(sb.Record(y, 0.2, u=u))
+    assert model.accuracy().gains == [[sign * np.inf]]
+
+
 def test_a_slow_pole_that_the_record_does_not_determine_is_no_integrator() -> None:
     """Two filters with a diode between them: a simulation of more samples would drift away."""
     record, test = drawn("Wiener-Hammerstein", 104, 400)

@@ -136,16 +136,20 @@ def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
 
 @np.errstate(all="ignore")
 def accuracy_of(
-    solution: Solution, runs: Sequence[Run], matrices: Callable[[Array | None], Matrices]
+    solution: Solution,
+    runs: Sequence[Run],
+    matrices: Callable[[Array | None], Matrices],
+    longest: int,
 ) -> Accuracy:
     """Return the accuracy of a model in normalised units.
 
-    `matrices` returns A, B, C and D after a step of the values of `solution`.
+    `matrices` returns A, B, C and D after a step of the values of `solution`. `longest` is the
+    length of the longest record, with what a fit of late inputs leaves out.
     """
     a, b, c, d = matrices(None)
     order = np.argsort(-abs(np.linalg.eigvals(a)))
     poles = np.linalg.eigvals(a)[order].astype(np.complex128)
-    angles = np.geomspace(np.pi / max(run.u.shape[1] for run in runs), np.pi, FREQUENCIES)
+    angles = np.geomspace(np.pi / longest, np.pi, FREQUENCIES)
 
     def found(step: Array | None) -> Array:
         """Return poles, gains and responses in one row, of real numbers."""
@@ -173,8 +177,11 @@ def accuracy_of(
         spread = np.sqrt((change**2).sum(axis=1))
     n, gains = len(poles), c.shape[0] * b.shape[1]
     shape = c.shape[0], b.shape[1]
+    value = base[3 * n : 3 * n + gains].reshape(shape)
     near = abs(poles - 1).min(initial=np.inf) < 1e-12
-    value = np.where(near, np.inf, base[3 * n : 3 * n + gains]).reshape(shape)
+    # An infinite gain has the sign of the response at a real z just above 1.
+    above = _response(a, b, c, d, np.array([-1e-6j]))[0].real
+    value = np.where(near | np.isinf(value), np.copysign(np.inf, above), value)
     return Accuracy(
         np.stack([poles.real, poles.imag], axis=1),
         spread[: 3 * n].reshape(3, n).T,
@@ -187,7 +194,7 @@ def accuracy_of(
     )
 
 
-def _response(a: Array, b: Array, c: Array, d: Array, angles: Array) -> Complex:
+def _response(a: Array, b: Array, c: Array, d: Array, angles: Array | Complex) -> Complex:
     """Return the frequency response `(frequencies, ny, nu)`."""
     z = np.exp(1j * angles)[:, None, None]
     with np.errstate(all="ignore"):

@@ -114,7 +114,7 @@ def _of_outputs(
     most: int | None,
 ) -> LinearModel:
     """Return the model of outputs that have the same delays."""
-    runs = [units.run(y, u, delays) for y, u in records]
+    runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
     search = Search(runs, moving, integrators, most)
     if order is None:
@@ -131,12 +131,12 @@ def _of_outputs(
     model = _model_of(at, runs, delays)
     if not current().over:
         late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
-        errors = accuracy_of(at, fitted, at.matrices)
+        errors = accuracy_of(at, fitted, at.matrices, longest)
         model = replace(model, accuracy=replace(errors, delay_errors=late))
     noisy = at.scale.max() > _EXACT and not current().over
     known = [u[-len(e.T) :].T for (_, u), e in zip(records, at.errors, strict=True)]
     if noisy and not integrators and feedback(at.errors, known):
-        by_prediction = _by_prediction(model, at, runs)
+        by_prediction = _by_prediction(model, at, runs, longest)
         if not (_unstable_by_chance(by_prediction) or _of_sensors(model, by_prediction, runs)):
             model = by_prediction
     model = replace(
@@ -229,7 +229,9 @@ def _model_of(
     )  # fmt: skip
 
 
-def _by_prediction(model: LinearModel, at: Solution, runs: Sequence[Run]) -> LinearModel:
+def _by_prediction(
+    model: LinearModel, at: Solution, runs: Sequence[Run], longest: int
+) -> LinearModel:
     """Return the model by prediction error that begins as a `model` by output error.
 
     The predictor's inputs are those of the record and its outputs, simulated in gaps. A controller
@@ -263,7 +265,7 @@ def _by_prediction(model: LinearModel, at: Solution, runs: Sequence[Run]) -> Lin
     # The gain in the coordinates of the blocks.
     gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[blocks.kept.ravel()]
     new = _model_of(at, runs, delays, gain, "prediction error")
-    errors = accuracy_of(found, both, lambda step: matrices(step)[:4])
+    errors = accuracy_of(found, both, lambda step: matrices(step)[:4], longest)
     simple = errors if model.accuracy is None else model.accuracy
     return replace(new, accuracy=replace(errors, delay_errors=simple.delay_errors))
 

@@ -228,9 +228,9 @@ class Search:
         same = free if free.order == order else None if current().over else self.of_order(order)
         if same is None:
             return True
-        found = accuracy_of(same.solution, self.runs, same.solution.matrices)
-        pole, error = found.poles[0], found.pole_errors[0, 2]
         longest = max(run.u.shape[1] for run in self.runs)
+        found = accuracy_of(same.solution, self.runs, same.solution.matrices, longest)
+        pole, error = found.poles[0], found.pole_errors[0, 2]
         return bool(pole.imag != 0 or not longest * (1 - abs(pole) + NORMAL * error) > _DECAYED)
 
     def _constant(self) -> Candidate:
