@@ -359,6 +359,21 @@ def test_the_infinite_gain_of_an_integrator_has_its_sign(sign: int) -> None:
     assert model.accuracy().gains == [[sign * np.inf]]
 
 
+@pytest.mark.parametrize("seldom", [0, 1])
+def test_two_sensors_of_one_signal_may_be_sampled_at_different_rates(seldom: int) -> None:
+    """The covariance of their errors is one: symmetric, and without negative variances."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(np.sign(rng.standard_normal(30)), 10)
+    y = scipy.signal.lfilter([0, 0.1], [1, -0.9], u)
+    y += scipy.signal.lfilter([1], [1, -0.6], 0.1 * rng.standard_normal(300))
+    seen = np.stack([y, y], axis=1) + 1e-3 * rng.standard_normal((300, 2))
+    seen[np.arange(300) % 10 > 0, seldom] = np.nan
+    model = sb.Linear(order=1, delay=1).fit(sb.Record.with_gaps(seen, 0.1, u=u)).model
+    np.testing.assert_allclose(model.noise, model.noise.T, rtol=1e-12)
+    variances = np.linalg.eigvalsh(model.noise)
+    assert variances[0] > -1e-12 * variances[1]
+
+
 def test_a_slow_pole_that_the_record_does_not_determine_is_no_integrator() -> None:
     """Two filters with a diode between them: a simulation of more samples would drift away."""
     record, test = drawn("Wiener-Hammerstein", 104, 400)

@@ -105,8 +105,15 @@ def covariance(
     for e, s in zip(errors, measured, strict=True):
         x = states(a - gain @ c, e @ gain.T, np.zeros(len(a)))
         left.append((e - x @ c.T) * s)
-    together = np.concatenate(left)
-    return np.asarray(together.T @ together / np.maximum(np.concatenate(measured).sum(axis=0), 1))
+    e, seen = np.concatenate(left), np.concatenate(measured)
+    products, counts = e.T @ e, np.maximum(seen.sum(axis=0), 1)
+    if (seen == seen[:, :1]).all():
+        return np.asarray(products / counts)
+    # Correlations, each of the samples at which both outputs were measured, may contradict each
+    # other: what is left of them has no negative variances.
+    deviation, power = np.sqrt(np.diag(products) / counts), (e**2).T @ seen
+    root = root_of(products / np.sqrt(np.maximum(power * power.T, 1e-300)))
+    return np.asarray(deviation[:, None] * (root @ root.T) * deviation)
 
 
 def fitted_gain(
