@@ -59,6 +59,16 @@ def test_a_clean_series_goes_on_exactly(
     assert_multiple(1 / found.channels[0].frequencies[0], period)
 
 
+@pytest.mark.parametrize("spread", [0, 0.1])
+@pytest.mark.parametrize("lag", [2, 4, 12])
+def test_an_even_period_of_samples_without_any_relation_goes_on(lag: int, spread: float) -> None:
+    """Half a cycle per sample is one of its harmonics."""
+    y = np.resize(np.random.default_rng(5).standard_normal(lag), 40 * lag + AHEAD)
+    seen = y + spread * noise(len(y), 0)
+    ahead = periodic(seen[: 40 * lag, None]).predict(40 * lag, AHEAD)[:, 0]
+    assert np.std(ahead - y[40 * lag :]) < 1e-6 + 0.5 * spread
+
+
 def test_what_dies_out_is_told_from_what_stays() -> None:
     index = np.arange(TRAINING + AHEAD)
     y = wave(80, index) + np.exp(-index / 90) * np.cos(2 * np.pi * index / 13)

@@ -112,7 +112,7 @@ def periodic(y: Array) -> SinusoidRegression:
 def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
     """Return the Fourier series of a period on a `level`, with the harmonics that lower the BIC."""
     index = known(y)
-    most = min(MOST_HARMONICS, (lag - 1) // 2, (len(index) - 2) // 4)
+    most = min(MOST_HARMONICS, lag // 2, (len(index) - 2) // 4)
     left = level.residual(y)
     complete = left[len(y) % lag :]
     if most < 1 or not len(known(complete)):
@@ -121,7 +121,7 @@ def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
     with np.errstate(invalid="ignore"):  # 0 / 0 at a phase that was never measured
         mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
     mean_period = fill_gaps_periodically(mean_period)[:, 0]
-    strength = abs(np.fft.rfft(mean_period)[1 : (lag - 1) // 2 + 1])
+    strength = abs(np.fft.rfft(mean_period)[1 : lag // 2 + 1])
     strongest = 1 + np.argsort(-strength, kind="stable")[:most]
     phase = 2 * np.pi * np.outer(index, strongest) / lag
     pairs = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(index), -1)

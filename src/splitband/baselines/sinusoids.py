@@ -335,7 +335,7 @@ def bic(y: Array, left: Array, parameters: int, strict: bool = False) -> float:
     seen = left[~np.isnan(left)]
     variance = float(np.mean(seen**2))
     if strict and len(seen) > 2 and (power := float(seen[:-1] @ seen[:-1])) > 0:
-        alike = float(seen[:-1] @ seen[1:]) / power
+        alike = max(float(seen[:-1] @ seen[1:]) / power, 0.0)
         variance = min(variance, float(np.mean((seen[1:] - alike * seen[:-1]) ** 2)))
     variance = max(variance, 1e-16 * float(np.nanmean(y**2)), 1e-300)
     return float(len(seen) * np.log(variance) + parameters * np.log(len(seen)))
