@@ -80,6 +80,17 @@ def test_every_sample_after_the_first_warmup_is_in_a_window(
         assert predicted == set(range(warmup, samples))
 
 
+@pytest.mark.parametrize("pieces", [[40, 40, 40], [25, 57, 10], [12, 10, 11]])
+def test_no_sample_before_a_gap_or_the_end_of_a_record_is_left_out(pieces: list[int]) -> None:
+    window, warmup = 10, 3
+    begins = np.cumsum([0, *pieces[:-1]])
+    starts = [b + np.arange(n - window + 1) for b, n in zip(begins, pieces, strict=True)]
+    chosen = end_to_end(torch.from_numpy(np.concatenate(starts)), window, warmup, 10_000)
+    predicted = {n for start in chosen.tolist() for n in range(start + warmup, start + window)}
+    wanted = [range(b + warmup, b + n) for b, n in zip(begins, pieces, strict=True)]
+    assert predicted == {n for piece in wanted for n in piece}
+
+
 def test_of_a_long_record_some_windows_are_left_out_evenly() -> None:
     chosen = end_to_end(torch.arange(991), 10, 0, 100)
     assert len(chosen) == 10

@@ -45,12 +45,12 @@ def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> T
     """
     overlap = 2 if len(starts) <= MAX_WINDOWS_WITH_OVERLAP else 1
     hop = max(1, (window - warmup) // overlap)
+    # Before gaps and at the end of each record.
+    last = {*starts[:-1][starts.diff() > 1].tolist(), int(starts[-1])}
     chosen = [int(starts[0])]
-    for start in starts.tolist():
-        if start >= chosen[-1] + hop:
+    for start in starts[1:].tolist():
+        if start >= chosen[-1] + hop or start in last:
             chosen.append(start)
-    if int(starts[-1]) != chosen[-1]:
-        chosen.append(int(starts[-1]))
     most = max(1, most_samples // window)
     kept = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
     return torch.tensor(chosen)[kept]
