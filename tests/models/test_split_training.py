@@ -16,6 +16,7 @@ import splitband as sb
 from splitband.data import Record
 from splitband.models import Split
 from splitband.models.base import Signals
+from splitband.training import fit
 from splitband.training.windows import joined, windows, windows_in
 from tests.records import DT, NAN
 
@@ -101,6 +102,13 @@ def free_run(cell: Any, warm: torch.Tensor, steps: int) -> torch.Tensor:
             found.append(cell.observation(h)[0])
             h = gru(found[-1][None], h)
     return torch.stack(found)
+
+
+def test_a_warm_up_without_a_sample_of_the_low_band_is_refused() -> None:
+    settings = sb.Settings(window=WINDOW, warmup=K - 1, epochs=1)
+    said = rf"warmup must be at least {K} samples for the low band.* got {K - 1}"
+    with pytest.raises(ValueError, match=said):
+        fit(untrained(own_warmup=False), drawn(130, 0), settings)
 
 
 def test_with_an_own_warm_up_the_bands_of_a_window_add_up_to_its_samples() -> None:

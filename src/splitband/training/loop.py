@@ -71,6 +71,12 @@ def fit(
     )  # fmt: skip
     saved = (checkpoint.load(key) if checkpoint else None) or {}
     tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
+    for task in tasks:
+        if settings.warmup < task.stride:
+            raise InputError(
+                f"warmup must be at least {task.stride} samples for the {task.name}, which is "
+                f"down-sampled by {task.stride}, got {settings.warmup}"
+            )
     states: State = {}
     for done, task in enumerate(tasks):
         # Each network gets the same seed, so that its training does not depend on the others.
