@@ -97,6 +97,18 @@ def test_the_checkpoint_of_another_training_is_none(tmp_path: Path) -> None:
         assert len(seen) == epochs
 
 
+@pytest.mark.parametrize("kind", [np.array, torch.tensor, lambda table: {"of": [table]}])
+def test_the_checkpoint_of_a_network_with_another_table_is_none(kind: Any, tmp_path: Path) -> None:
+    for value, epochs in ((1.0, 4), (1.0, 0), (1.0 + 1e-12, 4)):
+        model = untrained("gru", record(), SETUP, 0)
+        table = np.ones(2000)
+        table[1000] = value
+        model.table = kind(table)
+        seen: list[Progress] = []
+        fit(model, record()[:TRAIN], RECIPE, 0, seen.append, Checkpoint(tmp_path / "table"))
+        assert len(seen) == epochs
+
+
 def test_where_no_checkpoint_can_be_written_training_goes_on(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="no checkpoint could be written"):
         model, _, _ = trained(Checkpoint(tmp_path / "gone" / "training.safetensors"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar
@@ -40,9 +41,7 @@ def cached(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def found(*arguments: P.args, **named: P.kwargs) -> R:
-        key = key_of(
-            function.__module__, function.__qualname__, *_parts([*arguments, *named.items()])
-        )
+        key = key_of(function.__module__, function.__qualname__, arguments, named)
         if key not in KEPT or (KEPT[key].late and current().at == math.inf):
             with one_thread():
                 result = function(*arguments, **named)
@@ -61,23 +60,30 @@ def keep(results: Mapping[str, Kept]) -> None:
 
 
 def key_of(*parts: Any) -> str:
-    """Return a hash of the parts: of arrays and tensors by content, of the others by `repr`."""
+    """Return a hash of the parts: of arrays and tensors by content, of the others by `repr`.
+
+    Lists and dicts are taken apart. What else holds arrays shows all their numbers in its `repr`.
+    """
     digest = hashlib.sha256()
-    for part in parts:
+    for part in (inner for each in parts for inner in _parts(each)):
         is_tensor = hasattr(part, "detach")
         values = part.detach().cpu().contiguous().numpy() if is_tensor else part
-        if isinstance(values, np.ndarray):
+        if isinstance(values, np.ndarray) and not values.dtype.hasobject:
             digest.update(str((part.dtype, tuple(part.shape))).encode())
             digest.update(values.tobytes())
         else:
-            digest.update(repr(part).encode())
+            with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+                digest.update(repr(part).encode())
         digest.update(b"\0")
     return digest.hexdigest()
 
 
 def _parts(value: Any) -> Iterator[Any]:
-    """Yield the elements of nested lists."""
+    """Yield the lengths and elements of nested lists and dicts."""
+    if isinstance(value, dict):
+        value = [*value.items()]
     if isinstance(value, list | tuple):
+        yield len(value)
         for part in value:
             yield from _parts(part)
     else:
