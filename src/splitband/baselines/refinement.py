@@ -23,9 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.runtime.arrays import Array
-
-Flags = npt.NDArray[np.bool_]
+from splitband.runtime.arrays import Array, Flags
 
 _RADIUS = 1 - 1e-9
 """Largest absolute value of a free pole; 1 is an integrator."""
