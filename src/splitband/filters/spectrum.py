@@ -13,6 +13,10 @@ from splitband.runtime.arrays import Array
 
 LOBE = 2
 """Half the width of the Hann window's main lobe, in bins."""
+MOST_PEAKS = 5
+"""Largest number of peaks. Layout."""
+LEAST_PEAK = 0.005
+"""Least share of the power that a peak has. Layout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,25 +39,24 @@ class Spectrum:
             return 1.0
         return float(self._power()[self.frequencies <= cutoff].sum() / total)
 
-    def peaks(self, count: int = 5, least: float = 0.005) -> list[tuple[float, float]]:
+    def peaks(self) -> list[tuple[float, float]]:
         """Return the strongest maxima: `(frequency in Hz, share of the power in the main lobe)`.
 
         The window spreads a sinusoid over `LOBE` bins on either side of its maximum. Where two
-        peaks overlap, these bins count for the stronger one. At most `count` peaks are returned,
-        each with a share of at least `least`.
+        peaks overlap, these bins count for the stronger one.
         """
         power = self._power()
         total, left = power.sum(), power.copy()
         maxima = scipy.signal.find_peaks(np.concatenate([[0.0], power, [0.0]]))[0] - 1
         strongest: list[tuple[float, float]] = []
         for i in maxima[np.argsort(-power[maxima], kind="stable")]:
-            if len(strongest) == count:
+            if len(strongest) == MOST_PEAKS:
                 break
             if left[i] > 0:  # otherwise it is part of a stronger peak
                 lobe = slice(max(i - LOBE, 0), i + LOBE + 1)
                 strongest.append((float(self.frequencies[i]), float(left[lobe].sum() / total)))
                 left[lobe] = 0.0
-        return [(frequency, share) for frequency, share in strongest if share >= least]
+        return [(frequency, share) for frequency, share in strongest if share >= LEAST_PEAK]
 
     def shares(self) -> Array:
         """Return the share of the power by bin, without the mean, `(bins,)`; 0 for a constant."""

@@ -166,9 +166,7 @@ class Linear(Forecaster):
         """
         fitted = self.require_fitted()
         b, a = self.model.transfer_function(output, input_)
-        system = scipy.signal.TransferFunction(
-            np.ones_like(b), a, dt=fitted.record.sampling_time
-        )
+        system = scipy.signal.TransferFunction(np.ones_like(b), a, dt=fitted.record.sampling_time)
         system.num = b  # SciPy's constructor takes leading coefficients below 1e-14 for 0
         return system
 
