@@ -115,6 +115,24 @@ def test_the_families_are_drawn_from_their_seeds_and_tabled(
     assert cells == expected
 
 
+def test_constants_that_are_halved_and_doubled_are_no_worse_as_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    sensitivity, listed = map(importlib.import_module, ("benchmarks.sensitivity", "docs.constants"))
+    rows: dict[tuple[str, str], list[float]] = {}
+    for row in importlib.import_module("benchmarks.clock").read(sensitivity.FILE):
+        rows.setdefault((row["path"], row["name"]), []).append(row["mean"])
+    for constant in listed.constants():
+        if "benchmarks.sensitivity" in constant.said:
+            path = constant.path.relative_to(listed.SOURCE).as_posix()
+            means = [mean for name in constant.names for mean in rows[path, name]]
+            assert len(means) == 2 * len(constant.names)
+            assert min(means) > 0.97, (path, constant.names)
+    found = sensitivity.summary({"a": 2.0, "b": 1.0}, {"a": 1.0, "b": 1.0})
+    assert found == {"cases": 2, "changed": 1, "mean": 1.4142, "least": 1.0, "most": 2.0}
+
+
 def test_a_run_that_is_there_is_not_run_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -27,26 +27,31 @@ from splitband.runtime.errors import InputError
 LONGEST_DELAY = 100_000
 """Longest delay in samples that a file may ask for: bounds the memory of a stream."""
 _PAST = 12
-"""Order of the models that whiten the signals. By eye."""
+"""Order of the models that whiten the signals. Checked by `benchmarks.sensitivity`."""
 _SIGNIFICANT = 5.5
-"""Correlation of an input with effect, in standard deviations of those without. By eye."""
+"""Correlation of an input with effect, in standard deviations of those without. Checked by
+`benchmarks.sensitivity`."""
 _OF_LARGEST = (0.35, 0.7, 1.0)
 """A candidate is the first lag with this share of the largest correlation: as levels that are held
-for some samples are correlated by chance, the first significant one may be early. By eye."""
+for some samples are correlated by chance, the first significant one may be early. Checked by
+`benchmarks.sensitivity`."""
 _ARX_PAST = 30
-"""Past samples of each signal in the ARX model that tests earlier lags. By eye."""
+"""Past samples of each signal in the ARX model that tests earlier lags. Checked by
+`benchmarks.sensitivity`."""
 _ARX_ROWS = 8000
 """Most samples of a record in it. Bounds the time."""
 _CHANCE = 1e-6
-"""Probability that regressors without effect are significant. By eye."""
+"""Probability that regressors without effect are significant. Checked by
+`benchmarks.sensitivity`."""
 _EFFECT = 0.02
 """Share of what other regressors leave that tested ones explain at least, as models are but nearly
-right. By eye."""
+right. Checked by `benchmarks.sensitivity`."""
 _SHARE = 0.4
-"""Longest delay that is searched, as a share of the longest record. By eye."""
+"""Longest delay that is searched, as a share of the longest record. Checked by
+`benchmarks.sensitivity`."""
 SHORTEST = 2
 """Shortest first estimate, in samples, that is not taken to be 0: many systems answer one sample
-late. By eye."""
+late. Checked by `benchmarks.sensitivity`."""
 
 _SEARCHED = 20_000
 """Most samples on which delays are compared. Bounds the time."""

@@ -46,20 +46,21 @@ from splitband.runtime.deadlines import current
 from splitband.runtime.errors import InputError
 
 _ALIKE = 2
-"""Outputs whose estimated delays differ by at most so many samples are modelled together.
-By eye."""
+"""Outputs whose estimated delays differ by at most so many samples are modelled together. Checked
+by `benchmarks.sensitivity`."""
 _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. Rounding."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. Rounding."""
 _GROWTH = 100.0
 """An unstable model is simulated over parts of a record, in which its errors grow at most by this
-factor: over the whole record they leave the range of numbers. By eye."""
+factor: over the whole record they leave the range of numbers. Checked by
+`benchmarks.sensitivity`."""
 _FITS = 0.5
 """A simulation fits if its RMS error is below this share of the standard deviation, and far better
-than another one below this share of its error. By eye."""
+than another one below this share of its error. Checked by `benchmarks.sensitivity`."""
 _LAGS = 16
-"""Past samples from which an input is predicted. By eye."""
+"""Past samples from which an input is predicted. Checked by `benchmarks.sensitivity`."""
 _ROWS = 20_000
 """Most samples of a record for this. Bounds the time."""
 

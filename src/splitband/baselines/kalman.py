@@ -27,7 +27,8 @@ MAX_OBSERVER_POLE = 1 - 1e-9
 _PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
 """Candidate factors of the prior covariance of an initial state. Bounds the time."""
 _SURPRISING = 8.0
-"""Rise of twice the log-likelihood that a factor other than the usual one must bring. By eye."""
+"""Rise of twice the log-likelihood that a factor other than the usual one must bring. Checked by
+`benchmarks.sensitivity`."""
 EXACT = 1e-5
 """Smallest standard deviation of an error, as a share of the output's in training: with smaller
 ones the normal equations would lose the state to rounding."""

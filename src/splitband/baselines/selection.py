@@ -39,7 +39,7 @@ SEGMENTS = 10
 _MOST, _MOST_FOR_SEVERAL = 40, 60
 """Largest order for one output and for several. The largest published benchmark needs 44."""
 _SAMPLES_EACH = 6
-"""Fewest samples per parameter. By eye."""
+"""Fewest samples per parameter. Checked by `benchmarks.sensitivity`."""
 _STRIDES = (1, 4, 16, 64)
 """Samples that are averaged for subspace estimates of slow systems. Bounds the time."""
 ITERATIONS = 12
@@ -48,7 +48,8 @@ _MISSES = 4
 """Number of orders in a row without a gain after which no larger one is tried. Bounds the time."""
 _MOST_REDUCED = 8
 """Largest order that is reduced by leaving out each of its poles: where inputs wander, a subspace
-has a pole near 1 in the place of a pair, from which no refinement finds back. By eye."""
+has a pole near 1 in the place of a pair, from which no refinement finds back. Checked by
+`benchmarks.sensitivity`."""
 _ALWAYS = 3
 """Orders up to this one are always tried: of a nonlinear system they go on best. Without it five of
 44 records lose 13 to 65 % of fit, one gains."""
@@ -58,7 +59,8 @@ _MOST_AVERAGED = 8
 """Largest order that is taken from averaged samples, which serve for slow systems. See
 docs/results/rules.md."""
 _TOLERANCE = 0.01
-"""Difference of the logarithms of held-out errors that never decides. By eye."""
+"""Difference of the logarithms of held-out errors that never decides. Checked by
+`benchmarks.sensitivity`."""
 _NEGLIGIBLE = 1e-6
 """Held-out RMS error, in standard deviations of the output, below which it is rounding.
 Rounding."""
@@ -68,7 +70,7 @@ _DAMPED = 1e-6
 """Damping of the step to the model without a segment. Rounding."""
 _SLOW = 15.0
 """A pole whose time constant exceeds the longest record divided by this may be an integrator.
-By eye."""
+Checked by `benchmarks.sensitivity`."""
 _DECAYED = 3.0
 """A vibration decays over the longest record by at least exp(-3): what decays more slowly cannot be
 told from what lasts, and would answer to whatever comes later. Without a limit, 3 of 30 records of
