@@ -90,7 +90,10 @@ NUMBERS: tuple[tuple[str, str], ...] = (
         "command about {usual[tanks5][median]:.2f} V",
     ),
     ("docs/why.md", "on {over_best[records]} records {over_best[mean]:.2f} times on average"),
-    ("docs/howto/intervals.md", "With networks: {benchmarks/recommendation-default[all][inside]:.0%}"),
+    (
+        "docs/howto/intervals.md",
+        "With networks: {benchmarks/recommendation-default[all][inside]:.0%}",
+    ),
     *(
         (
             "docs/results/beyond.md",
