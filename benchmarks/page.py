@@ -80,16 +80,15 @@ def _all(rows: Sequence[clock.Row]) -> str:
     lines = [
         [
             name,
-            f"{asked:g} s{_beside(beside)}",
+            f"{asked:g} s{', busy' * bool(beside)}",
             spread(row["used"] for row in of),
             f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
             clock.usual(of),
             "above" if name in SETS else spread(row["errors"][0] for row in of),
-            str(len(of)),
         ]
         for (name, asked, beside), of in clock.groups(rows).items()
     ]
-    return table(["record", "asked", "used", "trains", "recommended", "error", "seeds"], lines)
+    return table(["record", "asked", "used (s)", "trains", "recommended", "error"], lines)
 
 
 def _beside(count: int) -> str:

@@ -180,21 +180,21 @@ def table(facts: Facts) -> str:
     """Coverage, width and regret by kind, in Markdown; where networks were tried, what they add."""
     (first, last), which = facts["seeds"], facts["seeds_are"]
     with_networks = facts["methods"] != BASELINES
-    heads = ["kind", "records", "inside", "width", "inside, all methods"]
+    heads = ["kind", "inside", "width", "inside, all methods"]
     heads.append("regret, geometric mean and worst")
     if with_networks:
         heads += ["network recommended", "error over that without networks"]
     lines = [
-        f"{facts['all']['records']} records, {which} seeds {first} to {last}, "
-        f"methods: {facts['methods']}\n",
+        f"{facts['all']['records']} records, by kind one of each of the {which} seeds {first} to "
+        f"{last} if nothing else is said, methods: {facts['methods']}\n",
         f"| {' | '.join(heads)} |",
         "|---|" + "---:|" * (len(heads) - 1),
     ]
     for kind, of_kind in [*facts["kinds"].items(), ("all", facts["all"])]:
         error = f" ± {of_kind['inside_error']:.0%}" if of_kind["records"] > 1 else ""
+        usual = kind == "all" or of_kind["records"] == 1 + last - first
         cells = [
-            kind,
-            str(of_kind["records"]),
+            kind if usual else f"{kind} ({of_kind['records']})",
             f"{of_kind['inside']:.0%}{error}",
             f"{of_kind['width']:.2f}",
             f"{of_kind['inside_of_all_methods']:.0%}",
