@@ -200,6 +200,54 @@ def test_numpys_functions_of_an_equation_are_written_in_c(tmp_path: Path) -> Non
         np.testing.assert_allclose(compiled.step(y.shape[1]), stream.step(), atol=1e-7)
 
 
+def lagging(t: float, x: Any, u: Any, p: Any) -> list[Any]:
+    return [p.k * (u[0] - x[0])]
+
+
+def flags(x: Any, u: Any, _: Any) -> Any:
+    a, b = x[:, 0], u[:, 0]
+    both, joined = (a > 0.2) + (b > 0.5), np.concatenate([x, x > 0.2, u > 0.5], 1)
+    return np.column_stack([
+        a + 0.3 * both, a + (a > 0.2) * (b > 0.5), a * (1 + 0.5 * (b > 0.5)), joined.sum(1),
+        np.where(b, a, 2 * a), np.where(b > 0.5, a > 0.2, a), (x > 0.2) @ np.ones(1),
+        np.where(np.logical_and(b, a > 0.2), a, 2 * a), 2.0 ** (b > 0.5),
+    ])  # fmt: skip
+
+
+def jump(x: Any, u: Any, _: Any) -> Any:
+    at, values = [0.0, 0.5, 0.5, 1.0, 1.0], [0.0, 1.0, 2.0, 3.0, 5.0]
+    return np.column_stack([np.interp(x[:, 0], at, values), np.interp(u[:, 0] / 2, at, values)])
+
+
+def multiples(x: Any, u: Any, _: Any) -> Any:
+    a, b = x[:, 0], u[:, 0]
+    return np.column_stack([
+        a + np.mod(b, 0.1), a + np.mod(-b, 0.1), a + np.mod(b, -0.1), a + 0.1 * (b // 0.1),
+        np.mod(3 * a, 1 + b), (3 * a - 1) // 0.7,
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("observe", [flags, jump, multiples])
+def test_flags_jumps_and_multiples_are_those_of_numpy(observe: Any, tmp_path: Path) -> None:
+    ode = sb.Ode(lagging, [0.1], observe, {"k": (0.5, 5.0)}, tolerances=EXACT, held=True)
+    u = np.repeat(np.random.default_rng(0).integers(0, 2, 16), 10).astype(float)[:, None]
+    columns = [f"y{i}" for i in range(len(observe(np.zeros((1, 1)), np.zeros((1, 1)), None)[0]))]
+    y = np.asarray(ode.matched(columns, ["u"]).fixed({"k": 2.0}).simulate(0.1 * np.arange(160), u))
+    noise = np.random.default_rng(1).normal(0, 0.01, y.shape)
+    model = sb.GreyBox(ode, starts=1).fit(sb.Record(y + noise, 0.1, u=u)[:100])
+    model.memory = 0
+    stream, step = model.stream(), model.as_casadi()
+    compiled, state, found = Compiled(model.export(tmp_path / "rig.c")[0]), step.state(), []
+    wanted = [stream.step(each) for each in u[100:]]
+    for each in u[100:]:
+        state, said = step(state, each)
+        found.append([compiled.step(len(columns), each), said.full()[:, 0]])
+    np.testing.assert_allclose(np.array(found), np.stack(wanted)[:, None].repeat(2, 1), atol=1e-9)
+    _, rollout = model.export(tmp_path / "rig.onnx")
+    signals = {"y": np.full((60, len(columns)), np.nan), "u": u[100:]}
+    np.testing.assert_allclose(session(rollout).run(None, signals)[1], wanted, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("expression", "message"),
     [

@@ -29,7 +29,7 @@ _FUNCTIONS = {
     "abs": "fabs", "floor": "floor", "max": "fmax", "min": "fmin", "sigmoid": "sigmoid",
     "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
     "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "expm1": "expm1", "log1p": "log1p",
-    "atan2": "atan2", "pow": "pow",
+    "atan2": "atan2", "pow": "pow", "fmod": "fmod",
 }  # fmt: skip
 _REDUCTIONS = {"sum": "{0} + {1}", "largest": "fmax", "smallest": "fmin"}
 _REUSED = ("matmul", "scan", "cond", "view", "reshape")

@@ -49,7 +49,7 @@ _OPERATIONS: dict[str, Callable[..., Column]] = {
     "acos": casadi.acos, "atan": casadi.atan, "atan2": casadi.atan2, "sinh": casadi.sinh,
     "cosh": casadi.cosh, "asinh": casadi.asinh, "acosh": casadi.acosh, "atanh": casadi.atanh,
     "expm1": casadi.expm1, "log1p": casadi.log1p, "pow": casadi.power, "abs": casadi.fabs,
-    "floor": casadi.floor,
+    "floor": casadi.floor, "fmod": casadi.fmod,
     # By tanh, as the derivative of 1 / (1 + exp(-x)) is inf / inf for large -x.
     "sigmoid": lambda x: 0.5 + 0.5 * casadi.tanh(0.5 * x),
     "isnan": lambda x: casadi.DM.zeros(x.numel(), 1),  # what is computed is a number

@@ -26,11 +26,13 @@ ELEMENTWISE = {
     "bitwise_or": "or", "logical_not": "not", "invert": "not", "fabs": "abs", "fmax": "max",
     "fmin": "min", "tan": "tan", "arcsin": "asin", "arccos": "acos", "arctan": "atan",
     "sinh": "sinh", "cosh": "cosh", "arcsinh": "asinh", "arccosh": "acosh", "arctanh": "atanh",
-    "expm1": "expm1", "log1p": "log1p", "arctan2": "atan2",
+    "expm1": "expm1", "log1p": "log1p", "arctan2": "atan2", "fmod": "fmod",
 }  # fmt: skip
 """NumPy's elementwise functions, and their names in graphs."""
 FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
 """The elementwise operations with Boolean results."""
+_OF_FLAGS = {"add": "or", "mul": "and", "max": "or", "min": "and"}
+"""What NumPy computes of flags alone."""
 
 
 @dataclass(eq=False)
@@ -73,6 +75,25 @@ class Trace:
         if known.dtype == np.object_:  # of numbers and symbols, as a user's equation makes it
             return _stack(self, [*known.ravel()]).reshape(*known.shape)
         return Symbol(self, known.shape, known.dtype == np.bool_, value=known)
+
+    def number(self, value: Any) -> Symbol:
+        """Return a symbol for numbers; flags are 0 and 1."""
+        symbol = self.symbol(value)
+        if not symbol.flag:
+            return symbol
+        if symbol.value is not None:
+            return self.symbol(symbol.value.astype(np.float64))
+        return self.add("where", [symbol, 1.0, 0.0], symbol.shape)
+
+    def flags(self, value: Any) -> Symbol:
+        """Return a symbol for flags; of numbers, whether they differ from 0."""
+        symbol = self.symbol(value)
+        if symbol.flag:
+            return symbol
+        if symbol.value is not None:
+            return self.symbol(symbol.value != 0)
+        zero = self.add("eq", [symbol, 0.0], symbol.shape, True)
+        return self.add("not", [zero], symbol.shape, True)
 
     def add(
         self,
@@ -170,7 +191,11 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         if op is None:
             raise TypeError(f"np.{ufunc.__name__} cannot be traced")
         shape = np.broadcast_shapes(*(_shape(x) for x in inputs))
-        return self.trace.add(op, inputs, shape, op in FLAGS)
+        symbols = [self.trace.symbol(x) for x in inputs]
+        if all(x.flag for x in symbols):
+            op = _OF_FLAGS.get(op, op)
+        kind = self.trace.flags if op in ("and", "or", "not") else self.trace.number
+        return self.trace.add(op, [kind(x) for x in symbols], shape, op in FLAGS)
 
     def __array_function__(
         self, func: Callable[..., Any], _: Any, args: Any, kwargs: Any
@@ -292,6 +317,8 @@ def _shape(x: Any) -> tuple[int, ...]:
 
 def _power(x: Any, y: Any) -> Any:
     """Return a power; whole ones up to 4 are products, as a compiler writes them."""
+    trace = x.trace if isinstance(x, Symbol) else y.trace
+    x = trace.number(x)
     exponent = None if isinstance(y, Symbol) or np.ndim(y) else float(y)
     if exponent in (1.0, 2.0, 3.0, 4.0):
         found = x
@@ -300,13 +327,18 @@ def _power(x: Any, y: Any) -> Any:
         return found
     if exponent == 0.5:
         return np.sqrt(x)
-    trace = x.trace if isinstance(x, Symbol) else y.trace
-    return trace.add("pow", [x, y], np.broadcast_shapes(_shape(x), _shape(y)))
+    return trace.add("pow", [x, trace.number(y)], np.broadcast_shapes(_shape(x), _shape(y)))
+
+
+def _remainder(x: Any, y: Any) -> Any:
+    """Return the remainder with the sign of `y`, rounded as NumPy's is."""
+    left = np.fmod(x, y)
+    return np.where(left * y < 0, left + y, left)
 
 
 _COMPOSED: dict[str, Callable[..., Any]] = {
     "positive": lambda x: x,
-    "square": lambda x: x * x,
+    "square": lambda x: _power(x, 2.0),
     "reciprocal": lambda x: 1.0 / x,
     "sign": lambda x: np.where(x > 0, 1.0, np.where(x < 0, -1.0, 0.0)),
     "hypot": lambda x, y: np.sqrt(x * x + y * y),
@@ -314,8 +346,8 @@ _COMPOSED: dict[str, Callable[..., Any]] = {
     "log2": lambda x: np.log(x) / np.log(2.0),
     "log10": lambda x: np.log(x) / np.log(10.0),
     "ceil": lambda x: -np.floor(-x),
-    "floor_divide": lambda x, y: np.floor(x / y),
-    "remainder": lambda x, y: x - y * np.floor(x / y),
+    "floor_divide": lambda x, y: np.floor((x - np.remainder(x, y)) / y + 0.5),
+    "remainder": _remainder,
     "deg2rad": lambda x: x * (np.pi / 180),
     "radians": lambda x: x * (np.pi / 180),
     "rad2deg": lambda x: x * (180 / np.pi),
@@ -333,11 +365,11 @@ def _matmul(trace: Trace, a: Any, b: Any) -> Symbol:
     left, right = _shape(a), _shape(b)
     if len(left) > 2 or len(right) > 2:
         raise TypeError("products of batches of matrices cannot be traced")
-    return trace.add("matmul", [a, b], (*left[:-1], *right[1:]))
+    return trace.add("matmul", [trace.number(a), trace.number(b)], (*left[:-1], *right[1:]))
 
 
 def _reduced(trace: Trace, op: str, x: Any, axis: int | None = None) -> Symbol:
-    symbol = trace.symbol(x)
+    symbol = trace.number(x)
     if axis is None:
         symbol, axis = symbol.reshape(-1) if symbol.ndim != 1 else symbol, 0
     axis %= symbol.ndim
@@ -347,19 +379,25 @@ def _reduced(trace: Trace, op: str, x: Any, axis: int | None = None) -> Symbol:
 
 def _where(trace: Trace, flag: Any, yes: Any, no: Any) -> Symbol:
     shape = np.broadcast_shapes(*(_shape(x) for x in (flag, yes, no)))
-    branches = [trace.symbol(x) for x in (yes, no)]
-    return trace.add("where", [flag, *branches], shape, all(x.flag for x in branches))
+    branches = _of_one_kind(trace, [yes, no])
+    return trace.add("where", [trace.flags(flag), *branches], shape, branches[0].flag)
+
+
+def _of_one_kind(trace: Trace, arrays: Sequence[Any]) -> list[Symbol]:
+    """Return symbols for arrays: numbers, unless all are flags."""
+    symbols = [trace.symbol(x) for x in arrays]
+    return symbols if all(x.flag for x in symbols) else [trace.number(x) for x in symbols]
 
 
 def _concatenate(trace: Trace, arrays: Sequence[Any], axis: int = 0) -> Symbol:
-    parts = [trace.symbol(x) for x in arrays]
+    parts = _of_one_kind(trace, arrays)
     full = [x for x in parts if x.shape[axis]] or parts[:1]
     if len(full) == 1:
         return full[0]
     axis %= full[0].ndim
     shape = list(full[0].shape)
     shape[axis] = sum(x.shape[axis] for x in full)
-    return trace.add("concat", full, tuple(shape), axis=axis)
+    return trace.add("concat", full, tuple(shape), full[0].flag, axis=axis)
 
 
 def _stack(trace: Trace, arrays: Sequence[Any], axis: int = 0) -> Symbol:
@@ -385,9 +423,13 @@ def _clip(_: Trace, x: Any, a_min: Any = None, a_max: Any = None) -> Symbol:
 def _interp(trace: Trace, x: Any, xp: Any, fp: Any) -> Symbol:
     """Record a table as the sum of its ramps; it is held beyond its ends, as NumPy does."""
     at, values = np.asarray(xp, dtype=np.float64), np.asarray(fp, dtype=np.float64)
-    width = np.diff(at)
-    ramps = np.clip(trace.symbol(x)[..., None] - at[:-1], 0.0, width)
-    found: Symbol = values[0] + (ramps * (np.diff(values) / width)).sum(axis=-1)
+    width, rise = np.diff(at), np.diff(values)
+    jump = width == 0  # two values at one place, of which the second one holds there
+    beyond = trace.symbol(x)[..., None] - at[:-1]
+    ramps = np.clip(beyond, 0.0, width) * (rise / np.where(jump, 1.0, width))
+    if jump.any():
+        ramps = np.where(jump & (beyond >= 0), rise, ramps)
+    found: Symbol = values[0] + ramps.sum(axis=-1)
     return found
 
 

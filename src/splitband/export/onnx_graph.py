@@ -117,6 +117,8 @@ class _Writer:
             last = self.whole(-1)
             column = self.one("Unsqueeze", inputs[1], last)
             return self.one("Squeeze", self.one("MatMul", inputs[0], column), last)
+        if node.op == "fmod":
+            return self.one("Mod", *inputs, fmod=1)
         if node.op not in _OPERATORS:  # onnxruntime has it in single precision at most
             raise InputError(
                 f"ONNX has no {node.op} in double precision, which the equation uses: export it as "
@@ -263,7 +265,7 @@ def _model(graph: Any, program: Program) -> bytes:
     record = program.record
     facts = {
         "model": program.forecaster.name,
-        "sampling_time": f"{record.sampling_time:.9g}",
+        "sampling_time": repr(float(record.sampling_time)),
         "columns": ",".join(record.columns),
         "inputs": ",".join(record.inputs),
     }
