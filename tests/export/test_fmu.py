@@ -75,6 +75,21 @@ def test_an_fmu_says_what_a_stream_says(name: str, tmp_path: Path) -> None:
     assert worst < 1e-9 * np.std(record.y)
 
 
+def test_an_fmu_observes_the_channels_that_are_measured(tmp_path: Path) -> None:
+    """It shows them as observed, and the others as predicted."""
+    forecaster, record = fitted("linear")
+    forecaster.export(tmp_path / "rig.fmu")
+    instance, stream = Instance(tmp_path / "rig.fmu", tmp_path / "rig", record), forecaster.stream()
+    assert record.u is not None
+    for n in range(150, 190):
+        y, u = record.y[n] + 3.0, record.u[n]
+        y[0] = np.nan
+        shown = np.where(np.isnan(y), stream.copy().step(u), y)
+        np.testing.assert_allclose(instance.observe(y, u=u), shown, rtol=1e-9)
+        stream.observe(y, u)
+    np.testing.assert_allclose(instance.step(u=u), stream.step(u), rtol=1e-9)
+
+
 def test_an_fmu_is_given_what_is_measured(tmp_path: Path) -> None:
     raw = driven()
     model = sb.Linear().fit(raw.detrend()[:150])
@@ -216,6 +231,12 @@ def test_an_exported_fmu_is_matched_by_the_columns_that_it_was_trained_on(tmp_pa
     assert found is not None
     wanted = model.predict(60, record[:150], ahead.u).y
     np.testing.assert_allclose(found[:, ::-1], wanted, atol=1e-9 * float(np.std(record.y)))
+
+
+def test_a_column_may_have_characters_that_xml_lacks(tmp_path: Path) -> None:
+    record = sb.Record(free().y, 0.1, columns=("le\x01vel\x0b [m\x02]",))
+    sb.Mean().fit(record).export(tmp_path / "rig.fmu")
+    assert validate_fmu(str(tmp_path / "rig.fmu")) == []
 
 
 def test_columns_may_be_called_as_what_an_fmu_of_ours_has_besides(tmp_path: Path) -> None:

@@ -36,6 +36,8 @@ _OF_C = (
 _OF_MATLAB = "catch classdef elseif end function global otherwise parfor persistent spmd try"
 KEYWORDS = frozenset(f"{_OF_C} {_OF_MATLAB}".split())
 """Words that are no names of variables, in C or in MATLAB."""
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML lacks, such as most control characters."""
 _SIGNS = str.maketrans({"\u00b0": "deg", "\u03bc": "u", "\u03a9": "Ohm", "%": "percent"})
 """Signs of units, and how they are written in letters: degree, micro, ohm, per cent."""
 
@@ -236,6 +238,9 @@ def _description(
         unknowns = add(structure, part)
         for index in range(1, record.ny + 1):
             add(unknowns, "Unknown", index=str(index))
+    for element in root.iter():
+        for name, value in element.items():
+            element.set(name, _NOT_XML.sub("\ufffd", value))
     ElementTree.indent(root)
     described: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return described
