@@ -153,6 +153,26 @@ def test_a_program_takes_what_is_measured_and_prepares_it(tmp_path: Path) -> Non
     assert np.abs(np.stack(found) - wanted).max() < 1e-9 * np.std(raw.y)
 
 
+def test_a_header_says_what_is_given_and_may_be_nan(tmp_path: Path) -> None:
+    record = driven()
+    for each, said in (
+        (record, "NaN in y marks a sample that was not measured; u must be finite."),
+        (record.resample(2).detrend(), "as they are measured: before they are detrended\n"),
+    ):
+        sb.Linear().fit(each).export(tmp_path / "rig.c")
+        header = (tmp_path / "rig.h").read_text()
+        assert said in header
+        assert "resampled" not in header
+
+
+def test_a_history_that_is_too_short_to_go_on_from_is_said(tmp_path: Path) -> None:
+    record = free()
+    model = sb.Single(sb.GRU(3), SHORT).fit(record)
+    with pytest.warns(UserWarning, match=r"needs 20 measured sample\(s\) in a row.*of the history"):
+        model.export(tmp_path / "rig.c", history=record[:10])
+    assert Compiled(tmp_path / "rig.c").call("step", np.zeros(1)) == 1
+
+
 def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
     record = free()
     own = sb.Single(Leaky(), SHORT).fit(record)

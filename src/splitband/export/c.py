@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from textwrap import wrap
 
+from splitband.data.preparation import Resampled
 from splitband.export.c_statements import Precision, Renderer
 from splitband.export.graph import Symbol
 from splitband.export.program import Program
@@ -45,13 +46,17 @@ def _header(program: Program, precision: Precision) -> str:
         f"y_sim{list(program.given['y_sim'])}: the simulator's output of this sample"
         + ", then of the next one" * (rows > 1) if rows else "",
     ]  # fmt: skip
-    if program.raw:
-        done = ", ".join(dict.fromkeys(type(s).__name__.lower() for s in record.prepared))
-        signals.append(f"as they are measured: before they are {done}")
+    # Means are taken outside: the program is given one for each step.
+    done = [type(s).__name__.lower() for s in record.prepared if not isinstance(s, Resampled)]
+    if program.raw and done:
+        said = ", ".join(dict.fromkeys(done))
+        signals.append(f"as they are measured: before they are {said}")
     listed = "\n".join(f" *   {_comment(signal)}" for signal in signals if signal)
-    others = "".join(f", const {precision} *{s}" for s in program.given if s != "y")
+    given = [signal for signal in program.given if signal != "y"]
+    others = "".join(f", const {precision} *{signal}" for signal in given)
+    finite = f"; {' and '.join(given)} must be finite" if given else ""
     said = (
-        "NaN marks a sample that was not measured. All state is in the struct, which "
+        f"NaN in y marks a sample that was not measured{finite}. All state is in the struct, which "
         f"{name}_init or {name}_clear must begin. {program.uncorrected}"
     )
     said = "\n * ".join(wrap(said, 96))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import compress
@@ -14,7 +15,7 @@ from splitband.data.preparation import seconds
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.simulation import simulations
-from splitband.forecasters.stepping import program_of
+from splitband.forecasters.stepping import State, program_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import named_leaves
@@ -117,8 +118,19 @@ def program(
     ]
     begins = "training record" if history is None else "history with which it was exported"
     nothing = np.full(ny, np.nan), *examples[1:]
-    with np.errstate(all="ignore"):
-        ready = bool(recursion.tick(cleared, *nothing)[2])
+
+    def ready(state: State) -> bool:
+        with np.errstate(all="ignore"):
+            return bool(recursion.tick(state, *nothing)[2])
+
+    needed = 0 if ready(cleared) else max(forecaster.warmup, 1)
+    if state is not None and not ready(state):
+        warnings.warn(
+            f"{forecaster.name} needs {needed} measured sample(s) in a row before it predicts, "
+            f"which the end of the {begins} does not hold: the first steps of {name} predict "
+            "nothing until it has observed them",
+            stacklevel=2,
+        )
     used = {signal: shape for signal, shape in given.items() if np.prod(shape)}
     return Program(
         identifier(name),
@@ -128,7 +140,7 @@ def program(
         used,
         recursion.prepared,
         "" if state is None else begins,
-        0 if ready else max(forecaster.warmup, 1),
+        needed,
     )
 
 
