@@ -100,6 +100,26 @@ def test_every_command_that_compares_trains_or_simulates_prints_json(
         assert key in json.loads(capsys.readouterr().out)
 
 
+def test_an_export_says_how_to_begin_elsewhere(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call("fit record.csv --columns a --method harmonic", tmp_path / "harmonic")
+    for folder, file, said in (
+        (model, "rig.c", "call rig_clear, and let it observe 10 measured sample(s) or more."),
+        (model, "rig.onnx", "to begin elsewhere, export it with --history."),
+        (tmp_path / "harmonic", "rig.c", "export it with --history, as its periods count time."),
+    ):
+        call(f"export {folder} {tmp_path}/{file}")
+        assert said in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_export_in_no_format_makes_no_folder(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_fails(f"export {model} {tmp_path}/new/deep/rig.txt", ("must end with one of",), capsys)
+    assert not [*tmp_path.iterdir()]
+
+
 def test_the_doctor_finds_a_record_that_is_not_the_published_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

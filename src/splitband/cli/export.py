@@ -18,6 +18,7 @@ from splitband.cli.options import (
 )
 from splitband.export.fmu import platforms
 from splitband.export.program import holds_equation
+from splitband.export.writing import renderer
 from splitband.forecasters import saving as forecasters
 from splitband.runtime.files import output_folder
 
@@ -53,6 +54,7 @@ def export(
     --history. An equation that --simulator names is integrated in the exported model; any other
     simulator of a hybrid, and one that is not named, stays outside: its output is an input.
     """
+    renderer(out)
     forecaster = forecasters.load(model_dir)
     past = forecaster.require_fitted().record
     if history is not None:
@@ -65,10 +67,14 @@ def export(
     with showing.warnings_as_lines():
         written = forecaster.export(out, precision, past if history else None, other_run)
     showing.console.print(f"{forecaster.name} is written to {', '.join(map(str, written))}")
-    elsewhere = "export it with --history, as observed samples do not correct its equation's state"
-    if not holds_equation(forecaster):
-        needed = max(forecaster.warmup, 1)
-        elsewhere = f"let it observe {needed} measured sample{'s' if needed > 1 else ''} first"
+    needed, elsewhere = max(forecaster.warmup, 1), "export it with --history"
+    cleared = {".c": f"call {out.stem}_clear", ".fmu": "set begin_empty"}.get(out.suffix.lower())
+    if holds_equation(forecaster):
+        elsewhere += ", as observed samples do not correct its equation's state"
+    elif forecaster.anchored:
+        elsewhere += ", as its periods count time"
+    elif cleared:
+        elsewhere = f"{cleared}, and let it observe {needed} measured sample(s) or more"
     showing.console.print(
         f"It begins at the end of {history or 'the training record'}; to begin elsewhere, "
         f"{elsewhere}."

@@ -29,9 +29,7 @@ def export(
 ) -> list[Path]:
     """Export a forecaster; return the files. See `Forecaster.export`."""
     path = Path(path)
-    rendered = FORMATS.get(path.suffix.lower())
-    if rendered is None:
-        raise InputError(f"path must end with one of {', '.join(FORMATS)}, got {path}")
+    rendered = renderer(path)
     if precision not in ("double", "float"):
         raise InputError(f"precision must be double or float, got {precision!r}")
     files = rendered(forecaster, path, precision, (history, other_record))
@@ -39,6 +37,14 @@ def export(
         with replacing(file) as temporary:
             temporary.write_bytes(content)
     return [*files]
+
+
+def renderer(path: Path) -> Renderer:
+    """Return what writes the format of a file; raises ValueError for another one."""
+    found = FORMATS.get(path.suffix.lower())
+    if found is None:
+        raise InputError(f"path must end with one of {', '.join(FORMATS)}, got {path}")
+    return found
 
 
 def _c(forecaster: Forecaster, path: Path, precision: Precision, begin: Begin) -> dict[Path, bytes]:
