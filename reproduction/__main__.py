@@ -19,13 +19,13 @@ from reproduction import horizons
 from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
 from reproduction.jobs import SYSTEMS
-from reproduction.runs import complete, missing
+from reproduction.runs import complete, missing, write_json_lines
 from reproduction.specs import SPECS, Line, lines
 from reproduction.tables import Table, table
 from splitband.cli.live import workers
 from splitband.forecasters.names import TRAINED
 from splitband.report import pictures
-from splitband.runtime.files import output_folder, write_json, write_json_lines
+from splitband.runtime.files import output_folder, write_json
 from splitband.runtime.workers import Workers
 
 console = Console(markup=False, emoji=False, highlight=False)

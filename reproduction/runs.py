@@ -28,7 +28,7 @@ from splitband.metrics import rmse
 from splitband.models import Split
 from splitband.models.base import Signals
 from splitband.report.environment import environment
-from splitband.runtime.files import CHECKPOINTS, write_json_lines
+from splitband.runtime.files import CHECKPOINTS, write_text
 from splitband.runtime.workers import run_jobs
 from splitband.training import Checkpoint
 
@@ -39,6 +39,12 @@ FEWEST_SEEDS = 3
 
 _LOSSES = 100  # kept of a curve
 _WAITED = 1.25  # wall seconds per processor second above which a run shared its core
+
+
+def write_json_lines(path: Path, value: dict[str, Any]) -> None:
+    """Write `value` as a JSON object with a line for each key: compact, and easy to diff."""
+    lines = [f"{json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items()]
+    write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def complete(

@@ -27,6 +27,16 @@ def test_simulate_writes_time_and_columns_of_the_loaded_model(model: Path, tmp_p
     np.testing.assert_array_equal(table[["a", "b"]], expected)
 
 
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="Windows has no such file")
+def test_simulate_writes_into_the_standard_output(
+    model: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    call(f"simulate {model} --steps 3", Path("/dev/stdout"))
+    said = capfd.readouterr().out.splitlines()
+    assert said[0] == "time,a,b"
+    assert said[4].startswith("3 samples after the training record")
+
+
 def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_path: Path) -> None:
     loaded, facts = load(hybrid_model)
     assert isinstance(loaded, Filtered)

@@ -219,6 +219,13 @@ def test_the_stamps_of_another_record_are_not_compared() -> None:
     )
 
 
+def test_a_table_has_a_column_of_its_own_for_the_time() -> None:
+    record = sb.Record(np.arange(20.0).reshape(10, 2), 0.5, columns=("time", "time (s)"))
+    table = sb.Persistence().fit(record).predict(2).to_frame()
+    assert [*table] == ["time (s) (s)", *record.columns]
+    np.testing.assert_array_equal(table, [[0.5, 18, 19], [1.0, 18, 19]])
+
+
 def test_before_the_training_record_a_simulator_begins_with_the_history() -> None:
     """A calibration's time counts from the training record and says nothing of earlier ones."""
     t, begin = DT * np.arange(300), 40.0

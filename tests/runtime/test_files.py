@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from splitband.runtime.files import output_folder, replacing, write_json
+from splitband.runtime.files import output_folder, replacing, write_json, write_text
 
 OLD, NEW = "old content", "new content"
 
@@ -62,6 +62,28 @@ def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path: Path) ->
     with pytest.raises(OSError, match="folder"), replacing(folder) as temporary:
         temporary.write_text(NEW)
     assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no such pipes")
+def test_a_pipe_is_written_into_and_stays(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.txt"
+    os.mkfifo(pipe)
+    end = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        write_text(pipe, NEW)
+        assert os.read(end, 100).decode() == NEW
+    finally:
+        os.close(end)
+    assert pipe.is_fifo()
+    assert [*tmp_path.iterdir()] == [pipe]
+
+
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="Windows has no such file")
+def test_standard_output_is_gone_on_with(capfd: pytest.CaptureFixture[str]) -> None:
+    os.write(1, OLD.encode())
+    write_text("/dev/stdout", NEW)
+    assert capfd.readouterr().out == OLD + NEW
+    assert Path("/dev/stdout").is_symlink()
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077])

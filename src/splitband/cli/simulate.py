@@ -10,7 +10,7 @@ from splitband.forecasters import saving as forecasters
 from splitband.metrics import leaves_range
 from splitband.report.results import csv_of
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import output_folder, write_text
+from splitband.runtime.files import is_stream, output_folder, write_text
 
 
 @options.with_groups
@@ -66,7 +66,8 @@ def simulate(
         found = forecaster.predict(
             steps, past if history else None, u, level=level, other_record=other_run
         )
-    output_folder(out.parent, "--out")
+    if not is_stream(out):
+        output_folder(out.parent, "--out")
     write_text(out, csv_of(found.to_frame()))
     showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
     for reason in found.warnings:

@@ -232,7 +232,10 @@ def median_of(predictions: Sequence[Prediction]) -> Prediction:
 
 def time_header(columns: tuple[str, ...]) -> str:
     """Return a name for the time column that differs from those in `columns`."""
-    return "time (s)" if "time" in columns else "time"
+    name = "time"
+    while name in columns:
+        name += " (s)"
+    return name
 
 
 OVERFLOWED = 1e100

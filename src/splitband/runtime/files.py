@@ -17,14 +17,26 @@ from splitband.runtime.system import move
 CHECKPOINTS = ".splitband-checkpoints"
 """Folder for checkpoints, in that of the results; removed once the results are written."""
 
+_STANDARD = {"/dev/stdout": 1, "/dev/stderr": 2}
+"""Output of this process, which may lead to a file, and is gone on with there."""
+
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`; rename it to `path` if the block succeeds.
 
-    Raises OSError, naming `path`, if it cannot be written, for instance on a full disk.
+    A pipe, a terminal or another device stays: what was written is copied into it. Raises OSError,
+    naming `path`, if it cannot be written, for instance on a full disk.
     """
     path = Path(path)
+    if is_stream(path):
+        with tempfile.TemporaryDirectory() as folder:
+            copied = Path(folder, path.name)
+            yield copied
+            number = _STANDARD.get(str(path))
+            with path.open("wb") if number is None else os.fdopen(os.dup(number), "wb") as stream:
+                stream.write(copied.read_bytes())
+        return
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
     try:
         # The permissions are those of any new file, and an existing one, or a link, is refused.
@@ -45,6 +57,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise
 
 
+def is_stream(path: Path) -> bool:
+    """Return whether a path names a pipe or a device, which a file must not replace."""
+    return str(path) in _STANDARD or (path.exists() and not (path.is_file() or path.is_dir()))
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write a text, with the same bytes on every system: UTF-8, lines that end with a newline."""
     with replacing(path) as temporary:
@@ -54,12 +71,6 @@ def write_text(path: str | Path, text: str) -> None:
 def write_json(path: str | Path, value: Any) -> None:
     """Write `value` as indented JSON; NaN and infinity, which JSON lacks, are refused."""
     write_text(path, to_json(value))
-
-
-def write_json_lines(path: str | Path, value: dict[str, Any]) -> None:
-    """Write `value` as a JSON object with a line for each key: compact, and easy to diff."""
-    lines = [f"{json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items()]
-    write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def to_json(value: Any) -> str:
