@@ -232,7 +232,9 @@ def test_flags_jumps_and_multiples_are_those_of_numpy(observe: Any, tmp_path: Pa
     ode = sb.Ode(lagging, [0.1], observe, {"k": (0.5, 5.0)}, tolerances=EXACT, held=True)
     u = np.repeat(np.random.default_rng(0).integers(0, 2, 16), 10).astype(float)[:, None]
     columns = [f"y{i}" for i in range(len(observe(np.zeros((1, 1)), np.zeros((1, 1)), None)[0]))]
-    y = np.asarray(ode.matched(columns, ["u"]).fixed({"k": 2.0}).simulate(0.1 * np.arange(160), u))
+    y = np.asarray(
+        ode.matched(columns, ["u"]).fixed({"k": 2.0}).simulate(0.1 * np.arange(160.0), u)
+    )
     noise = np.random.default_rng(1).normal(0, 0.01, y.shape)
     model = sb.GreyBox(ode, starts=1).fit(sb.Record(y + noise, 0.1, u=u)[:100])
     model.memory = 0
