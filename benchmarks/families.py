@@ -249,9 +249,10 @@ def table(
         floors = [min(row["floors"].values()) for row in of if row["floors"]]
         errors = [spread(best_of(of, k)) for k in kinds]
         regret, cost = (row["regret"] for row in of), costs_of_choice(found[name])
-        advised = [", ".join(chosen), spread(regret), str(sum(map(pays, of)))]
-        lines.append([name, str(len(of)), *advised, *errors, middle(floors), spread(cost)])
-    heads = ["family", "draws", "recommended", "regret", "filter pays"]
+        error = (row["errors"][row["recommended"]] for row in of)
+        advised = [", ".join(chosen), spread(error), spread(regret), f"{sum(map(pays, of))}"]
+        lines.append([name, *advised, *errors, middle(floors), spread(cost)])
+    heads = ["family", "recommended", "its error", "regret", "filter pays"]
     heads += [*kinds, "perfect network", "cut-off"]
     used = [i for i in range(len(heads)) if any(line[i] for line in lines)]
     return page.table([heads[i] for i in used], [[line[i] for i in used] for line in lines])

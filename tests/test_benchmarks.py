@@ -111,7 +111,7 @@ def test_the_families_are_drawn_from_their_seeds_and_tabled(
     ]
     *_, line = families.table(rows).splitlines()
     cells = [cell.split(" (")[0] for cell in line.strip("| ").split(" | ")]
-    expected = ["crane", "1", "network", "2", "1", "0.5", "0.8", "1", "3", "0.25", "1.25"]
+    expected = ["crane", "network", "1", "2", "1", "0.5", "0.8", "1", "3", "0.25", "1.25"]
     assert cells == expected
 
 
