@@ -43,10 +43,18 @@ SETTINGS = [
     bad(SPLIT + "--warmup many", "--warmup", "a whole number of samples or auto", "got many"),
     bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "EPOCH:RATE", "20:fast"),
     bad(SPLIT + "--hidden 4", "--hidden", "HIGH,LOW", "got 4"),
+    bad(SPLIT + "--hidden 0,4", "--hidden must be HIGH,LOW", "from 1", "got 0,4"),
+    bad(SPLIT + "--methods ''", "--methods must be", "got ''"),
+    bad(SPLIT + "--methods ,", "--methods must be", "got ','"),
+    bad("compare record.csv --columns a --inputs force --methods mean --train 200 --horizon 5",
+        "--horizon must be left out", "200 samples", "got 5"),
+    bad("compare record.csv --columns a --methods mean --train 100 --horizon 50 --refit",
+        "--refit must be left out", "got 50", "splitband fit"),
+    bad("spectrum record.csv --columns a --train 0 --out out", "--train must be", "got 0"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
     bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
     bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
-]
+]  # fmt: skip
 
 WORDS = [
     bad(SPLIT + "--train abc", "--train", "abc"),
@@ -96,6 +104,8 @@ MODELS = [
         "outputs: a, the record has inputs: force; outputs: a, b"),
     bad("fit history_renamed.csv --like driven --out m", "is for inputs: force; outputs: a",
         "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'"),
+    *(bad(f"fit record.csv --like gru --out m {option}", option.split()[0], "left out with --like")
+      for option in ("--learning-rate 0.5", "--recipe constant-rate", "--warmup 7", "--order 2")),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
     bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
     bad(AHEAD + "history.csv --steps 0", "--steps"),

@@ -136,6 +136,11 @@ def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
             "--parameters must be left out but for a simulator that is an .fmu or FILE.py",
         ),
         ("--methods grey-box", "needs a simulator with parameters"),
+        (
+            "--simulator plant.py:lag --parameters rate=0.1:1,x0_1=0 --test history.csv "
+            "--test-simulator nothing.csv",
+            "--test-simulator must be left out where --simulator has parameters to fit",
+        ),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from splitband.cli import options, records
+from splitband.cli.usage import REPLACED_BY_LIKE
 from splitband.data.named import RECORDS
+from splitband.evaluation.checks import check_ahead
 from splitband.evaluation.plan import Plan, default_names, plan
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -66,6 +68,14 @@ def planned(
     if steps:
         coming = records.inputs_ahead(future_inputs, record, steps, reading)
         record = replace(record, u_beyond=coming)
+    more, test = asked.further, asked.testing
+    if is_fitted(simulator):
+        given = {"--more-simulator": more.more_simulator, "--test-simulator": test.test_simulator}
+        if option := next((option for option in given if given[option]), None):
+            raise InputError(
+                f"{option} must be left out where --simulator has parameters to fit: with those, "
+                f"it runs for every record, got {', '.join(given[option] or ())}"
+            )
     chosen: list[str | Forecaster] | None = None
     calibrate, conditioned = asked.calibrate, asked.conditioned
     if model is not None:
@@ -73,7 +83,9 @@ def planned(
         chosen = [model.untrained(), *(n for n in usual if not fitting and n not in TRAINED)]
         calibrate = conditioned = False
     elif asked.methods is not None or fitting:
-        listed = options.names(asked.methods or "split-gru")
+        listed = options.names("split-gru" if asked.methods is None else asked.methods)
+        if not listed:
+            raise InputError(f"methods must be one or several names, got {asked.methods!r}")
         if fitting and len(listed) == 1:
             listed = with_variants(listed, calibrate, conditioned)[-1:]
             calibrate = conditioned = False
@@ -83,13 +95,19 @@ def planned(
         fitted = [known(each) if isinstance(each, str) else each for each in chosen or ()]
         longer = steps or chosen is None or calibrate or any(f._calibrates for f in fitted)
         simulator = asked.record if longer else None
-    own = None if is_fitted(simulator) else simulated
-    more, test = asked.further, asked.testing
-    others = records.load_further("--more", more.more, more.more_simulator, record, reading, own)
-    tests = records.load_further("--test", test.test, test.test_simulator, record, reading, own)
+    others, tests = (
+        records.load_further(option, files, beside, record, reading, simulated)
+        for option, files, beside in (
+            ("--more", more.more, more.more_simulator),
+            ("--test", test.test, test.test_simulator),
+        )
+    )
     train = len(record) if steps or (fitting and asked.train is None) else asked.train
     if train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
+    if asked.horizon is not None:
+        all_of_it = len(record) if tests else 0
+        check_ahead(record, all_of_it if train is None else train, asked.horizon)
     return plan(
         record,
         train,
@@ -127,10 +145,10 @@ def _like(asked: Request) -> Forecaster:
     """Return the saved model of --like, whose settings a new training takes."""
     from splitband.forecasters.saving import load  # noqa: PLC0415  only where a model is loaded
 
-    folder = asked.like
+    folder, usual = asked.like, options.ModelOptions()
     assert folder is not None
-    for name in ("window", "epochs", "hidden", "budget", "rounds", "lr_milestones"):
-        if (value := getattr(asked.model, name)) is not None:
+    for name in REPLACED_BY_LIKE:
+        if (value := getattr(asked.model, name)) != getattr(usual, name):
             raise InputError(
                 f"--{name.replace('_', '-')} must be left out with --like, whose model decides it, "
                 f"got {value}"

@@ -16,6 +16,7 @@ import typer
 from splitband.data.named import RECORDS
 from splitband.data.signals import Gaps
 from splitband.data.stamps import TIME_NAMES
+from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators.named import SIMULATORS
 from splitband.training.settings import Recipe
@@ -122,9 +123,11 @@ def milestones(text: str) -> tuple[tuple[int, float], ...]:
 def hidden(text: str) -> tuple[int, int]:
     """Return the two sizes of --hidden."""
     try:
-        high, low = (int(part) for part in names(text))
+        high, low = (whole("hidden", int(part), 1, LARGEST_SIZE) for part in names(text))
     except ValueError:
-        raise InputError(f"--hidden must be HIGH,LOW, two whole numbers, got {text}") from None
+        raise InputError(
+            f"--hidden must be HIGH,LOW, two whole numbers from 1 to {LARGEST_SIZE}, got {text}"
+        ) from None
     return high, low
 
 
@@ -209,8 +212,12 @@ Methods = Annotated[
     plain("Methods, separated by commas; see splitband methods.", "NAMES", "what suits the record"),
 ]
 Seeds = Annotated[
-    int | None, _TRAINING("Trainings of each network; the median is used.", "N", "1 to 8", min=1)
-]
+    int | None,
+    _TRAINING(
+        "Trainings of each network, whose median is used; in a search, N at most, and N of the "
+        "best network alone.", "N", "1 to 8", min=1,
+    ),
+]  # fmt: skip
 Like = Annotated[
     Path | None,
     _TRAINING("Train as the model of an earlier run was, with its settings alone.", "DIR", False),

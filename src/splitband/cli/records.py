@@ -141,7 +141,7 @@ def load_further(
     simulators: Sequence[str] | None,
     record: Record,
     reading: RecordOptions,
-    options: SimulatorOptions | None,
+    options: SimulatorOptions,
 ) -> list[Record]:
     """Return the records of --more or --test (`option`), with the columns of `record`.
 
@@ -160,7 +160,7 @@ def load_further(
         announce(more, file)
         more = _sampled_like(more, record.sampling_time, file)
         more = replace(more, name=file if option == "--more" else Path(file).stem)
-        if simulators and options is not None:
+        if simulators:
             own = replace(options, simulator=simulators[i])
             beside = simulator_of(own, more, reading.time_column)
             _check_run_as_it_is(f"{option}-simulator", simulators[i], beside)

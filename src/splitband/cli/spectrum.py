@@ -20,7 +20,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import results
-from splitband.report.numbers import percent
+from splitband.report.numbers import number, percent
 from splitband.report.table import Column, Table
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -67,8 +67,8 @@ def spectrum(
         opened = open_simulator(record, whole)
     if opened is not None:
         whole = simulated(whole, opened, longer=True)
-    trained = train or (RECORDS[record].train if record in RECORDS else None)
-    trained = trained or int(TRAINING_SHARE * len(whole))
+    trained = RECORDS[record].train if train is None and record in RECORDS else train
+    trained = int(TRAINING_SHARE * len(whole)) if trained is None else trained
     check_train(whole, trained, 0)
     given = Bands(cutoff, order)
     bands = chosen_bands(given, whole[:trained])
@@ -149,7 +149,7 @@ def _beside(
     ]
     title = (
         f"Oracle check: RMSE of a hybrid with a perfect network (measured high band, simulated low "
-        f"band) and with none; the simulator alone has RMSE {total:.4f}"
+        f"band) and with none; the simulator alone has RMSE {number(total)}"
     )
     table = Table(title, listed, dict.fromkeys(of, ""), "cut-off", f"{cutoff:g} Hz")
     frequencies, coherences = coherence(record.y, y_sim, rate)

@@ -25,13 +25,13 @@ from splitband.runtime.system import over_lines, quoted
 
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
-_REPLACED_BY_LIKE = [
+REPLACED_BY_LIKE = [
     name for name in ModelOptions.__annotations__ if name not in ("seed", "device")
 ]
 """Options that --like replaces."""
 _FIT = [
     *RecordOptions.__annotations__, "gaps", *_FILES, *_SIMULATOR, "parameters",
-    *FurtherRecords.__annotations__, *_REPLACED_BY_LIKE, "like", "seed", "device",
+    *FurtherRecords.__annotations__, *REPLACED_BY_LIKE, "like", "seed", "device",
 ]  # fmt: skip
 _BLANK = "simulator_inputs", "time_column"
 """Options of which an empty text says something: none of them."""
@@ -74,7 +74,7 @@ def usage(
     given = {**given, "record": record}
     commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
     if model.random:
-        given = {k: v for k, v in given.items() if k not in _REPLACED_BY_LIKE} | {"like": str(out)}
+        given = {k: v for k, v in given.items() if k not in REPLACED_BY_LIKE} | {"like": str(out)}
     if model.name in NAMES:
         if not plan.refit and plan.train < len(plan.record):
             end = [f"--method {model.name}", f"--out {quoted(str(out / 'model-of-all'))}"]

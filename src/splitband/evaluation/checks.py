@@ -70,6 +70,16 @@ def check_train(record: Record, train: int, horizon: int = 1) -> None:
         )
 
 
+def check_ahead(record: Record, train: int, horizon: int) -> None:
+    """Check that samples were measured after the training part, if some are to be predicted."""
+    if horizon and train == len(record):
+        raise InputError(
+            f"horizon must be left out where train is the whole record of {train} samples, as "
+            f"nothing was measured after it to compare with, got {horizon}: "
+            "splitband.forecast (splitband forecast) predicts beyond a record"
+        )
+
+
 def check(plan: Plan) -> None:
     """Check a plan, except for the trial on held-out samples.
 

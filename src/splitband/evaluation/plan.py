@@ -199,8 +199,9 @@ def plan(  # noqa: PLR0913
     rounds : Rounds of the search in place of a time limit: the same work, and the same result, on
         every machine.
     seed : Of all random numbers.
-    seeds : Trainings of each network, whose median is handed out; by default three where settings
-        are given, and as many as do best where they are searched.
+    seeds : Trainings of each network, whose median is handed out, by default three. Where settings
+        are searched, the most in the median of the best network, by default as many as do best;
+        the others are trained once.
     refit : Whether the recommended method is refitted to the whole record at the end.
     device : That networks are trained on: cpu, cuda, cuda:1.
 
@@ -237,7 +238,14 @@ def plan(  # noqa: PLR0913
     ahead = (horizon or 0) if train == len(record) else 0
     record = _with_output(record, simulator, names, ahead)
     others, tests = ([_driven(each, simulator) for each in several] for several in (others, tests))
+    samples = len(record)
     record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
+    if refit and len(record) < samples:
+        raise InputError(
+            f"refit must be left out where horizon leaves out samples of the record, got {horizon} "
+            f"after the {train} of train: fit the recommended method to all {samples} afterwards "
+            "(splitband fit)"
+        )
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, Settings) else None
     decided = _settings(given or recipe_settings(recipe, training, others), changes)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
+from splitband.evaluation.checks import check_ahead
 from splitband.evaluation.clock import MOST_OF_TIME_LEFT, Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import LATE, Job, Runner, held_out_job, prepare
@@ -100,12 +101,7 @@ def run(
         If no method can be fitted; and for a plan that predicts beyond its record, where nothing
         was measured to compare with.
     """
-    if plan.horizon and plan.train == len(plan.record):
-        raise InputError(
-            f"horizon must be left out where train is the whole record of {plan.train} samples, as "
-            f"nothing was measured after it to compare with, got {plan.horizon}: "
-            "splitband.forecast predicts beyond a record"
-        )
+    check_ahead(plan.record, plan.train, plan.horizon)
     with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
         return finished(plan, runner, watch, clock).result()
 
