@@ -32,8 +32,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_good_model_is_accepted_in_text_json_and_page(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"check {folder}/model --record {folder}/second.csv", tmp_path / "out")
+    call(f"check {folder}/model --record {folder}/second.csv --time-column time", tmp_path / "out")
     said, found = capsys.readouterr().out, results(tmp_path / "out")
+    assert found["command"] == "check"
+    assert found["arguments"]["time_column"] == "time"
     assert found["accepted"]
     fit = found["fit"]["simulation"]["x (mm)"]
     assert fit > 90
@@ -45,6 +47,7 @@ def test_a_good_model_is_accepted_in_text_json_and_page(
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert f"{found['outcome'].capitalize()}: linear model" in page
     assert "Step response, force to x (mm)" in page
+    assert "--time-column time" in page
 
 
 @pytest.mark.usefixtures("drawn")

@@ -45,6 +45,19 @@ def test_a_record_too_short_for_intervals_still_has_its_model(
     assert "the model has no intervals: " in capsys.readouterr().out
 
 
+def test_what_a_deadline_has_changed_is_said_and_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def late(plan: sb.Plan, clock: sb.Clock, **_: object) -> sb.Forecaster:
+        clock.notes.append("results are of three quarters of it")
+        return plan.methods[0].fit(plan.training)
+
+    monkeypatch.setattr("splitband.cli.fit.fit_planned", late)
+    call("fit record.csv --columns a --method mean --budget 1m", tmp_path)
+    assert "warning: results are of three quarters of it" in capsys.readouterr().out
+    assert results(tmp_path)["notes"] == ["results are of three quarters of it"]
+
+
 def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None:
     pd.read_csv("record.csv").assign(a=lambda t: t["a"].where(t.index < 100, 50.0)).to_csv(
         tmp_path / "other.csv", index=False

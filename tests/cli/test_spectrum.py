@@ -79,6 +79,7 @@ def test_spectrum_without_a_simulator_is_about_the_record_alone(tmp_path: Path) 
     call("spectrum record.csv --columns a,b", tmp_path)
     found = results(tmp_path)
     assert "simulator" not in found
+    assert (found["command"], found["arguments"]["columns"]) == ("spectrum", "a,b")
     assert SLOW <= found["cutoff"] < FAST
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert all(words in page for words in ("strongest peaks", "Spectrum; dashed", "order 1"))

@@ -37,7 +37,7 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     without_stamps = usage("compare", GIVEN, OUT, planned(1, None), sb.named("gru"))
     assert "--future-inputs FILE" in without_stamps.commands[-2][1]
     assert export == "splitband export out/model model.fmu"
-    assert checked == "splitband check out/model --record later.csv"
+    assert said(checked) == said("splitband check out/model --gaps mask --record later.csv")
     assert said(simulate) == said(
         "splitband simulate out/model --future-inputs 'my rig.csv' --steps 50 --out ahead.csv"
     )
@@ -49,6 +49,21 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     assert "u=u" in python
     assert "--calibrate" in found.asked
     assert "--test later.csv" in found.asked
+
+
+def test_the_check_of_the_page_reads_the_test_record_as_it_was_read() -> None:
+    given = {**GIVEN, "skip_rows": 2, "missing": "Bad,-9", "time_column": "when"}
+    (checked,) = [c for _, c in usage("compare", given, OUT, planned(), sb.named("gru")).commands
+                  if " check " in c]  # fmt: skip
+    words = " ".join(said(checked))
+    assert "--gaps mask --time-column when --missing Bad,-9 --skip-rows 2" in words
+
+
+def test_rounds_of_a_search_are_left_out_for_a_method_that_is_not_trained() -> None:
+    given = {**GIVEN, "rounds": 1}
+    for method in ("mean", "gru"):
+        commands = dict(usage("compare", given, OUT, planned(), sb.named(method)).commands)
+        assert "--rounds" not in commands["Fit it to the whole record"]
 
 
 def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:

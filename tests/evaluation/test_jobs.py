@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from threading import Event
+from threading import Event, Lock
+from typing import Any
 
 import numpy as np
 import pytest
 
-from splitband import GRU, ForecastContext, Ode, Residual, Simulation
+from splitband import GRU, ForecastContext, Ode, Residual, Simulation, Single
 from splitband.evaluation.jobs import LATE, Job, Runner
 from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
 from splitband.forecasters.base import Forecaster
@@ -26,11 +27,12 @@ def job(name: str = "filtered-gru", seed: int = 0, **changes: object) -> Job:
     return Job(SETUP.forecaster(name), replace(spec, **changes), seed)  # type: ignore[arg-type]
 
 
-def run(asked: Job, folder: Path, deadline: Deadline = NEVER) -> tuple[Fit, int]:
-    """The fit of a job, and how many were found."""
+def run(asked: Job, folder: Path, deadline: Deadline = NEVER) -> tuple[Fit, bool]:
+    """The fit of a job, and whether it was found."""
     with Runner(folder=folder) as runner:
+        found = runner._kept(asked) is not None
         ((_, fit),) = runner.run([asked], deadline)
-        return fit, runner.found
+        return fit, found
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +44,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Fit]:
 def test_the_same_job_is_found_with_its_model_and_forecasts(kept: tuple[Path, Fit]) -> None:
     folder, fit = kept
     again, found = run(job(), folder)
-    assert found == 1
+    assert found
     assert [*again.forecasts] == [*fit.forecasts]
     for origin, prediction in fit.forecasts.items():
         np.testing.assert_array_equal(again.forecasts[origin].y, prediction.y)
@@ -70,6 +72,32 @@ def test_a_job_on_an_edited_equation_is_another_one() -> None:
         network = Residual(lag, GRU(3), settings=QUICK)
         keys.append(Job(network, BacktestSpec(record(), origins, LENGTH)).key)
     assert keys[0] == keys[2] != keys[1]
+
+
+@pytest.mark.parametrize("kind", ["cell", "method"])
+def test_a_job_on_an_edited_cell_or_method_is_another_one(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though it has the same name and settings."""
+    method = Single(Cell(3), settings=QUICK) if kind == "cell" else Own()
+    edited, name = (Cell, "observe") if kind == "cell" else (Own, "extrapolate")
+    keys = [replace(job(), forecaster=method).key]
+    with monkeypatch.context() as patched:
+        patched.setattr(edited, name, lambda *_: None)
+        keys.append(replace(job(), forecaster=method).key)
+    keys.append(replace(job(), forecaster=method).key)
+    assert keys[0] == keys[2] != keys[1]
+
+
+def test_a_job_on_code_that_cannot_be_told_from_another_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = replace(job(), forecaster=Own())
+    assert run(asked, tmp_path / "kept")[0].model is not None
+    assert [*(tmp_path / "kept").iterdir()]
+    monkeypatch.setattr(Own, "lock", Lock(), raising=False)
+    assert run(replace(asked), tmp_path / "new")[0].model is not None
+    assert not (tmp_path / "new").exists()
 
 
 def others() -> Iterator[tuple[str, Job]]:
@@ -120,7 +148,7 @@ def test_a_damaged_file_is_no_result(kept: tuple[Path, Fit], tmp_path: Path) -> 
     for content in (b"", b"no safetensors", path.read_bytes()[:-1000]):
         (tmp_path / path.name).write_bytes(content)
         fit, found = run(job(), tmp_path)
-        assert found == 0
+        assert not found
         assert fit.model is not None
 
 
@@ -148,6 +176,13 @@ class Own(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> np.ndarray:
         return np.zeros((known.steps, known.y.shape[1]))
+
+
+class Cell(GRU):
+    """A cell of a user."""
+
+    def observe(self, h: Any) -> Any:
+        return 2.0 * super().observe(h)
 
 
 @pytest.mark.parametrize(

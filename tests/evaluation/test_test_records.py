@@ -204,6 +204,12 @@ def test_test_records_of_one_name_are_told_apart() -> None:
     assert [*result.table.loc["mean", columns]] == [*result.errors(fit).tests]
 
 
+def test_a_test_record_is_told_apart_from_the_record_by_its_name() -> None:
+    tests = [replace(test, name=name) for test, name in zip(TESTS, ("run", ""), strict=True)]
+    planned = sb.plan(replace(driven(TRAIN, 0), name="run"), methods="mean", tests=tests)
+    assert [test.name for test in planned.tests] == ["run (2)", "2"]
+
+
 def test_what_can_be_tested_is_recommended() -> None:
     """Of a sine, harmonic regression knows more, but nothing of another record."""
     t = DT * np.arange(200)

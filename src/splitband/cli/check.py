@@ -5,16 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from splitband.cli import options, records, showing
+from splitband.cli.usage import checking, command_of
 from splitband.forecasters import saving as forecasters
 from splitband.forecasters.checking import respond_over_range
 from splitband.report import results, tables
 from splitband.report.page.parts import Usage
-from splitband.runtime.system import quoted
 
 
 @options.with_groups
 def check(
+    context: typer.Context,
     model_dir: options.ModelArgument,
     record: Annotated[
         Path,
@@ -44,8 +47,9 @@ def check(
     with showing.warnings_as_lines():
         found = model.check_residuals(past)
         responses = respond_over_range(model)
-    asked = f"splitband check {quoted(str(model_dir))} --record {quoted(str(record))}"
-    results.save_check(found, out, model, responses, Usage(asked=asked))
+    facts = command_of(context)
+    used = Usage(asked=checking(facts["arguments"]))
+    results.save_check(found, out, model, responses, facts, used)
     for line in str(found).splitlines():
         showing.console.print(line)
     for remark in responses[0].remarks if responses else ():

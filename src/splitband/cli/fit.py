@@ -79,6 +79,7 @@ def fit(
     plan = planned(asked, fitting=True)
     with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)
+    late = how["clock"].notes
     if intervals:
         _try_out(forecaster)
     training, settled = plan.training, plan.as_json()
@@ -106,7 +107,7 @@ def fit(
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in report.losses.items()},
         "seconds": report.seconds,
-        "notes": [*report.notes],
+        "notes": [*report.notes, *late],
         "training_rmse": error,
     }
     with staged(out) as new:
@@ -116,7 +117,7 @@ def fit(
     doubts = filter(None, [forecaster.parameters.get("doubt")])
     described = training_in_words or forecaster.describe()
     still = unmoved([training, *plan.others])
-    for note in dict.fromkeys((*still, *report.notes, *doubts)):
+    for note in dict.fromkeys((*still, *report.notes, *doubts, *late)):
         showing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
     said = f"{forecaster._title}, {described}: fitted to "

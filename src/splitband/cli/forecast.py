@@ -11,7 +11,7 @@ import typer
 from splitband.cli import INTERRUPTED, options, showing
 from splitband.cli.comparing import Request, planned
 from splitband.cli.live import running, workers
-from splitband.cli.usage import arguments, usage
+from splitband.cli.usage import command_of, usage
 from splitband.evaluation.forecast import Forecast, run_forecast
 from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
@@ -65,8 +65,9 @@ def forecast(
     plan = planned(asked, steps, future_inputs)
     with workers(jobs, cluster) as where, running(plan, out) as how:
         result = run_forecast(plan, **where, **how)
-    used = usage("forecast", arguments(context.params), out, plan, result.model)
-    results.save_forecast(result, out, used)
+    facts = command_of(context)
+    used = usage(facts["command"], facts["arguments"], out, plan, result.model)
+    results.save_forecast(result, out, facts, used)
     _show(result, out, used)
     if result.interrupted:
         raise typer.Exit(INTERRUPTED)

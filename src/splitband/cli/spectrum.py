@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from splitband.cli import options, records, showing
-from splitband.cli.usage import arguments, usage
+from splitband.cli.usage import command_of, usage
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.evaluation.checks import check_train
@@ -116,8 +116,9 @@ def spectrum(
     for warning in warnings:
         showing.warn(warning)
     facts |= {"in_words": said, "warnings": warnings}
-    used = usage("spectrum", arguments(context.params))
-    results.save_spectrum(shown, bands, tables, facts, out, used)
+    asked = command_of(context)
+    used = usage(asked["command"], asked["arguments"])
+    results.save_spectrum(shown, bands, tables, asked | facts, out, used)
     showing.results_of(out)
 
 

@@ -25,9 +25,7 @@ from splitband.runtime.system import over_lines, quoted
 
 _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
-REPLACED_BY_LIKE = [
-    name for name in ModelOptions.__annotations__ if name not in ("seed", "device")
-]
+REPLACED_BY_LIKE = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
 """Options that --like replaces."""
 _FIT = [
     *RecordOptions.__annotations__, "gaps", *_FILES, *_SIMULATOR, "parameters",
@@ -75,6 +73,8 @@ def usage(
     commands = [("Simulate it beyond the training record", _simulate(given, out, plan, model))]
     if model.random:
         given = {k: v for k, v in given.items() if k not in REPLACED_BY_LIKE} | {"like": str(out)}
+    else:
+        given |= {"rounds": None}  # there is nothing to search
     if model.name in NAMES:
         if not plan.refit and plan.train < len(plan.record):
             end = [f"--method {model.name}", f"--out {quoted(str(out / 'model-of-all'))}"]
@@ -85,13 +85,20 @@ def usage(
             export = f"splitband export {quoted(str(out / MODEL_FOLDER))} model.fmu"
             commands.append(("Export it: .fmu for Simulink, .c for a controller, .onnx", export))
     if given.get("test") and "simulator" not in model.needs:
-        tested = quoted(str(given["test"][0]))
-        checked = f"splitband check {quoted(str(out / MODEL_FOLDER))}"
-        commands.append(("Check it on the test record", f"{checked} --record {tested}"))
+        reading = {name: given.get(name) for name in ("gaps", *_FILES)}
+        checked = checking({**reading, "model_dir": out / MODEL_FOLDER, "record": given["test"][0]})
+        commands.append(("Check it on the test record", checked))
     commands.sort(key=lambda each: "FILE" in each[1])  # those with a placeholder come last
     if "simulator" not in model.needs and not model.parameters:
         commands.append(("Use it in Python", _python(out, plan)))
     return Usage(commands, asked)
+
+
+def checking(given: Mapping[str, Any]) -> str:
+    """Return the command `splitband check` with these options."""
+    model, record = (quoted(str(given[name])) for name in ("model_dir", "record"))
+    names = [name for name in given if name not in ("model_dir", "record")]
+    return _line(f"splitband check {model}", given, names, [f"--record {record}"])
 
 
 def _python(out: Path, plan: Plan) -> str:

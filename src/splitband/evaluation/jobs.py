@@ -34,9 +34,11 @@ from splitband.forecasters.simulation import simulations, with_simulators_of
 from splitband.networks.cell import label_of
 from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
+from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import identity
+from splitband.simulators.code import code_digest
 
 if TYPE_CHECKING:
     from splitband.evaluation.plan import Plan
@@ -80,6 +82,10 @@ class Job:
             "others": len(asked.others), "tests": len(asked.tests), "new": self.start is None,
         }  # fmt: skip
         digest.update(json.dumps(plain, sort_keys=True).encode())
+        own = _classes_of_users(self.forecaster)
+        if (code := code_digest(*own)) is None:
+            raise InputError(f"{self.method} must have code that can be told from another's")
+        digest.update(code.encode())
         for simulator in (part.simulator for part in simulations(self.forecaster)):
             digest.update(str(identity(simulator)).encode())
         records = [asked.record, *asked.others, *asked.tests]
@@ -107,6 +113,13 @@ class Job:
     def late(self) -> Fit:
         """Return the fit of a job for which there was no time."""
         return Fit(self.method, self.seed, failure=LATE, cut=True)
+
+
+def _classes_of_users(forecaster: Forecaster) -> list[type]:
+    """Return the classes of a forecaster, its parts and its cells that are not of the package."""
+    every = [type(each) for part in all_parts(forecaster)
+             for each in (part, *cells_of(part).values())]  # fmt: skip
+    return [kind for kind in every if kind.__module__.split(".")[0] != "splitband"]
 
 
 def held_out_job(
@@ -196,7 +209,6 @@ class Runner:
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
         self._starting: list[Future[None]] = []
-        self.found = 0  # finished jobs of an earlier command that were found
 
     def __enter__(self) -> Self:
         return self
@@ -236,7 +248,6 @@ class Runner:
         for job in jobs:
             found = self._kept(job)
             if found is not None:
-                self.found += 1
                 yield job, found
             elif deadline.over and job.trains and not job.needed:
                 yield job, job.late()

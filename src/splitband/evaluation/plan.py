@@ -238,14 +238,7 @@ def plan(  # noqa: PLR0913
     ahead = (horizon or 0) if train == len(record) else 0
     record = _with_output(record, simulator, names, ahead)
     others, tests = ([_driven(each, simulator) for each in several] for several in (others, tests))
-    samples = len(record)
-    record, horizon = _cut_to_horizon(record, train, horizon, bool(tests))
-    if refit and len(record) < samples:
-        raise InputError(
-            f"refit must be left out where horizon leaves out samples of the record, got {horizon} "
-            f"after the {train} of train: fit the recommended method to all {samples} afterwards "
-            "(splitband fit)"
-        )
+    record, horizon = _cut_to_horizon(record, train, horizon, bool(tests), refit)
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, Settings) else None
     decided = _settings(given or recipe_settings(recipe, training, others), changes)
@@ -283,7 +276,7 @@ def plan(  # noqa: PLR0913
     check(found)
     if horizon or tests:
         check_trial(found)
-    return replace(found, tests=_with_distinct_names(tests))
+    return replace(found, tests=_with_distinct_names(tests, record.name))
 
 
 def _with_simulator(simulator: Any, part: Forecaster) -> Forecaster:
@@ -484,7 +477,7 @@ def _default_methods(
 
 
 def _cut_to_horizon(
-    record: Record, train: int, horizon: int | None, tested: bool
+    record: Record, train: int, horizon: int | None, tested: bool, refit: bool
 ) -> tuple[Record, int]:
     """Return the record up to its last sample to predict, and the horizon."""
     beyond = horizon is not None and train == len(record)
@@ -508,16 +501,25 @@ def _cut_to_horizon(
             f"horizon must end within the record: at most {len(record) - train} samples after the "
             f"{train} of train, got {horizon}"
         )
+    if refit and train + horizon < len(record):
+        raise InputError(
+            f"refit must be left out where horizon leaves out samples of the record, got {horizon} "
+            f"after the {train} of train: fit the recommended method to all {len(record)} "
+            "afterwards (splitband fit)"
+        )
     return record[: train + horizon], horizon
 
 
-def _with_distinct_names(tests: Sequence[Record]) -> tuple[Record, ...]:
-    """Return the test records with distinct names, numbered where names are equal or missing."""
-    names: list[str] = []
+def _with_distinct_names(tests: Sequence[Record], record: str) -> tuple[Record, ...]:
+    """Return the test records with distinct names, numbered where they are equal or missing.
+
+    They differ from that of the `record`, too.
+    """
+    names = [record]
     for i, test in enumerate(tests):
         name, count = test.name or str(i + 1), 1
         while name in names:
             count += 1
-            name = f"{test.name} ({count})"
+            name = f"{test.name or i + 1} ({count})"
         names.append(name)
-    return tuple(replace(test, name=name) for test, name in zip(tests, names, strict=True))
+    return tuple(replace(test, name=name) for test, name in zip(tests, names[1:], strict=True))

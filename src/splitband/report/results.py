@@ -160,11 +160,12 @@ def csv_of(table: pd.DataFrame) -> str:
 
 
 def save_check(
-    check: ModelCheck, folder: Path, model: Forecaster, responses: Sequence[Responses], usage: Usage
-) -> None:
-    """Write results.json and the page of a check of a model in place of an earlier result."""
+    check: ModelCheck, folder: Path, model: Forecaster, responses: Sequence[Responses],
+    facts: dict[str, Any], usage: Usage,
+) -> None:  # fmt: skip
+    """Write results.json, in which `facts` come first, and the page of a check of a model."""
     page = _page()
-    facts = check.as_json() | {"kind": model.in_words(), "command": usage.asked}
+    facts = facts | check.as_json() | {"kind": model.in_words()}
     for each in responses:
         gains = {
             column: dict(zip(each.inputs, map(float, row), strict=True))
@@ -189,19 +190,21 @@ def save_spectrum(
         write_facts(new, facts)
 
 
-def save_forecast(result: Forecast, folder: Path, usage: Usage | None = None) -> None:
+def save_forecast(
+    result: Forecast, folder: Path, facts: dict[str, Any] | None = None, usage: Usage | None = None
+) -> None:
     """Write all files of a forecast in place of an earlier result; on an error none of them.
 
-    They are forecast.csv, the page, the trained model, and results.json. `usage` is
-    shown on the page.
+    They are forecast.csv, the page, the trained model, and results.json, in which `facts` come
+    first. `usage` is shown on the page.
     """
     page = _page()
     with staged(folder) as new:
         write_text(new / "forecast.csv", csv_of(result.prediction.to_frame()))
         page.of_forecast(result, new / PAGE, usage)
         result.model.save(new / MODEL_FOLDER)
-        facts = forecast_facts(result) | {"time": result.clock.as_json()}
-        write_facts(new, facts)
+        found = forecast_facts(result) | {"time": result.clock.as_json()}
+        write_facts(new, (facts or {}) | found)
 
 
 def forecast_facts(result: Forecast) -> dict[str, Any]:
