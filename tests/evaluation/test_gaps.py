@@ -100,3 +100,9 @@ def test_what_was_not_measured_where_it_is_needed_is_named(
 ) -> None:
     with pytest.raises(ValueError, match=words):
         compare(with_gaps(y), [method], SETUP)
+
+
+def test_what_is_predicted_must_be_measured_even_if_the_truth_is_known() -> None:
+    gone = holed(record().y, slice(TRAIN, None))
+    with pytest.raises(ValueError, match="the predicted part must have a measured sample"):
+        compare(replace(with_gaps(gone), y_true=record().y), ["mean"], SETUP)

@@ -8,8 +8,10 @@ from typing import Any
 
 import html5lib
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.signal
+from bokeh.models import HoverTool
 
 import splitband as sb
 from splitband import Record
@@ -17,12 +19,15 @@ from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.report.numbers import number
-from splitband.report.page import document, pages
-from splitband.report.page.charts import MOST, Axis, compact
+from splitband.report.page import document, pages, plots
+from splitband.report.page.charts import MOST, Axis, Chart, compact
 from splitband.report.page.parts import Usage
+from splitband.report.pictures import rollouts, times_of
 from splitband.report.table import Column, Table
 from splitband.report.tables import labels_of
+from splitband.report.words import afterwards
 from tests.report import comparisons
+from tests.report.comparisons import TRAIN
 
 
 def parsed(path: Path) -> Any:
@@ -122,6 +127,51 @@ def test_time_is_called_what_the_record_knows() -> None:
     assert [(axis.label, axis.values[1]) for axis in axes] == [
         ("time since the first sample (s)", 0.1), ("time (s)", 7.1), ("sample", 1.0)
     ]  # fmt: skip
+
+
+def test_time_goes_on_when_summer_time_ends() -> None:
+    """It is that of the clock at the beginning."""
+    begin = pd.Timestamp("2024-10-26 20:00", tz="Europe/Berlin")
+    r = replace(comparisons.record(), sampling_time=600.0, start=begin)
+    hours = [Axis.over_time(r).values / 3.6e6, times_of(r).astype("datetime64[ms]").astype(float)]
+    hours[1] /= 3.6e6
+    for found in hours:
+        np.testing.assert_allclose(np.diff(found), 1 / 6, rtol=1e-6)
+        assert found[0] % 24 == pytest.approx(20)
+
+
+def test_tooltips_tell_samples_apart_however_short_a_step_is() -> None:
+    for step, decimals in ((0.1, 3), (1e-6, 7)):
+        axis = Axis.over_time(replace(comparisons.record(), sampling_time=step))
+        chart = Chart(axis, "y", (-1.0, 1.0), "caption")
+        (hover,) = chart.figure.select(HoverTool)
+        assert hover.tooltips[1][1] == f"$x{{0,0.[{'0' * decimals}]}}"
+
+
+def test_an_output_and_an_input_called_simulator_keep_their_curves() -> None:
+    r = comparisons.record(nu=1, columns=("simulator",), inputs=("simulator",))
+    power, *coherences = plots.spectrum(replace(r, y_sim=100 * r.y), None, {})
+    (_, _, own), (name, _, other) = power._curves
+    assert name == "simulator, simulator"
+    np.testing.assert_allclose(other, 1e4 * own)
+    assert len(coherences) == 2
+
+
+def test_a_nameless_record_is_called_so(tmp_path: Path) -> None:
+    found = comparisons.compared(comparisons.record(name=""), ("mean", "persistence"))
+    found.report(tmp_path / "page.html")
+    captions = [words_of(each) for each in parsed(tmp_path / "page.html").iter("caption")]
+    assert any(each.startswith("a record: 200 samples") for each in captions)
+    assert not any(each.startswith(":") for each in captions)
+    assert rollouts(found).get_suptitle().startswith("a record; recommended: ")
+
+
+def test_nothing_is_said_of_fits_that_are_unknown() -> None:
+    """The fit to a single sample has no meaning."""
+    found = comparisons.compared(comparisons.record(TRAIN + 1), ("mean", "persistence"), TRAIN)
+    assert afterwards(found) == []
+    found = comparisons.compared(comparisons.record(), ("mean", "persistence"))
+    assert afterwards(found)
 
 
 def test_thinning_keeps_every_peak_and_the_direction_of_smooth_curves() -> None:

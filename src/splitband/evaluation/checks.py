@@ -138,8 +138,8 @@ def _check_records(plan: Plan) -> None:
     if warmup >= train:
         raise InputError(f"warmup must be shorter than the {train} training samples, got {warmup}")
     for name, part in (("training", slice(train)), ("predicted", slice(train, None))):
-        predicted = record.truth[part]
-        if len(predicted) and np.isnan(predicted).all(axis=0).any():
+        measured = record.y_with_gaps[part]
+        if len(measured) and np.isnan(measured).all(axis=0).any():
             raise InputError(f"the {name} part must have a measured sample in every channel")
 
 
@@ -155,7 +155,7 @@ def _check_test(test: Record, plan: Plan) -> None:
             f"{name} must fit into the test record {test.name} of {len(test)} samples, with "
             f"samples to predict after it, got {samples}"
         )
-    if np.isnan(test.truth[begin:]).all(axis=0).any():
+    if np.isnan(test.y_with_gaps[begin:]).all(axis=0).any():
         raise InputError(
             f"every channel of the test record {test.name} must be measured somewhere after "
             f"its first {begin} samples, on which methods warm up"

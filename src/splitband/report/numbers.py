@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import pandas as pd
+
 from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
@@ -43,6 +45,12 @@ def aligned(value: float, decimals: int) -> str:
 def complex_in_words(value: complex) -> str:
     """Return a complex number together with its conjugate, such as 0.95 ± 0.1j."""
     return f"{value.real:.5g}" + (f" ± {abs(value.imag):.5g}j" if value.imag else "")
+
+
+def in_one_offset(stamps: pd.DatetimeIndex) -> pd.DatetimeIndex:
+    """Return date stamps without a time zone, by the clock of the first one: they only go on."""
+    offset = stamps[0].utcoffset()
+    return stamps if offset is None else stamps.tz_convert(None) + offset
 
 
 def squared(record: Record) -> str:

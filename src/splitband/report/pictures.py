@@ -16,7 +16,7 @@ from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import fit_percent, rmse, tenths
 from splitband.report.colors import PALETTE
-from splitband.report.numbers import number
+from splitband.report.numbers import in_one_offset, number
 from splitband.report.predicted import Predicted, predicted
 from splitband.report.tables import labels_of, ordered
 from splitband.runtime.errors import missing
@@ -73,8 +73,9 @@ def rollouts(comparison: Comparison) -> Figure:
             ax.set_axis_off()
             grid.flat[i - across * record.ny].tick_params(labelbottom=True)
         parts[1].suptitle(f"Other methods, {literal(shown[0].says)}", fontsize=9)
-    said = "" if comparison.trial is None else "recommended: "
-    figure.suptitle(f"{literal(record.name)}; {said}{literal(called[best])}", fontsize=11)
+    said = record.name or "a record"
+    said += "; " if comparison.trial is None else "; recommended: "
+    figure.suptitle(literal(said + called[best]), fontsize=11)
     return figure
 
 
@@ -145,9 +146,9 @@ def times_of(record: Record) -> npt.NDArray[Any]:
 
 
 def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
-    """Return time stamps as matplotlib takes them; dates are in their own time zone."""
+    """Return time stamps as matplotlib takes them; dates are in the time zone of the first one."""
     if isinstance(stamps, pd.DatetimeIndex):
-        stamps = stamps.tz_localize(None)
+        stamps = in_one_offset(stamps)
     return np.asarray(stamps)
 
 

@@ -32,13 +32,17 @@ from splitband.report.table import Column, Table, Unit
 from splitband.runtime.arrays import Array
 
 
+def _called(record: Record) -> str:
+    return record.name or "a record"
+
+
 def of_comparison(comparison: Comparison) -> Table:
     """Return the table of a comparison: a row for each method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = "the noise-free signal" if record.y_true is not None else "what was measured"
     ahead = f"{run_of(record)} of the {len(record) - train:,} after them, against {truth}"
     title = (
-        f"{record.name}: {train:,} samples to train on"
+        f"{_called(record)}: {train:,} samples to train on"
         + (f", {ahead}" if train < len(record) else "")
         + f". {what_was_known(comparison)}"
     )
@@ -55,7 +59,7 @@ def of_trial(
 ) -> Table:
     """Return the table of a trial: a row for each method, the recommended one first."""
     rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
-    title = title or f"{record.name}: RMSE on its last quarter, fitted to the rest of it"
+    title = title or f"{_called(record)}: RMSE on its last quarter, fitted to the rest of it"
     listed = tried(trial, record, [*trial.errors])
     return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
 

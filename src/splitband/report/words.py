@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from splitband.data import Record
 from splitband.evaluation.checks import repeats_training
 from splitband.evaluation.comparison import Comparison
@@ -99,7 +101,7 @@ def afterwards(comparison: Comparison) -> list[str]:
     """Return which methods had a better fit than the recommended one on unseen samples."""
     best = comparison.recommended
     fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
-    if not fits or best not in fits[0].values or len(comparison.fits) == 1:
+    if not any(np.isfinite(c.values.get(best, np.nan)) for c in fits) or len(comparison.fits) == 1:
         return []
     better = [
         c

@@ -29,7 +29,7 @@ from bokeh.plotting import figure
 
 from splitband.data import Record
 from splitband.data.timing import stamps_at
-from splitband.report.numbers import number
+from splitband.report.numbers import in_one_offset, number
 from splitband.report.page.parts import Method
 from splitband.runtime.arrays import Array
 
@@ -57,6 +57,8 @@ DATES: dict[str, Any] = {
 _DASHES = "dashed", "dotted", "dashdot"
 MANY = 200
 """Range of an axis of angular frequencies from which on it has one number a decade. Layout."""
+MOST_DECIMALS = 12
+"""In a tooltip. Layout."""
 FAINT = 0.45
 """Opacity of curves that are shown for comparison. Layout."""
 
@@ -110,7 +112,7 @@ class Axis:
             return cls.over(rows.astype(float), "sample", name)
         stamps = stamps_at(0.0 if record.start is None else record.start, step, rows)
         if isinstance(stamps, pd.DatetimeIndex):
-            naive = stamps.tz_localize(None).to_numpy().astype("datetime64[us]")
+            naive = in_one_offset(stamps).to_numpy().astype("datetime64[us]")
             return cls.over(naive.astype(np.int64) / 1e3, "time", name, dates=True)
         since = "time since the first sample (s)" if record.start is None else "time (s)"
         return cls.over(np.asarray(stamps, float), since, name)
@@ -119,6 +121,12 @@ class Axis:
     def whole(self) -> bool:
         """Return whether every sample is drawn."""
         return len(self.bins) == len(self.values)
+
+    @property
+    def digits(self) -> str:
+        """Return the format of a position, with decimals for the range of the axis."""
+        size = float(self.values[0] if self.log else np.ptp(self.values)) or 1.0
+        return f"0,0.[{'0' * min(max(3 - math.floor(math.log10(size)), 3), MOST_DECIMALS)}]"
 
     @property
     def drawn(self) -> Array:
@@ -188,7 +196,7 @@ class Chart:
             x_axis_type="datetime" if axis.dates else "log" if axis.log else "auto",
             y_axis_type="log" if log else "auto",
         )  # fmt: skip
-        tips = [("", "$name"), (axis.label, "$x{%F %T}" if axis.dates else "$x{0,0.[000]}")]
+        tips = [("", "$name"), (axis.label, "$x{%F %T}" if axis.dates else f"$x{{{axis.digits}}}")]
         hover = HoverTool(
             tooltips=[*tips, ("", "$y")], line_policy="nearest", visible=False,
             formatters={"$x": "datetime"} if axis.dates else {},

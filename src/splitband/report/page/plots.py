@@ -203,13 +203,13 @@ def spectrum(record: Record, cutoff: float | None, bases: Mapping[str, Array]) -
     `bases` `(time, ny)` are outputs of fitted models that replace a simulator in hybrids, by name.
     """
     beside = ({} if record.y_sim is None else {"simulator": record.y_sim}) | dict(bases)
-    others = {name: [*y.T] for name, y in beside.items()}
+    others = [(name, [*y.T]) for name, y in beside.items()]
     inputs = () if record.u is None else zip(record.inputs, record.u.T, strict=True)
-    others |= {name: [u] * record.ny for name, u in inputs}
+    others += [(name, [u] * record.ny) for name, u in inputs]
     small = len(others) > 1
     return [
         _power(record, cutoff, beside),
-        *(_coherence(record, name, y, cutoff, small) for name, y in others.items()),
+        *(_coherence(record, name, y, cutoff, small) for name, y in others),
     ]
 
 
@@ -218,7 +218,7 @@ def _power(record: Record, cutoff: float | None, beside: Mapping[str, Array]) ->
     for name, y in {"": record.y, **beside}.items():
         found = periodogram(y, record.sampling_rate)
         for column, density in zip(record.columns, found.density.T, strict=True):
-            several = name and record.ny > 1
+            several = name and (record.ny > 1 or name == column)
             curves[f"{name}, {column}" if several else name or column] = density[1:]
     low, high = log_limits(np.concatenate([curves[c] for c in record.columns]))
     said = "" if cutoff is None else f"; dashed: the cut-off at {number(cutoff)} {unit}"
