@@ -87,6 +87,7 @@ def test_forecast_goes_on_from_the_end_of_a_record(
     np.testing.assert_allclose(table["time"], DT * np.arange(150, 200))
     assert found["method"] == min(found["held_out_rmse"], key=found["held_out_rmse"].get)
     assert found["method"] == "harmonic"
+    assert (found["command"], found["arguments"]["steps"]) == ("forecast", 50)
     np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
 
 

@@ -144,8 +144,8 @@ def test_tooltips_tell_samples_apart_however_short_a_step_is() -> None:
     for step, decimals in ((0.1, 3), (1e-6, 7)):
         axis = Axis.over_time(replace(comparisons.record(), sampling_time=step))
         chart = Chart(axis, "y", (-1.0, 1.0), "caption")
-        (hover,) = chart.figure.select(HoverTool)
-        assert hover.tooltips[1][1] == f"$x{{0,0.[{'0' * decimals}]}}"
+        hovers: Any = chart.figure.select(HoverTool)
+        assert hovers[0].tooltips[1][1] == f"$x{{0,0.[{'0' * decimals}]}}"
 
 
 def test_an_output_and_an_input_called_simulator_keep_their_curves() -> None:
