@@ -146,3 +146,30 @@ def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:
     other = on(2.0).fit(rig(0), start=start)
     said = other.predict(3, u=np.zeros((3, 1))).components["simulator"]
     np.testing.assert_allclose(said, 2.0, rtol=1e-6)
+
+
+def stopped(_: Any) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("ensemble", [False, True])
+def test_a_fit_that_is_interrupted_leaves_the_forecaster_as_it_was(ensemble: bool) -> None:
+    single = sb.Single(sb.GRU(4), SHORT)
+    model: Any = sb.Ensemble(single, 2) if ensemble else single
+    with pytest.raises(KeyboardInterrupt):
+        model.fit(rig(0), progress=stopped)
+    with pytest.raises(ValueError, match="must be fitted first"):
+        model.predict(3)
+    expected = model.fit(rig(0)).predict(3, u=[1, 1, 1]).y
+    with pytest.raises(KeyboardInterrupt):
+        model.fit(rig(6), progress=stopped)
+    np.testing.assert_array_equal(model.predict(3, u=[1, 1, 1]).y, expected)
+
+
+@pytest.mark.parametrize("ensemble", [False, True])
+def test_a_training_goes_on_from_the_forecaster_itself(ensemble: bool) -> None:
+    single = sb.Single(sb.GRU(4), SHORT)
+    model: Any = sb.Ensemble(single, 2) if ensemble else single
+    start = model.fit(rig(0)).clone().fit(rig(0))
+    expected = model.clone().fit(rig(6), start=start).predict(3, u=[1, 1, 1]).y
+    np.testing.assert_array_equal(model.fit(rig(6), start=model).predict(3, u=[1, 1, 1]).y, expected)

@@ -8,6 +8,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, TypeVar, Unpack, final
@@ -199,6 +200,8 @@ class Forecaster(WithRepr, ABC):
     ) -> Self:
         """Fit to one or several records of the same system, and return the forecaster itself.
 
+        A fit that fails or is interrupted leaves the forecaster as it was.
+
         Parameters
         ----------
         records : The training records, already cut to the training part. Without another history,
@@ -221,15 +224,24 @@ class Forecaster(WithRepr, ABC):
         """
         self.check(*records)
         seed = whole("seed", seed, None)
-        self.set_params()  # removes what an earlier fit has found
-        self.fitted = Fitted.of(records, seed)
-        began = time.perf_counter()
-        # Closed forms work on small matrices, where the threads of BLAS wait for each other.
-        with contextlib.nullcontext() if self.random else one_thread():
-            self.learn(records, seed=seed, start=start, progress=progress, checkpoint=checkpoint)
-        # The training of a network has set its own time.
-        seconds = self.fitted.report.seconds or time.perf_counter() - began
-        self.fitted = self.fitted.reporting(seconds=seconds, parameters=self.parameters)
+        before = {**vars(self)}
+        start = copy(start) if start is self else start
+        try:
+            self.set_params()  # removes what an earlier fit has found
+            self.fitted = Fitted.of(records, seed)
+            began = time.perf_counter()
+            # Closed forms work on small matrices, where the threads of BLAS wait for each other.
+            with contextlib.nullcontext() if self.random else one_thread():
+                self.learn(
+                    records, seed=seed, start=start, progress=progress, checkpoint=checkpoint
+                )
+            # The training of a network has set its own time.
+            seconds = self.fitted.report.seconds or time.perf_counter() - began
+            self.fitted = self.fitted.reporting(seconds=seconds, parameters=self.parameters)
+        except BaseException:
+            vars(self).clear()
+            vars(self).update(before)
+            raise
         return self
 
     @final
