@@ -38,6 +38,22 @@ def test_a_trend_is_taken_from_a_history_and_given_back_to_the_prediction(start:
     np.testing.assert_allclose(given.y, found.y, atol=1e-6)
 
 
+class WithTrend(sb.Forecaster):
+    """Has a component that is called like what the preparation adds."""
+
+    name = "with-trend"
+
+    def extrapolate(self, known: sb.ForecastContext) -> dict[str, np.ndarray]:
+        ones = np.ones((known.steps, 1))
+        return {"trend": 2 * ones, "season": 3 * ones}
+
+
+def test_the_components_add_up_where_one_is_called_trend() -> None:
+    raw = record()
+    found = WithTrend().fit(raw.detrend()).predict(4, raw)
+    np.testing.assert_allclose(sum(found.components.values()), found.y)
+
+
 def test_the_saved_model_remembers_it(tmp_path: object) -> None:
     raw = record()
     model = sb.Persistence().fit(raw.detrend(1).clip_outliers()[:400])

@@ -142,6 +142,12 @@ def test_a_job_that_is_not_begun_in_time_says_so_unless_it_is_needed(tmp_path: P
     assert needed.model is not None
 
 
+@pytest.mark.parametrize("origin", [(80, LENGTH + 1), (0, 50), (80, 0)])
+def test_an_origin_is_inside_of_the_record(origin: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="origins must have fitted > 0 and 0 < at <= "):
+        BacktestSpec(record(), [Origin(*origin)], LENGTH + 50)
+
+
 def test_a_damaged_file_is_no_result(kept: tuple[Path, Fit], tmp_path: Path) -> None:
     folder, _ = kept
     (path,) = folder.iterdir()

@@ -135,6 +135,20 @@ def test_another_kind_or_size_is_refused(
         model.fit(rig(0), start=start)
 
 
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"columns": ("level",)}, "columns of start must be those of the training record, level"),
+        ({"sampling_time": 5.0}, "start must be sampled like the training record, every 5 s"),
+    ],
+)
+def test_a_start_from_another_system_is_refused(other: dict[str, Any], said: str) -> None:
+    network = sb.Single(sb.GRU(4), SHORT)
+    start = network.clone().fit(replace(rig(0), columns=("speed",)))
+    with pytest.raises(ValueError, match=said):
+        network.fit(replace(rig(0), **({"columns": ("speed",)} | other)), start=start)
+
+
 def test_another_function_is_not_taken_for_the_simulator_of_the_start() -> None:
     """Whose code says nothing of the parameters that it closes over."""
 
@@ -172,4 +186,5 @@ def test_a_training_goes_on_from_the_forecaster_itself(ensemble: bool) -> None:
     model: Any = sb.Ensemble(single, 2) if ensemble else single
     start = model.fit(rig(0)).clone().fit(rig(0))
     expected = model.clone().fit(rig(6), start=start).predict(3, u=[1, 1, 1]).y
-    np.testing.assert_array_equal(model.fit(rig(6), start=model).predict(3, u=[1, 1, 1]).y, expected)
+    found = model.fit(rig(6), start=model).predict(3, u=[1, 1, 1]).y
+    np.testing.assert_array_equal(found, expected)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import splitband as sb
@@ -93,9 +94,21 @@ def mean() -> Forecaster:
             )
             for wrong in ((), (1, 1), (-1, 0))
         ),
+        (
+            lambda: sb.Ensemble.of([mean(), sb.Mean().fit(plain()[10:TRAIN])]),
+            "members must be fitted to the same record, got 60 samples of one and 50 of ",
+        ),
+        (
+            lambda: fitted("linear").predict(2, u=[1.0, 2.0], other_record=True),
+            "history must be given where other_record is True, got none",
+        ),
         (lambda: mean().predict(5, level=0.0), "level must be"),
         (lambda: mean().predict(5, level=1.0), "level must be"),
         (lambda: fitted("linear").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
+        (
+            lambda: fitted("simulator").predict(2, y_sim=[1.0, np.nan]),
+            "y_sim must hold finite numbers",
+        ),
         (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
     ],
 )
@@ -129,6 +142,48 @@ def test_the_time_since_the_training_record_asks_for_its_sampling() -> None:
     with pytest.raises(ValueError, match=r"for harmonic, .* every 0.1 s, got every 0.1005 s"):
         harmonic.predict(5, Record(np.sin(1.005 * t), 1.005 * DT))
     assert sb.Mean().fit(Record(np.sin(t), DT)).predict(5, Record(np.sin(t), 1.005 * DT))
+
+
+def two_inputs() -> Record:
+    u = np.random.default_rng(2).normal([1.0, 2.0], size=(80, 2))
+    y = np.convolve(u @ [1.0, -0.3], 0.5 ** np.arange(9))[:80]
+    return Record(y, DT, u, inputs=("a", "b"), start=0.0)
+
+
+@pytest.mark.parametrize(
+    "prepared",
+    [lambda r: r, lambda r: r.detrend(), lambda r: r.detrend(1), lambda r: r.clip_outliers()],
+    ids=["raw", "detrended", "straight lines", "clipped"],
+)
+def test_inputs_of_another_shape_are_refused_whatever_the_preparation(prepared: Any) -> None:
+    known = two_inputs()
+    assert known.u is not None
+    ahead, model = known.u[60:70], sb.Linear().fit(prepared(known[:60]))
+    for wrong in (ahead.T, ahead.ravel(), ahead.reshape(-1, 1)):
+        with pytest.raises(ValueError, match=r"u must hold the 10 samples .* in 2 channel\(s\), "):
+            model.predict(10, known[:60], u=wrong)
+    with pytest.raises(ValueError, match="alone, got the 60 of the history first"):
+        model.predict(10, known[:60], u=known.u[:70])
+
+
+def test_a_simulator_s_output_of_another_shape_is_refused_for_a_detrended_model() -> None:
+    known = record()
+    model = sb.Simulation().fit(known[:TRAIN].detrend())
+    with pytest.raises(ValueError, match=r"y_sim must .* in 1 channel\(s\), got \(5, 2\)"):
+        model.predict(5, known[:TRAIN], y_sim=np.ones((5, 2)))
+
+
+def test_the_columns_of_a_table_are_found_by_their_names() -> None:
+    known = two_inputs()
+    model, ahead = sb.Linear().fit(known[:60]), pd.DataFrame(known.u, columns=["a", "b"])[60:70]
+    expected = model.predict(10, u=ahead.to_numpy()).y
+    for history in (None, known[:60], replace(known[:60], inputs=())):
+        for table in (ahead, ahead[["b", "a"]], ahead.set_axis([0, 1], axis=1)):
+            np.testing.assert_array_equal(model.predict(10, history, u=table).y, expected)
+    with pytest.raises(ValueError, match="u must have the columns a, b, got a, c"):
+        model.predict(10, u=ahead.rename(columns={"b": "c"}))
+    with pytest.raises(ValueError, match="u must be left out"):
+        mean().predict(10, u=ahead)
 
 
 @pytest.mark.parametrize(

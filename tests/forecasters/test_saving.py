@@ -10,7 +10,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -167,6 +167,71 @@ def test_of_classes_that_a_notebook_defines_again_the_latest_is_loaded(
     first, _ = defined(1.0), defined(2.0)
     first.fit(sb.Record(np.arange(9.0), 1.0)).save(tmp_path / "m")
     assert sb.load(tmp_path / "m").predict(1).y == [[2.0]]
+
+
+class LastTwenty(sb.Forecaster):
+    """Looks back further than it says, and keeps what `value` is."""
+
+    name = "last-twenty"
+    value: Any = None
+
+    def learn(self, records: Any, **_: Any) -> None:
+        self.kept = type(self).value
+
+    def extrapolate(self, known: sb.ForecastContext) -> Array:
+        return np.tile(known.y[-20:].mean(axis=0), (known.steps, 1))
+
+
+def test_one_s_own_is_saved_with_all_of_its_history(tmp_path: Path) -> None:
+    for name, own in (("alone", LastTwenty()), ("several", sb.Ensemble(LastTwenty(), 2))):
+        model = own.fit(TRAIN)
+        model.save(tmp_path / name)
+        np.testing.assert_array_equal(ahead(sb.load(tmp_path / name)).y, ahead(model).y)
+
+
+class Line(NamedTuple):
+    slope: float
+    places: Any
+
+
+@pytest.mark.parametrize(
+    "value",
+    [{"1": [np.ones(2)], "1.0": np.zeros(2)}, Line(2.0, np.arange(3.0))],
+    ids=["names with dots", "named tuple"],
+)
+def test_what_one_keeps_is_loaded_as_it_was(
+    value: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LastTwenty, "value", value)
+    LastTwenty().fit(TRAIN).save(tmp_path)
+    loaded: Any = sb.load(tmp_path)
+    np.testing.assert_equal(loaded.kept, tuple(value) if isinstance(value, tuple) else value)
+
+
+def test_an_array_of_a_kind_that_no_file_holds_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(LastTwenty, "value", np.ones(3, complex))
+    with pytest.raises(ValueError, match="an array of complex128 cannot be saved"):
+        LastTwenty().fit(TRAIN).save(tmp_path)
+
+
+class Dropping(Leaky):
+    """A cell of the user's own that drops a half of what it sees, in training."""
+
+    def sized(self, ny: int, nu: int, warmup: int) -> Dropping:
+        return Dropping(ny, nu)
+
+    def step(self, state: Any, y: Any, u: Any = None) -> Any:
+        return nn.functional.dropout(super().step(state, y, u), training=self.training)
+
+
+def test_what_is_drawn_in_training_is_not_in_a_prediction(tmp_path: Path) -> None:
+    model = sb.Single(Dropping(), SHORT).fit(TRAIN)
+    model.save(tmp_path)
+    expected = ahead(model).y
+    for each in (model, sb.load(tmp_path)):
+        np.testing.assert_array_equal(ahead(each).y, expected)
 
 
 class Forgetful(sb.GRU):

@@ -98,6 +98,19 @@ def test_what_has_no_form_sample_by_sample_is_asked() -> None:
     assert stream.step() == pytest.approx(split.predict(2).y[1])
 
 
+def test_a_stream_between_two_samples_repeats_the_period_that_predict_does() -> None:
+    """Half a sample after the training record's, however many samples have been seen."""
+    t = np.arange(120)
+    record = sb.Record(np.sin(2 * np.pi * t / 12) + (t % 12 == 0), 1.0, start=0.0)
+    model = sb.SeasonalNaive().fit(record)
+    for samples in (30, 31):
+        for begin in (0.5, 1.5):
+            history = sb.Record(record.y[:samples], 1.0, start=begin)
+            stream = model.stream(history)
+            found = np.stack([stream.step() for _ in range(5)])
+            np.testing.assert_allclose(found, model.predict(5, history).y)
+
+
 def test_what_a_stream_refuses() -> None:
     record = driven()
     model = sb.Filtered(None, sb.GRU(3), BANDS, settings=SHORT).fit(record[:150])

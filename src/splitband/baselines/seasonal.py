@@ -7,6 +7,7 @@ them, and its period need not be a whole number of samples.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,11 @@ By eye."""
 ENOUGH_PAIRS = 0.25
 """Fewest pairs of measured samples at a lag, as a share of the largest number at any lag. A lag
 with fewer pairs is left out, as they may agree by chance. By eye."""
+
+
+def nearest(time: float) -> int:
+    """Return the nearest whole number; halves round up, so that times a sample apart stay so."""
+    return math.floor(time + 0.5)
 
 
 @saved
@@ -75,8 +81,9 @@ class LastPeriod:
 
     def predict(self, start: float, steps: int) -> Array:
         """Return the samples from `start` on, `(steps, ny)`; 0 is the first of the record."""
-        index = round(start) + np.arange(steps)
-        return self.period[(index - self.end) % self.lag] + self.trend.predict(round(start), steps)
+        begin = nearest(start)
+        index = begin + np.arange(steps)
+        return self.period[(index - self.end) % self.lag] + self.trend.predict(begin, steps)
 
     def __str__(self) -> str:
         return f"the last {self.lag} training samples, repeated on {self.trend}"

@@ -83,6 +83,15 @@ class BacktestSpec:
     warmup: int = 1
     initial: int | None = None
 
+    def __post_init__(self) -> None:
+        """Check that the origins are inside the record."""
+        for origin in self.origins:
+            if origin.fitted < 1 or not 0 < origin.at <= len(self.record):
+                raise InputError(
+                    f"origins must have fitted > 0 and 0 < at <= {len(self.record)}, the record's "
+                    f"samples, got {origin}"
+                )
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:

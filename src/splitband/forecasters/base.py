@@ -24,6 +24,7 @@ from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import (
     ForecastContext,
     Prediction,
+    by_name,
     known_of,
     predicted,
     prepared_like,
@@ -265,16 +266,17 @@ class Forecaster(WithRepr, ABC):
             Where the training record was detrended, clipped or resampled and the history was not,
             the same is done to the history and the inputs, and undone on the prediction.
         u : Known inputs of the forecast samples, `(steps, nu)`; by default those that the history
-            brings (`u_beyond`), as a slice of a longer record does.
+            brings (`u_beyond`), as a slice of a longer record does. The columns of a DataFrame are
+            found by their names, here and in `y_sim`.
         y_sim : Simulator output of the forecast samples, `(steps or more, ny)`; by default the
             history's (`beyond`). A calibrated delay or clock may need more than `steps`. Ignored by
             forecasters that need none or run their own simulator.
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first call
             with a level refits copies of the forecaster to shorter parts of its training record (a
             network: to three quarters) and forecasts the rest; the errors give all intervals.
-        other_record : Whether the history is of another record: its time stamps are then not
-            compared with those of the training record. A forecaster that depends on the time since
-            the training record began (`anchored`) raises ValueError.
+        other_record : Whether the history, which must be given then, is of another record: its
+            time stamps are not compared with those of the training record. A forecaster that
+            depends on the time since the training record began (`anchored`) raises ValueError.
 
         Raises
         ------
@@ -299,8 +301,12 @@ class Forecaster(WithRepr, ABC):
         steps = whole("steps", steps)
         if level is not None and not 0 < level < 1:
             raise InputError(f"level must be between 0 and 1, got {level}")
+        y_sim = y_sim if "simulator" in self.needs else None
+        for named in [fitted.record] if history is None else [fitted.record, history]:
+            u = by_name("u", u, named.inputs)
+            y_sim = by_name("y_sim", y_sim, named.columns)
         if history is not None and history.prepared != fitted.record.prepared:
-            prepared, u, y_sim = prepared_like(fitted.record, history, u, y_sim)
+            prepared, u, y_sim = prepared_like(fitted.record, history, steps, u, y_sim)
             found = self.predict(steps, prepared, u, y_sim, level, other_record)
             return found.restored(fitted.record.prepared, seconds_after(prepared, steps))
         known = known_of(self, steps, history, other_record, u, y_sim)
@@ -602,6 +608,8 @@ class Forecaster(WithRepr, ABC):
         record = self.require_fitted().record
         if "simulator" in self.needs:
             return 0  # a calibrated delay or clock uses earlier output
+        if not all(type(part).__module__.startswith("splitband.") for part in all_parts(self)):
+            return 0  # a forecaster of one's own may use all of its history
         measured = ~np.isnan(record.y_with_gaps)
         first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
         if self.warmup:

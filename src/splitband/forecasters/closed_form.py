@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 
-from splitband.baselines.seasonal import LastPeriod, periodic
+from splitband.baselines.seasonal import LastPeriod, nearest, periodic
 from splitband.baselines.sinusoids import harmonic
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
@@ -164,7 +164,7 @@ class SeasonalNaive(_ByTime):
         last = self.baseline
 
         def initial(known: ForecastContext | None) -> State:
-            begin = round(_begin(known))
+            begin = nearest(_begin(known))
             period = np.roll(last.period, (last.end - begin) % last.lag, axis=0)
             return {"time": np.array(float(begin)), "period": period}
 

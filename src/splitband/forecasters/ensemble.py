@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self, Unpack, final
 
-from splitband.data import Record
+from splitband.data import Record, check_alike
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
@@ -75,7 +75,16 @@ class Ensemble(Forecaster):
     @classmethod
     def of(cls, members: Sequence[Forecaster]) -> Ensemble:
         """Return the ensemble of forecasters that were fitted to the same records."""
-        seeds = [member.require_fitted().report.seed for member in members]
+        fits = [member.require_fitted() for member in members]
+        for each in fits[1:]:
+            check_alike(each.record, fits[0].record, "members")
+            if not each.begins_and_ends_like(fits[0]):
+                raise InputError(
+                    "members must be fitted to the same record, got "
+                    f"{fits[0].begin + len(fits[0].record)} samples of one and "
+                    f"{each.begin + len(each.record)} of another"
+                )
+        seeds = [each.report.seed for each in fits]
         if len(set(seeds)) < len(seeds):  # members of different settings
             seeds = [*range(len(seeds))]
         ensemble = cls([member.clone() for member in members], seeds=seeds)
@@ -95,7 +104,8 @@ class Ensemble(Forecaster):
         cut, stable = any(r.cut for r in reports), all(r.stable for r in reports)
         seconds = sum(r.seconds for r in reports)
         report = FitReport(seed, seconds, reports[0].losses, notes, cut, stable)
-        self.fitted = replace(members[0].require_fitted(), report=report)
+        longest = max((m.require_fitted() for m in members), key=lambda fitted: len(fitted.record))
+        self.fitted = replace(longest, report=report)
 
     @property
     def seeds(self) -> tuple[int, ...]:

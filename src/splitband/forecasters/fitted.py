@@ -110,6 +110,13 @@ class Fitted:
         first, *others = records
         return cls(first, 0, first.start, y_range, u_summary, tuple(others), FitReport(seed))
 
+    def begins_and_ends_like(self, other: Fitted) -> bool:
+        """Return whether both are of the same first record, of which each may hold an end."""
+        kept = min(len(self.record), len(other.record))
+        ours, theirs = (each.record.y_with_gaps[-kept:] for each in (self, other))
+        alike = self.start == other.start and np.array_equal(ours, theirs, equal_nan=True)
+        return alike and self.begin + len(self.record) == other.begin + len(other.record)
+
     def begins(self, history: Record) -> float:
         """Return where a history begins, in samples after the first training sample."""
         step = self.record.sampling_time

@@ -18,7 +18,7 @@ import numpy as np
 
 from splitband import models, training
 from splitband.baselines.delays import delayed, input_delays
-from splitband.data import Record
+from splitband.data import Record, check_alike
 from splitband.data.signals import first_after, last_before
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN, Bands
@@ -206,6 +206,7 @@ class Network(Forecaster):
             record, settings = new.fitted.record, new._trained_by
             assert settings is not None
             new.model = models.with_weights(lambda: new._built(record, settings, seed=0), weights)
+            new.model.eval()
             if new._prehistory is not None:
                 new._prehistory.check(new.model, settings.warmup)
         return new
@@ -246,7 +247,7 @@ class Network(Forecaster):
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the base, choose settings and bands that are not given, and train the model."""
-        seed, start = how["seed"], self._start(how["start"])
+        seed, start = how["seed"], self._start(how["start"], records[0])
         settings = self._settings_for(records[0], records[1:])
         self._trained_by = settings if start is None else settings.after(start._trained_by)
         seen = self._seen(records, seed, start)
@@ -268,6 +269,7 @@ class Network(Forecaster):
             begin_as_linear(self.model, seen, settings.normalize, seed)
         self.model.to(self._device)
         history = training.fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
+        self.model.eval()
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()
         stable = all(each.stable() for each in networks if hasattr(each, "stable"))
@@ -363,12 +365,15 @@ class Network(Forecaster):
         new._device = self._device
         return new
 
-    def _start(self, start: Forecaster | None) -> Self | None:
+    def _start(self, start: Forecaster | None, record: Record) -> Self | None:
         """Return the trained forecaster to go on from; raises ValueError for another kind."""
         if start is None:
             return None
         if not isinstance(start, type(self)) or start.model is None:
             raise InputError(f"start must be a trained {self.name}, got {start!r}")
+        # Levels that were removed from its record may differ a little.
+        seen = replace(start.require_fitted().record, prepared=record.prepared)
+        check_alike(seen, record, "start")
         return start
 
     def _seen(self, records: Sequence[Record], seed: int, start: Self | None) -> list[Record]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ import pandas as pd
 
 from splitband.data import Grid, Record, check_alike
 from splitband.data.preparation import Preparation, seconds
-from splitband.data.signals import signal_of
+from splitband.data.signals import same_names, signal_of
 from splitband.data.timing import same_sampling, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
@@ -62,6 +62,25 @@ class ForecastContext:
     u_beyond: Array | None = None
 
 
+def by_name(name: str, given: npt.ArrayLike | None, names: Sequence[str]) -> npt.ArrayLike | None:
+    """Return a signal whose columns, where it is a DataFrame, are in the order of these names.
+
+    Raises ValueError for other names; numbered ones match any others, in the order given.
+    """
+    table: Any = given
+    columns = {str(column): column for column in getattr(table, "columns", ())}
+    if not columns or not names:
+        return given
+    if sorted(columns) == sorted(names):
+        ordered: npt.ArrayLike = table[[columns[each] for each in names]]
+        return ordered
+    if not same_names([*columns], names):
+        raise InputError(
+            f"{name} must have the columns {', '.join(names)}, got {', '.join(columns)}"
+        )
+    return given
+
+
 def continued(
     name: str,
     past: Array,
@@ -77,8 +96,8 @@ def continued(
     Raises
     ------
     ValueError
-        For too few samples ahead, another number of channels, and given samples that begin with
-        those of the history.
+        For too few samples ahead, another number of channels, and given samples that are not
+        finite or begin with those of the history.
     """
     n, channels = past.shape
     ahead = beyond if given is None else given
@@ -88,6 +107,8 @@ def continued(
             f"{name} must hold the {steps} samples to predict in {channels} channel(s), got "
             f"{'none' if ahead is None else values.shape}"
         )
+    if given is not None and not np.isfinite(values).all():
+        raise InputError(f"{name} must hold finite numbers, got some that are not")
     whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
     if whole and n and np.ptp(past):
         raise InputError(
@@ -184,13 +205,15 @@ class Prediction:
 
         y = restored(self.y)
         trend = y - self.y
-        parts = {**self.components, "trend": trend} if self.components and trend.any() else {}
+        parts = dict(self.components)
+        if parts and trend.any():
+            parts["trend"] = trend + parts.get("trend", 0.0)
         return replace(
             self,
             y=y,
             lower=None if self.lower is None else restored(self.lower),
             upper=None if self.upper is None else restored(self.upper),
-            components=parts or self.components,
+            components=parts,
         )
 
     def __repr__(self) -> str:
@@ -253,6 +276,8 @@ def known_of(
 ) -> ForecastContext:
     """Return the data for a forecast of `steps` samples after a history; see `predict`."""
     fitted = forecaster.require_fitted()
+    if other_record and history is None:
+        raise InputError("history must be given where other_record is True, got none")
     if other_record and forecaster.anchored:
         raise InputError(
             f"history must go on from the training record for {forecaster.name}, which depends on "
@@ -269,8 +294,6 @@ def known_of(
             )
         past, begin = history, None if other_record else fitted.begins(history)
     inputs = u_beyond = None
-    if u is not None and not np.isfinite(np.asarray(u, dtype=np.float64)).all():
-        raise InputError("u must hold finite numbers, got some that are not")
     if past.u is not None:
         inputs = continued("u", past.u, past.u_beyond, u, steps, more=True)
         inputs, u_beyond = np.split(inputs, [len(past) + steps])
@@ -283,7 +306,7 @@ def known_of(
                 f"history must bring a simulator's output (y_sim) for {forecaster.name}"
             )
         simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
-    own = history is None and not other_record
+    own = history is None
     return ForecastContext(
         past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own, u_beyond=u_beyond
     )
@@ -333,18 +356,26 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
 
 
 def prepared_like(
-    record: Record, history: Record, u: npt.ArrayLike | None, y_sim: npt.ArrayLike | None
+    record: Record,
+    history: Record,
+    steps: int,
+    u: npt.ArrayLike | None,
+    y_sim: npt.ArrayLike | None,
 ) -> tuple[Record, npt.ArrayLike | None, npt.ArrayLike | None]:
     """Return a history, future inputs and future simulator output, prepared like a record."""
     prepared = history.prepared_as(record)
-    for step in record.prepared:
-        if u is not None:
-            u = np.asarray(u, np.float64).reshape(-1, history.nu)
-            u = step.transform("u", u, seconds_after(prepared, len(u)))
-        if y_sim is not None:
-            y_sim = np.asarray(y_sim, np.float64).reshape(-1, history.ny)
-            y_sim = step.transform("y_sim", y_sim, seconds_after(prepared, len(y_sim)))
-    return prepared, u, y_sim
+
+    def ahead(
+        name: Literal["u", "y_sim"], past: Array | None, given: npt.ArrayLike | None
+    ) -> npt.ArrayLike | None:
+        if past is None or given is None:
+            return given
+        signal = continued(name, past, None, given, steps, more=True)[len(past) :]
+        for step in record.prepared:
+            signal = step.transform(name, signal, seconds_after(prepared, len(signal)))
+        return signal
+
+    return prepared, ahead("u", history.u, u), ahead("y_sim", history.y_sim, y_sim)
 
 
 def seconds_after(record: Record, samples: int) -> Array:

@@ -58,6 +58,8 @@ _UNFIT = (
 )  # fmt: skip
 """Errors that a forged or damaged description may raise."""
 _AGAIN = "train it again, with `splitband fit` or fit(record), and save it"
+_SEVERAL = list, tuple, frozenset
+"""Kinds of collections that are saved."""
 _PACKAGE = __name__.partition(".")[0]
 
 Tensors = dict[str, npt.NDArray[Any]]
@@ -72,7 +74,7 @@ def save(
     Parameters
     ----------
     forecaster : Fitted. One of your own must consist of numbers, texts, arrays, dates, lists and
-        dicts of these, and objects of the package.
+        dicts of these, and objects of the package. Named tuples are loaded as tuples.
     folder : Created if it does not exist.
     facts : Further entries of the JSON file.
 
@@ -273,8 +275,10 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
     if isinstance(value, pd.Timestamp):
         return {"date": value.isoformat()}
     if isinstance(value, np.ndarray):
-        if value.dtype.kind not in "biufc":
+        if value.dtype.kind not in "biufc" or value.dtype.itemsize > 8:
             raise InputError(f"an array of {value.dtype} cannot be saved")
+        while place in tensors:  # names may hold dots
+            place += "."
         tensors[place] = np.array(value, order="C")
         return {"array": place}
     if isinstance(value, Forecaster):
@@ -284,10 +288,11 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         return _named("class", value, parts, tensors, place)
     if isinstance(value, Mapping):
         return {"mapping": _parts(value, tensors, place)}
-    if isinstance(value, list | tuple | frozenset):
+    if isinstance(value, _SEVERAL):
         ordered = sorted(value) if isinstance(value, frozenset) else value
         inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
-        return {type(value).__name__: inner}
+        kind = next(each for each in _SEVERAL if isinstance(value, each))
+        return {kind.__name__: inner}
     try:
         return _of_torch(value, tensors, place)
     except TypeError as error:  # of `options`, or a number format that NumPy does not have
@@ -335,7 +340,7 @@ def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a ki
     """
     if not isinstance(value, dict):
         return value
-    for several in (list, tuple, frozenset):
+    for several in _SEVERAL:
         if several.__name__ in value:
             return several(restored(part, tensors) for part in value[several.__name__])
     if "array" in value:

@@ -519,7 +519,7 @@ def program_of(
     try:
         return recursion, recursion.after(known_of(forecaster, 0, past, other_record))
     except ValueError:
-        if not recursion.simulated or history is not None:
+        if not recursion.simulated or history is not None or other_record:
             raise
         return recursion, None
 
@@ -564,6 +564,7 @@ def _repredicted(forecaster: Forecaster) -> Recursion:
             y_sim=state["y_sim"] if simulated else None,
             grid=history.grid and replace(history.grid, samples=origin),
             own=False,
+            u_beyond=None,  # it follows the history, not what was observed since
         )
         return extrapolated(forecaster, known)[0][-1]
 
