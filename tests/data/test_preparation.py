@@ -50,7 +50,7 @@ class WithTrend(sb.Forecaster):
 
 def test_the_components_add_up_where_one_is_called_trend() -> None:
     raw = record()
-    found = WithTrend().fit(raw.detrend()).predict(4, raw)
+    found = WithTrend().fit(raw[:400].detrend()).predict(4, raw[:400])
     np.testing.assert_allclose(sum(found.components.values()), found.y)
 
 
