@@ -87,14 +87,6 @@ def test_before_the_delayed_inputs_a_fast_system_is_where_it_usually_is() -> Non
         assert rmse(simulated[21:], record.y[21:300]) < 0.12
 
 
-@pytest.mark.parametrize("delay", [5, 21])
-@pytest.mark.parametrize("a", [[1, -0.95], [1, -1.5, 0.7]])
-def test_without_noise_a_delay_is_exact(a: list[float], delay: int) -> None:
-    u = np.random.default_rng(3).standard_normal(600)
-    y = scipy.signal.lfilter([0.0] * delay + [1.0], a, u - u[0])
-    assert input_delays([(y[:, None], u[:, None])]) == (delay,)
-
-
 def test_each_input_has_a_delay_of_its_own() -> None:
     model = sb.Linear().fit(late(0, 25))
     assert model.delays == (0, 25)

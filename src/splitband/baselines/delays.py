@@ -57,9 +57,6 @@ _SEARCHED = 20_000
 """Most samples on which delays are compared. Bounds the time."""
 _ROWS = 10
 """Block rows of the subspace models that compare delays. Bounds the time."""
-_LEAST_ERROR = 1e-3
-"""RMS error, in standard deviations, below which a model is exact: without noise, later delays
-would go on lowering the error of models that are nearly right. By eye."""
 _DELAY_ORDERS = (1, 2, 4)
 """Orders of the models that compare delays. Bounds the time."""
 
@@ -189,8 +186,7 @@ def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     for order in _DELAY_ORDERS:
         a, c = found.matrices(order)
         at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 3)
-        cost = float(np.log(np.maximum(at.scale, _LEAST_ERROR)).sum())
-        costs.append(cost + order * (1 + nu) * np.log(samples) / (2 * samples))
+        costs.append(at.cost + order * (1 + nu) * np.log(samples) / (2 * samples))
     return min(costs)
 
 
