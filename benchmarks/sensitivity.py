@@ -30,7 +30,7 @@ import splitband as sb
 from benchmarks import clock, driven, kinds, residuals
 from benchmarks.commands import PENDULUM
 from benchmarks.recommendation import BASELINES, RecordJob, _comparison
-from docs.constants import SOURCE, Constant, constants
+from docs.constants import SOURCE, constants
 from splitband.filters.cutoff import choose
 from splitband.metrics import rmse
 from splitband.runtime.caching import KEPT
@@ -207,11 +207,11 @@ def moved(value: Any, factor: float) -> Any:
     return 1 - (1 - value) / factor if 0.5 < value < 1 else value * factor
 
 
-def _by_eye(files: Sequence[str]) -> Iterator[tuple[Constant, str]]:
+def _checked(files: Sequence[str]) -> Iterator[tuple[str, str]]:
     for each in constants():
         path = str(each.path.relative_to(SOURCE))
         if path in files and (each.kind == "by eye" or "benchmarks.sensitivity" in each.said):
-            yield from ((each, name) for name in each.names)
+            yield from ((path, name) for name in each.names)
 
 
 def main() -> None:
@@ -225,7 +225,7 @@ def main() -> None:
     for group in given.groups:
         every = [
             Moved(group, path, name, factor)
-            for path, name in _by_eye(GROUPS[group][1])
+            for path, name in _checked(GROUPS[group][1])
             for factor in FACTORS
             if given.names is None or name in given.names
         ]

@@ -194,7 +194,10 @@ def test_values_that_an_input_cannot_take_are_refused(tmp_path: Path) -> None:
 
 def test_values_that_a_parameter_cannot_take_are_refused(tmp_path: Path) -> None:
     path = built(tmp_path / "rig.fmu", inputs=("u", "n"), types=("Real", "Integer"))
-    says = {2.7: "hold whole numbers for n .*Integer: got 2.7", (0, 5): "be .*not ranges, for n "}
+    says: dict[Any, str] = {
+        2.7: "hold whole numbers for n .*Integer: got 2.7",
+        (0, 5): "be .*not ranges, for n ",
+    }
     for value, words in says.items():
         with pytest.raises(ValueError, match=f"parameters must {words}"):
             sb.Fmu(path, parameters={"n": value}, inputs=["u"])

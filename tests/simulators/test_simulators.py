@@ -130,7 +130,7 @@ def falls(t: float, x: Array) -> list[float]:
 
 def test_a_compiled_equation_sees_what_its_globals_become(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is compiled after some ten thousand steps; numba keeps the values of globals."""
-    grid = 0.001 * np.arange(20001)
+    grid: Array = 0.001 * np.arange(20001.0)
     called = Ode(falls, [1.0]), Ode(partial(lambda rate, t, x: [-rate * x[0]], 1.0), [1.0])
     for model in called:
         for _ in range(3):

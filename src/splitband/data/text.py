@@ -121,7 +121,7 @@ def _check_rows(
     names: Sequence[Any], named: bool,
 ) -> None:  # fmt: skip
     """Raise ValueError for rows whose missing cells, or whose decimal commas, leave a choice."""
-    if len(names) == 1:
+    if len(names) == 1 and body:
         empty = [i for i in range(body[0], body[-1]) if not written[i - 1].strip()]
         if empty and 2 * len(empty) < body[-1] - body[0]:  # not every second one
             raise InputError(

@@ -12,13 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from splitband.runtime.errors import InputError
-from splitband.runtime.system import move
+from splitband.runtime.system import STANDARD, move
 
 CHECKPOINTS = ".splitband-checkpoints"
 """Folder for checkpoints, in that of the results; removed once the results are written."""
-
-_STANDARD = {"/dev/stdout": 1, "/dev/stderr": 2}
-"""Output of this process, which may lead to a file, and is gone on with there."""
 
 
 @contextmanager
@@ -33,7 +30,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         with tempfile.TemporaryDirectory() as folder:
             copied = Path(folder, path.name)
             yield copied
-            number = _STANDARD.get(str(path))
+            number = STANDARD.get(str(path))
             with path.open("wb") if number is None else os.fdopen(os.dup(number), "wb") as stream:
                 stream.write(copied.read_bytes())
         return
@@ -59,7 +56,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 def is_stream(path: Path) -> bool:
     """Return whether a path names a pipe or a device, which a file must not replace."""
-    return str(path) in _STANDARD or (path.exists() and not (path.is_file() or path.is_dir()))
+    return str(path) in STANDARD or (path.exists() and not (path.is_file() or path.is_dir()))
 
 
 def write_text(path: str | Path, text: str) -> None:

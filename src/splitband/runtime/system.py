@@ -23,6 +23,8 @@ from pathlib import Path
 _BUSY = 5, 32
 """Numbers of Windows' errors for a file that another program has open: "access denied" and "sharing
 violation". A convention."""
+STANDARD = {"/dev/stdout": 1, "/dev/stderr": 2}
+"""Files that are the output of this process, which may lead to a file and is gone on with there."""
 TRIES, _AGAIN = 20, 0.05
 """Tries to replace a file that is open elsewhere, and seconds between two of them. Bounds the
 time."""
