@@ -49,8 +49,8 @@ def complex_in_words(value: complex) -> str:
 
 def in_one_offset(stamps: pd.DatetimeIndex) -> pd.DatetimeIndex:
     """Return date stamps without a time zone, by the clock of the first one: they only go on."""
-    offset = stamps[0].utcoffset()
-    return stamps if offset is None else stamps.tz_convert(None) + offset
+    offset = stamps[0].utcoffset() if len(stamps) else None
+    return stamps.tz_localize(None) if offset is None else stamps.tz_convert(None) + offset
 
 
 def squared(record: Record) -> str:
