@@ -74,7 +74,7 @@ def save(
     Parameters
     ----------
     forecaster : Fitted. One of your own must consist of numbers, texts, arrays, dates, lists and
-        dicts of these, and objects of the package. Named tuples are loaded as tuples.
+        dicts of these, and objects of the package.
     folder : Created if it does not exist.
     facts : Further entries of the JSON file.
 
@@ -288,7 +288,7 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         return _named("class", value, parts, tensors, place)
     if isinstance(value, Mapping):
         return {"mapping": _parts(value, tensors, place)}
-    if isinstance(value, _SEVERAL):
+    if isinstance(value, _SEVERAL) and not hasattr(value, "_fields"):  # of a named tuple
         ordered = sorted(value) if isinstance(value, frozenset) else value
         inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
         kind = next(each for each in _SEVERAL if isinstance(value, each))
