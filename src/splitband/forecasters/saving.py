@@ -266,8 +266,8 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
 
     Raises ValueError for a value that cannot be described.
     """
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.generic):  # of nanoseconds, `item` is a number
+        value = pd.Timestamp(value) if isinstance(value, np.datetime64) else value.item()
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
