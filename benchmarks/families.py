@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -215,10 +214,10 @@ def best_of(rows: Iterable[Row], kind: str) -> list[float]:
 
 
 def pays(row: Row) -> bool:
-    """Return whether a filter is better: than the residual hybrid, or than one network."""
+    """Return whether a filter is better than the residual hybrid, or one network, tried as well."""
     kinds = ("filtered", "residual") if "simulator" in row["errors"] else ("split", "network")
-    filtered, other = (min(best_of([row], kind), default=math.inf) for kind in kinds)
-    return filtered < other
+    filtered, other = (best_of([row], kind) for kind in kinds)
+    return bool(filtered and other) and filtered < other
 
 
 def middle(values: Sequence[float]) -> str:

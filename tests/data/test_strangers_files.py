@@ -98,6 +98,7 @@ def test_files_that_are_read(
         ("y\n1\n2\n\n4\n5\n", "line 4 is empty: write nan", None, 0),
         ("time u y\n0 1 2\n1   3\n2 1 4\n", "line 3 has 2 cells instead of 3", None, 0),
         ("1,500\n-0,250\n-0,125\n0,000\n", "line 1 may hold decimal commas", None, 0),
+        ("1,5\n-0,25\n-0,12\n0,4\n", "whole numbers, which a line of names", None, 0),
         (table(lambda i: str(i // 2)), "must increase: row 1 (0 s) follows 0 s (line 3)", OFF, 1),
         (table(lambda i: f"{i} msec"), "row 0 holds '0 msec' (line 2)", None, 0),
     ],

@@ -46,16 +46,15 @@ from splitband.runtime.deadlines import current
 from splitband.runtime.errors import InputError
 
 _ALIKE = 2
-"""Outputs whose estimated delays differ by at most so many samples are modelled together. Checked
-by `benchmarks.sensitivity`."""
+"""Outputs whose estimated delays differ by at most so many samples are modelled together. By
+eye."""
 _EXACT = 1e-7
 """RMS error, in standard deviations, of a simulation that leaves no noise to model. Rounding."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. Rounding."""
 _GROWTH = 100.0
 """An unstable model is simulated over parts of a record, in which its errors grow at most by this
-factor: over the whole record they leave the range of numbers. Checked by
-`benchmarks.sensitivity`."""
+factor: over the whole record they leave the range of numbers. By eye."""
 _FITS = 0.5
 """A simulation fits if its RMS error is below this share of the standard deviation, and far better
 than another one below this share of its error. Checked by `benchmarks.sensitivity`."""

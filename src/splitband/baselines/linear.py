@@ -22,8 +22,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 
 _FASTEST, _SLOWEST = 0.5, 0.95
-"""Range of the poles of additional states that the output does not depend on. Checked by
-`benchmarks.sensitivity`."""
+"""Range of the poles of additional states that the output does not depend on. By eye."""
 
 
 @saved

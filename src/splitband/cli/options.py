@@ -226,7 +226,7 @@ Device = Annotated[str, _TRAINING("Train networks on cpu, cuda, cuda:1, ...", "N
 Budget = Annotated[str | None, _TIME("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]
 Rounds = Annotated[
     int | None,
-    _TIME("Rounds of the search, in place of a time: the same anywhere.", "N", False, min=1),
+    _TIME("Rounds of the search, in place of a time: the same in every run.", "N", False, min=1),
 ]
 Seed = Annotated[int, _TIME("Of all random numbers.", "N", min=0)]
 Jobs = Annotated[int | None, _TIME("Trainings at once, one on each core.", "N", "all cores", min=1)]

@@ -138,11 +138,11 @@ def _check_rows(
         first = [_Row.of(i, lines[i - 1], sep).cells for i in body[:_SAMPLE]]
         cells = [cell for row in first for cell in row]
         fractions = [cell for row in first for cell in row[1::2]]
-        if all(map(str.isdigit, fractions)) and not any("." in cell for cell in cells) and any(
-            re.fullmatch(r"0\d+", cell) for cell in fractions
-        ):  # fmt: skip
+        told = "-0" in cells or any(re.fullmatch(r"0\d+", cell) for cell in fractions)
+        if told and all(map(str.isdigit, fractions)) and not any("." in cell for cell in cells):
             raise InputError(
-                f"line {body[0]} may hold decimal commas: between columns they need ; or tabs"
+                f"line {body[0]} may hold decimal commas, which between columns need ; or tabs, or "
+                "whole numbers, which a line of names above them tells"
             )
 
 

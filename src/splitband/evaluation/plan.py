@@ -196,8 +196,8 @@ def plan(  # noqa: PLR0913
         calibrated first, and with the slow band as an input of their networks.
     budget : Wall time of the whole comparison in s, by default two minutes if there is something
         to search, and no limit otherwise. `math.inf` is no limit.
-    rounds : Rounds of the search in place of a time limit: the same work, and the same result, on
-        every machine.
+    rounds : Rounds of the search in place of a time limit: the same work and, on one machine, the
+        same result in every run.
     seed : Of all random numbers.
     seeds : Trainings of each network, whose median is handed out, by default three. Where settings
         are searched, the most in the median of the best network, by default as many as do best;

@@ -24,7 +24,7 @@ ORDERS = (1, 2)
 """Order 2 is chosen only where order 1 is not acceptable: on held-out samples it is no better, and
 on the simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
 MOST_DOWNSAMPLING = 10
-"""Largest down-sampling factor of the low band. Checked by `benchmarks.sensitivity`."""
+"""Largest down-sampling factor of the low band. By eye."""
 LEAST_WARMUP = 10
 """Smallest number of warm-up samples of the down-sampled low band. By eye."""
 LEAST_PASSED = 0.5
@@ -39,8 +39,8 @@ LEFT_BY_NETWORK = 0.02
 held-out errors of hybrids on (v) and (vi), with the simulator in the low band
 (docs/results/rules.md)."""
 WORTH_USING = 0.5
-"""The error of a simulator's band must have less than this share of the power in that band. Checked
-by `benchmarks.sensitivity`."""
+"""The error of a simulator's band must have less than this share of the power in that band. By
+eye."""
 _CUTOFFS = 24
 """Number of cut-offs that are tried, evenly spaced on a logarithmic scale. Bounds the time."""
 _WARMUPS = 40
