@@ -117,7 +117,7 @@ class Accuracy:
 def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
     """Return a root R of the covariance R R' of the free values, `(free, parts)`."""
     cuts = segments(runs, _PARTS)
-    parts = [*by_segment(solution, runs, solution.blocks.free, cuts)]
+    parts = by_segment(solution, runs, solution.blocks.free, cuts)
     whole = total(parts)
     n, through = whole.n.copy(), dict[int, Array]()
     for i, (cross, own, _) in whole.states.items():

@@ -31,14 +31,17 @@ from splitband.baselines.kalman import (
 )
 from splitband.baselines.linear import LinearModel, assembled
 from splitband.baselines.refinement import (
+    MOST_SAMPLES,
     Run,
     Solution,
     blocks_of,
     equations,
     evaluated,
+    excerpt,
     linear_solution,
     refined,
     stepped,
+    windows,
 )
 from splitband.baselines.selection import ITERATIONS, Search, with_constant
 from splitband.runtime.arrays import Array
@@ -116,7 +119,8 @@ def _of_outputs(
     """Return the model of outputs that have the same delays."""
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
-    search = Search(runs, moving, integrators, most)
+    some = excerpt(runs, MOST_SAMPLES)
+    search = Search(some, moving, integrators, most)
     if order is None:
         chosen = search.best()
     else:
@@ -126,8 +130,8 @@ def _of_outputs(
                 f"order must suit the record, got {order}: it has too few samples for so many poles"
             )
         chosen = given if integrators is not None else search.integrating(given, order)
-    fitted = with_constant(runs) if chosen.solution.blocks.constant else runs
-    at = refined(chosen.solution, fitted, ITERATIONS, search.limit)
+    at = search.on_all(chosen, runs)
+    fitted = with_constant(runs) if at.blocks.constant else runs
     model = _model_of(at, runs, delays)
     if not current().over:
         late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
@@ -213,7 +217,9 @@ def _model_of(
     x = [states(a, u @ b.T + drift, into @ start) for u, start in zip(inputs, first, strict=True)]
     visited = np.clip(np.nan_to_num(np.concatenate(x)), -1e150, 1e150)
     centre, spread = visited.mean(axis=0), np.cov(visited.T, bias=True).reshape(a.shape)
-    errors, measured = [e.T for e in at.errors], [run.measured.T for run in runs]
+    cuts = windows(runs, MOST_SAMPLES)
+    errors = [at.errors[i][:, begin:end].T for i, begin, end in cuts]
+    measured = [runs[i].measured[:, begin:end].T for i, begin, end in cuts]
     gain = fitted_gain(a, c, spread, errors, measured) if gain is None else into @ gain
     pairs = sum((e[1:] * e[:-1]).sum(axis=0) for e in errors)
     both = sum((s[1:] * s[:-1]).sum(axis=0) for s in measured)

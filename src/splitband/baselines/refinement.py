@@ -4,7 +4,9 @@ A block is x_{t+1} = [[a_1, a_2], [1, 0]] x_t + B u_t, y_t += C x_t: two poles, 
 complex or equal. A first-order block has a_2 = 0 and one state. The form is nearly minimal, the
 responses of all blocks and their derivatives are filters of second order (`scipy.signal.lfilter`),
 and the normal equations of a least-squares fit (Levenberg and Marquardt) follow from the products
-of few signals: an iteration of 40 states and 16,000 samples takes a tenth of a second.
+of few signals, chunk by chunk of the time: an iteration of 40 states and 16,000 samples takes a
+tenth of a second, and a million samples need the memory of a chunk. Of long records the matrix of
+the normal equations is that of every n-th sample, the right-hand side that of all.
 
 With the record's inputs this is the output error. With inputs and measured outputs as the inputs of
 the predictor, the same code minimises the prediction error. See L. Ljung, System Identification,
@@ -16,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
-from itertools import groupby, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +26,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.deadlines import current
 
 _RADIUS = 1 - 1e-9
 """Largest absolute value of a free pole; 1 is an integrator."""
@@ -36,6 +39,17 @@ _STEPS = 8
 _CONVERGED = 0.1
 """A fit ends when an iteration raises the log-likelihood by less. A parameter without effect raises
 it by 1/2 on average: smaller steps are within the noise."""
+_NEGLIGIBLE = 1e-5
+"""It also ends when one lowers the RMS error by a smaller share. Bounds the time."""
+_CHUNK = 16_384
+"""Samples whose derivatives are in memory at once. Bounds the memory."""
+_LEAST, _EACH = 20_000, 50
+"""Fewest samples of the matrix of the normal equations, in all and for each parameter. Bounds the
+time."""
+_WINDOWS = 6
+"""Windows of an excerpt of long records. By eye."""
+MOST_SAMPLES = 20_000
+"""Most samples by which order and delays are chosen. Bounds the time."""
 _RIDGE = 1e-10
 """Share of their diagonal that the normal equations gain, as some directions change nothing."""
 _EXACT = 1e-10
@@ -148,40 +162,48 @@ class Blocks:
         c = self.c.transpose(1, 0, 2).reshape(len(self.offset), -1)[:, kept]
         return a, b, c, self.d
 
-    def states(self, run: Run, first: Array) -> Array:
-        """Return the states of all blocks from the initial ones `(blocks, 2)` on."""
-        found = np.empty((len(self.a), 2, run.u.shape[1]))
-        for i, row in enumerate(self.a):
-            found[i] = _states(row, self.b[i] @ run.u, first[i])
-        return found
-
     def simulate(self, run: Run, first: Array) -> Array:
         """Return the outputs `(ny, time)` from the initial states `(blocks, 2)` on."""
-        c = self.c.transpose(1, 0, 2).reshape(len(self.offset), 2 * len(self.a))
         y = self.d @ run.u + self.offset[:, None]
-        return y + c @ self.states(run, first).reshape(2 * len(self.a), run.u.shape[1])
+        for row, b, c, x in zip(self.a, self.b, self.c, first, strict=True):
+            y += c @ _states(row, b @ run.u, x)
+        return y
 
-    def responses(self, run: Run, states: Array) -> Array:
-        """Return the derivatives of both states of each block, `(blocks, 2, 4 + 2 nu, time)`.
+    def chunks(self, run: Run, first: Array) -> Iterator[tuple[slice, Array, Array]]:
+        """Yield, for each chunk of time, the states and their derivatives.
 
-        They are by a, by b and by the initial states of the block: the filtered states, inputs and
+        The states are `(blocks, 2, chunk)`, their derivatives `(blocks, 2, 4 + 2 nu, chunk)`: by a,
+        by b and by the initial states of the block. They are the filtered states, inputs and
         impulse, as a force on one of the states acts one and two samples late.
         """
         nu, time = run.u.shape
-        found = np.zeros((len(self.a), 2, 4 + 2 * nu, time))
         of_u, of_b = slice(2, 2 + nu), slice(2 + nu, 2 + 2 * nu)
-        impulse = np.zeros((1, time))
-        impulse[0, 0] = 1.0
-        for (one, two), (first, second), x in zip(found, self.a, states, strict=True):
-            forces = np.vstack([x, run.u, impulse])
-            now = scipy.signal.lfilter([1.0], [1.0, -first, -second], forces)
-            late, later = np.zeros_like(now), np.zeros_like(now)
-            late[:, 1:], later[:, 2:] = now[:, :-1], now[:, :-2]
-            one[: 2 + nu], two[: 2 + nu] = late[:-1], later[:-1]
-            one[of_b], two[of_b] = second * later[of_u], late[of_u] - first * later[of_u]
-            one[-2], two[-2] = now[-1], late[-1]
-            one[-1], two[-1] = second * late[-1], now[-1] - first * late[-1]
-        return found
+        before = np.zeros((len(self.a), 3 + nu, 2))  # memories of the filters, and their last two
+        last, now_x = before.copy(), first
+        for begin in range(0, time, _CHUNK):
+            here = slice(begin, min(begin + _CHUNK, time))
+            u = run.u[:, here]
+            impulse = np.zeros((1, u.shape[1]))
+            impulse[0, 0] = begin == 0
+            states = np.empty((len(self.a), 2, u.shape[1]))
+            found = np.empty((len(self.a), 2, 4 + 2 * nu, u.shape[1]))
+            after = np.empty_like(now_x)
+            for i, (row, (one, two)) in enumerate(zip(self.a, found, strict=True)):
+                forced = self.b[i] @ u
+                states[i] = x = _states(row, forced, now_x[i])
+                after[i] = row @ x[:, -1] + forced[0, -1], x[0, -1] + forced[1, -1]
+                forces = np.vstack([x, u, impulse])
+                now, before[i] = scipy.signal.lfilter([1.0], [1.0, *-row], forces, zi=before[i])
+                whole = np.hstack([last[i], now])
+                last[i] = whole[:, -2:]
+                late, later = whole[:, 1:-1], whole[:, :-2]
+                one[: 2 + nu], two[: 2 + nu] = late[:-1], later[:-1]
+                one[of_b] = row[1] * later[of_u]
+                two[of_b] = late[of_u] - row[0] * later[of_u]
+                one[-2], two[-2] = now[-1], late[-1]
+                one[-1], two[-1] = row[1] * late[-1], now[-1] - row[0] * late[-1]
+            now_x = after
+            yield here, states, found
 
 
 def _states(a: Array, forced: Array, first: Array) -> Array:
@@ -194,11 +216,11 @@ def _states(a: Array, forced: Array, first: Array) -> Array:
         into[1:] = forced[0, :-1]
         into[1] += a[1] * first[1]
         into[2:] += a[1] * forced[1, :-2]
-    x1 = scipy.signal.lfilter([1.0], [1.0, -a[0], -a[1]], into)
-    x2 = np.empty(time)
-    x2[0] = first[1]
-    x2[1:] = x1[:-1] + forced[1, :-1]
-    return np.stack([x1, x2])
+    x = np.empty((2, time))
+    x[0] = scipy.signal.lfilter([1.0], [1.0, -a[0], -a[1]], into)
+    x[1, 0] = first[1]
+    x[1, 1:] = x[0, :-1] + forced[1, :-1]
+    return x
 
 
 def blocks_of(  # noqa: PLR0913
@@ -340,7 +362,39 @@ def evaluated(blocks: Blocks, runs: Sequence[Run], first: Sequence[Array]) -> So
 def equations(solution: Solution, runs: Sequence[Run], free: Flags) -> Equations:
     """Return the normal equations of all samples for the entries `free` of the values."""
     whole = [(i, 0, run.u.shape[1]) for i, run in enumerate(runs)]
-    return total([*by_segment(solution, runs, free, whole)])
+    least = max(_LEAST, _EACH * int(free.sum()))
+    return total(by_segment(solution, runs, free, whole, max(length(runs) // least, 1)))
+
+
+def length(runs: Sequence[Run]) -> int:
+    """Return the number of samples of all records."""
+    return sum(run.u.shape[1] for run in runs)
+
+
+def windows(runs: Sequence[Run], most: int) -> list[tuple[int, int, int]]:
+    """Return record, first and last sample + 1 of windows with about `most` samples in all.
+
+    All of shorter records. Else half of them lie at even distances, and half of them are those in
+    which the inputs move most.
+    """
+    if length(runs) <= most:
+        return [(i, 0, run.u.shape[1]) for i, run in enumerate(runs)]
+    cuts = segments(runs, _WINDOWS * length(runs) // most)
+    moves = np.array([runs[i].u[:, begin:end].std(axis=1).sum() for i, begin, end in cuts])
+    moves[np.linspace(0, len(cuts) - 1, _WINDOWS // 2).astype(int)] = np.inf
+    found = list[tuple[int, int, int]]()
+    for i, begin, end in (cuts[k] for k in np.sort(np.argsort(-moves, kind="stable")[:_WINDOWS])):
+        joined = found and found[-1][0] == i and found[-1][2] == begin
+        found.append((i, found.pop()[1] if joined else begin, end))
+    return found
+
+
+def excerpt(runs: Sequence[Run], most: int) -> Sequence[Run]:
+    """Return `windows` of the records; the records themselves where they are short."""
+    cuts = windows(runs, most)
+    if length(runs) <= most:
+        return runs
+    return [Run(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
 
 
 def total(parts: Sequence[Equations]) -> Equations:
@@ -350,7 +404,7 @@ def total(parts: Sequence[Equations]) -> Equations:
 
 def segments(runs: Sequence[Run], count: int) -> list[tuple[int, int, int]]:
     """Return record, first and last sample + 1 of about `count` segments with measured samples."""
-    time = sum(run.u.shape[1] for run in runs)
+    time = length(runs)
     found = []
     for i, run in enumerate(runs):
         edges = np.linspace(0, run.u.shape[1], max(round(count * run.u.shape[1] / time), 1) + 1)
@@ -364,8 +418,12 @@ def by_segment(
     runs: Sequence[Run],
     free: Flags,
     cuts: Sequence[tuple[int, int, int]],
-) -> Iterator[Equations]:
-    """Yield the normal equations of each segment: a record, its first and its last sample + 1."""
+    thin: int = 1,
+) -> list[Equations]:
+    """Return the normal equations of each segment: a record, its first and its last sample + 1.
+
+    N is that of every `thin`-th sample, times `thin`; g is that of all.
+    """
     blocks = solution.blocks
     count, size, kept = 2 * len(blocks.a), len(blocks.values), int(free.sum())
     # The place of each number in the equations; -1 for one that is not free.
@@ -374,28 +432,33 @@ def by_segment(
     a, b, c, d, offset = blocks.parts(place[:size])
     own = np.hstack([a, b.reshape(len(a), -1), place[size:].reshape(-1, 2)]).ravel()
     weight = 1 / np.maximum(solution.scale, _EXACT) ** 2
-    for record, of_record in groupby(cuts, lambda cut: cut[0]):
-        run, here = runs[record], [*of_record]
-        states = blocks.states(run, solution.first[record])
-        responses = blocks.responses(run, states)
-        constant = np.ones((1, states.shape[2]))
-        n = np.zeros((len(here), kept + count, kept + count))
-        g = np.zeros((len(here), kept + count))
-        for k, w in enumerate(weight):
-            columns = np.concatenate([own, c[:, k].ravel(), d[k], offset[[k]]])
-            one, two = blocks.c[:, k].T[:, :, None, None]
-            through = one * responses[:, 0] + two * responses[:, 1]
-            rows = np.concatenate([*through, *states, run.u, constant])[columns >= 0]
-            columns = columns[columns >= 0]
-            if not run.measured[k].all():
-                rows *= run.measured[k]
-            for i, (_, begin, end) in enumerate(here):
-                part = rows[:, begin:end]
-                n[i][np.ix_(columns, columns)] += w * (part @ part.T)
-                g[i][columns] += w * (part @ solution.errors[record][k, begin:end])
-        for own_n, own_g in zip(n, g, strict=True):
-            inner = own_n[kept:, :kept], own_n[kept:, kept:], own_g[kept:]
-            yield Equations(own_n[:kept, :kept], own_g[:kept], {record: inner})
+    n = np.zeros((len(cuts), kept + count, kept + count))
+    g = np.zeros((len(cuts), kept + count))
+    for record in {record: None for record, _, _ in cuts}:
+        run = runs[record]
+        for chunk, states, responses in blocks.chunks(run, solution.first[record]):
+            constant = np.ones((1, states.shape[2]))
+            for k, w in enumerate(weight):
+                columns = np.concatenate([own, c[:, k].ravel(), d[k], offset[[k]]])
+                one, two = blocks.c[:, k].T[:, :, None, None]
+                through = one * responses[:, 0] + two * responses[:, 1]
+                rows = np.concatenate([*through, *states, run.u[:, chunk], constant])[columns >= 0]
+                columns = columns[columns >= 0]
+                if not run.measured[k, chunk].all():
+                    rows *= run.measured[k, chunk]
+                errors = solution.errors[record][k, chunk]
+                for i, (of, begin, end) in enumerate(cuts):
+                    here = slice(max(begin - chunk.start, 0), max(end - chunk.start, 0))
+                    if of == record and here.start < min(here.stop, len(errors)):
+                        part = rows[:, here]
+                        some = part[:, ::thin] if thin > 1 else part
+                        n[i][np.ix_(columns, columns)] += w * thin * (some @ some.T)
+                        g[i][columns] += w * (part @ errors[here])
+    found = []
+    for (record, _, _), own_n, own_g in zip(cuts, n, g, strict=True):
+        inner = own_n[kept:, :kept], own_n[kept:, kept:], own_g[kept:]
+        found.append(Equations(own_n[:kept, :kept], own_g[:kept], {record: inner}))
+    return found
 
 
 def solved(
@@ -451,10 +514,15 @@ def stepped(
 
 
 def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1.0) -> Solution:
-    """Return the locally best system, with complex poles below `limit` in absolute value."""
+    """Return the locally best system, with complex poles below `limit` in absolute value.
+
+    When the deadline passes, the best one so far.
+    """
     samples = sum(float(run.measured.sum()) for run in runs) / len(at.scale)
     damping, free = 1e-4, at.blocks.free
     for _ in range(iterations):
+        if current().over:
+            break
         found = equations(at, runs, free)
         for _ in range(_STEPS):
             new = stepped(at, runs, free, found, damping)
@@ -466,7 +534,7 @@ def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1
             return at
         gain, at = at.cost - new.cost, new
         damping = max(damping / 10, 1e-12)
-        if samples * gain < _CONVERGED:
+        if gain < max(_CONVERGED / samples, _NEGLIGIBLE):
             break
     return at
 

@@ -167,6 +167,28 @@ class Search:
         at = refined(begin, runs, iterations, self.limit)
         return Candidate(at, held_out(at, runs), integrators)
 
+    def on_all(self, chosen: Candidate, runs: Sequence[Run]) -> Solution:
+        """Return the chosen model refined on all samples of records, of which `self.runs` are some.
+
+        Slow poles, which an excerpt does not show, are those of a subspace of averaged samples, and
+        integrators have to hold out on the whole.
+        """
+        blocks = chosen.solution.blocks
+        fitted = with_constant(runs) if blocks.constant else runs
+        begin = linear_solution(blocks, fitted)
+        if runs is self.runs:
+            return refined(chosen.solution, fitted, ITERATIONS, self.limit)
+        whole = Search(runs, self.direct, self.integrators, chosen.order)
+        if not blocks.constant:
+            begin = min(begin, whole._start(chosen.order) or begin, key=lambda at: at.cost)
+        at = refined(begin, fitted, ITERATIONS, whole.limit)
+        if not blocks.constant or self.integrators is not None or current().over:
+            return at
+        free = whole.of_order(chosen.order)
+        found = Candidate(at, held_out(at, fitted), chosen.integrators)
+        lasting = free is None or (found.as_good_as(free) and whole._lasts(chosen.order, free))
+        return at if lasting or free is None else free.solution
+
     def best(self) -> Candidate:
         """Return the model of the chosen order.
 
@@ -313,7 +335,7 @@ def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
 def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
     """Return the mean squared error of each segment that is held out, `(segments, ny)`."""
     blocks, cut = solution.blocks, segments(runs, SEGMENTS)
-    each = [*by_segment(solution, runs, blocks.free, cut)]
+    each = by_segment(solution, runs, blocks.free, cut)
     whole, found = total(each), []
     for part, (record, begin, end) in zip(each, cut, strict=True):
         step, states = solved(whole.plus(part, -1.0), _DAMPED, whole)

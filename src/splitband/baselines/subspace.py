@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 
 _WORK = 3e9
 """Most operations of the triangular factor of the data: of more windows, some are left out at even
@@ -77,21 +78,23 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
     """
     ny, nu = records[0][0].shape[1], records[0][1].shape[1]
     width = 2 * rows * (ny + nu)
-    seen = []
+    seen = list[Array]()
     for y, u in records:
         both = np.hstack([u, y])
         if stride > 1:
             kept = len(both) // stride * stride
             both = both[:kept].reshape(-1, stride, ny + nu).mean(axis=1)
-        if len(both) < 2 * rows:
-            continue
-        views = np.lib.stride_tricks.sliding_window_view(both, 2 * rows, axis=0)
-        seen.append(views[~np.isnan(views).any(axis=(1, 2))])
-    windows = np.concatenate(seen) if seen else np.zeros((0, nu + ny, 2 * rows))
-    if len(windows) < _WINDOWS * width:
+        if len(both) >= 2 * rows:
+            seen.append(both)
+    views = [np.lib.stride_tricks.sliding_window_view(both, 2 * rows, axis=0) for both in seen]
+    # Where a window begins that has no gap.
+    begins = [_without_gaps(np.isnan(both).any(axis=1), 2 * rows) for both in seen]
+    count = sum(map(len, begins))
+    if count < _WINDOWS * width:
         return None
-    thin = int(np.ceil(2 * len(windows) * width**2 / _WORK))
-    windows = windows[::thin] if len(windows) // thin >= 2 * width else windows
+    thin = int(np.ceil(2 * count * width**2 / _WORK))
+    thin = thin if count // thin >= 2 * width else 1
+    windows = np.concatenate([view[at[::thin]] for view, at in zip(views, begins, strict=True)])
     n = len(windows)
     # (samples, signals, time) -> columns [future u, past u and y, future y]
     future_u = windows[:, :nu, rows:].transpose(0, 2, 1).reshape(n, -1)
@@ -111,6 +114,12 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
     root = (axes * spread) @ axes.T
     outer, values, _ = np.linalg.svd(found, full_matrices=False)
     return Subspace(root @ outer, values, ny, stride)
+
+
+def _without_gaps(missing: Flags, size: int) -> npt.NDArray[np.int_]:
+    """Return the first samples of all windows of `size` without a missing sample."""
+    before = np.append(0, np.cumsum(missing))
+    return np.flatnonzero(before[size:] == before[:-size])
 
 
 def stable(a: Array, limit: float = 1 - 1e-6) -> Array:
