@@ -4,7 +4,8 @@ The dead time of a held input is one sample less, as it acts one sample late by 
 many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
 cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); it is then
-moved to where the error of linear models of low order is least.
+moved to where the error of linear models of low order is least. A delay is a claim: without it a
+model of any order must hold out worse, or need more poles on the same samples.
 """
 
 from __future__ import annotations
@@ -16,8 +17,16 @@ from functools import cache, partial
 import numpy as np
 import scipy
 
-from splitband.baselines.refinement import Run, blocks_of, linear_solution, refined
-from splitband.baselines.subspace import stable, subspace
+from splitband.baselines.refinement import (
+    MOST_SAMPLES,
+    Run,
+    blocks_of,
+    linear_solution,
+    refined,
+    windows,
+)
+from splitband.baselines.selection import Search
+from splitband.baselines.subspace import filled, stable, subspace
 from splitband.metrics import spread
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -49,12 +58,15 @@ right. Checked by `benchmarks.sensitivity`."""
 _SHARE = 0.4
 """Longest delay that is searched, as a share of the longest record. Checked by
 `benchmarks.sensitivity`."""
+_FEWEST_MOVES = 3.0
+"""Fewest moves of an input that show a delay: one or two may be followed by anything. By eye."""
+_ALIKE = 1.05
+"""Most that the held-out error of a model with a delay may be, as a multiple of that of one without
+it that needs more poles. By eye."""
 SHORTEST = 2
 """Shortest first estimate, in samples, that is not taken to be 0: many systems answer one sample
 late. Checked by `benchmarks.sensitivity`."""
 
-_SEARCHED = 20_000
-"""Most samples on which delays are compared. Bounds the time."""
 _ROWS = 10
 """Block rows of the subspace models that compare delays. Bounds the time."""
 _DELAY_ORDERS = (1, 2, 4)
@@ -69,12 +81,15 @@ def check_delays(delays: Sequence[int], inputs: int) -> None:
         whole("delays", delay, 0, LONGEST_DELAY)
 
 
-def delayed(u: Array, delays: Sequence[int]) -> Array:
-    """Return inputs `(time, nu)`, each delayed in samples; the first value is held before it."""
+def delayed(u: Array, delays: Sequence[int], rows: slice = slice(None)) -> Array:
+    """Return rows of inputs `(time, nu)`, each delayed in samples.
+
+    The first value is held before the record.
+    """
     if not any(delays):
-        return u
-    rows = np.arange(len(u))[:, None] - np.asarray(delays)
-    return np.asarray(np.take_along_axis(u, np.maximum(rows, 0), axis=0))
+        return u[rows]
+    taken = np.arange(len(u))[rows, None] - np.asarray(delays)
+    return np.asarray(np.take_along_axis(u, np.maximum(taken, 0), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +108,19 @@ class Units:
         u = np.concatenate([u for _, u in records])
         return cls(np.nanmean(y, axis=0), spread(y), np.nanmean(u, axis=0), spread(u))
 
-    def run(self, y: Array, u: Array, delays: Sequence[int]) -> Run:
-        """Return a record with delayed inputs for a fit, from where all that act are known.
+    def run(self, y: Array, u: Array, delays: Sequence[int], rows: slice | None = None) -> Run:
+        """Return some rows of a record with delayed inputs, for a fit.
 
-        Before that nothing tells the state: a fast one would have to begin far away to show later.
+        By default from where all inputs that act are known. Before that nothing tells the state: a
+        fast one would have to begin far away to show later.
         """
-        outputs = ((y - self.y_mean) / self.y_scale).T
-        inputs = (delayed(u, delays) - self.u_mean) / self.u_scale
         late = max(delays, default=0)
-        begin = late if late < len(y) // 2 else 0
+        rows = rows or slice(late if late < len(y) // 2 else 0, len(y))
+        outputs = ((y[rows] - self.y_mean) / self.y_scale).T
+        inputs = (delayed(u, delays, rows) - self.u_mean) / self.u_scale
         measured = (~np.isnan(outputs)).astype(np.float64)
         run = Run(inputs.T, np.where(measured > 0, outputs, 0.0), measured)
-        return Run(*(np.ascontiguousarray(signal[:, begin:]) for signal in run))
+        return Run(*(np.ascontiguousarray(signal) for signal in run))
 
     def outputs(self, some: Sequence[int]) -> Units:
         """Return the units of some outputs."""
@@ -138,14 +154,24 @@ def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
 def _compared(
     records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
 ) -> list[int]:
-    """Return the delays of the inputs of one output with which models of low order fit best."""
-    records = [(y[:_SEARCHED], u[:_SEARCHED]) for y, u in records]
-    samples = sum(int((~np.isnan(y)).sum()) for y, _ in records)
+    """Return the delays of the inputs of one output with which models of low order fit best.
+
+    Zeros where a model without delays holds out as well.
+    """
+    plain = [units.run(y, u, [0] * len(lags), slice(None)) for y, u in records]
+    cuts = windows(plain, MOST_SAMPLES)
+    samples = sum(int(plain[i].measured[:, begin:end].sum()) for i, begin, end in cuts)
     longest, little = max(len(y) for y, _ in records) // 2, np.log(samples) / (2 * samples)
+
+    def runs_of(delays: Sequence[int], late: int) -> list[Run]:
+        """Return the windows with delayed inputs, from where a delay `late` is in the record."""
+        rows = [(i, slice(max(a, late) if late < len(records[i][0]) // 2 else a, b))
+                for i, a, b in cuts]  # fmt: skip
+        return [units.run(*records[i], delays, of) for i, of in rows if of.start < of.stop]
 
     @cache
     def of_delays(*delays: int) -> float:
-        return _low_order_cost([units.run(y, u, delays) for y, u in records], samples)
+        return _low_order_cost(runs_of(delays, max(delays)), samples)
 
     def cost(j: int, others: tuple[int, ...], delay: int) -> float:
         return of_delays(*others[:j], delay, *others[j + 1 :])
@@ -154,7 +180,15 @@ def _compared(
     for j, of_input in enumerate(lags):
         if of_input not in ((), (0,)):
             best[j] = _one_delay(partial(cost, j, tuple(best)), of_input, longest, little)
-    return best
+    if not any(best):
+        return best
+    moving = [bool(np.ptp(u) > 0) for u in np.hstack([run.u for run in plain])]
+    late, at_once = (
+        Search(runs_of(delays, max(best)), moving, integrators=0).best()
+        for delays in (best, [0] * len(best))
+    )
+    simpler = late.order < at_once.order and late.error < _ALIKE * at_once.error
+    return best if simpler or not at_once.as_good_as(late) else [0] * len(best)
 
 
 def _one_delay(
@@ -204,7 +238,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
         return found
     for j in range(nu):
         inputs = [u[:, j] for _, u in records]
-        if max(map(np.ptp, inputs)) == 0:
+        if _moves(inputs) < _FEWEST_MOVES:
             continue
         of_input = _whitener(inputs)
         white = [_through(of_input, x) for x in inputs]
@@ -273,10 +307,10 @@ def explains(tested: Array, targets: Array, others: Array) -> bool:
     return bool((explained > max(_EFFECT, significant) * left).any())
 
 
-def filled(y: Array) -> Array:
-    """Fill gaps by linear interpolation; a channel without a sample is 0."""
-    rows = np.flatnonzero(~np.isnan(y))
-    return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
+def _moves(inputs: Sequence[Array]) -> float:
+    """Return how often an input moves: its changes, squared, as multiples of the largest."""
+    changes = np.concatenate([np.diff(u) for u in inputs]) ** 2
+    return float(changes.sum() / max(changes.max(initial=0.0), 1e-300))
 
 
 def _whitener(signals: Sequence[Array]) -> Array:

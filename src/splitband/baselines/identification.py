@@ -64,7 +64,7 @@ than another one below this share of its error. Checked by `benchmarks.sensitivi
 _LAGS = 16
 """Past samples from which an input is predicted. Checked by `benchmarks.sensitivity`."""
 _ROWS = 20_000
-"""Most samples of a record for this. Bounds the time."""
+"""Most samples of all records for this. Bounds the time."""
 
 
 def identified(
@@ -162,17 +162,20 @@ def _delay_errors(
 
     It follows from the curvature of the likelihood over the neighbouring delays.
     """
-    found = np.zeros(len(delays))
+    found, late = np.zeros(len(delays)), max(delays, default=0) + 1
     samples = sum(float((~np.isnan(y)).any(axis=1).sum()) for y, _ in records)
+    records = [(y, u) for y, u in records if len(y) > late]
+    cuts = windows([units.run(y, u, delays, slice(late, None)) for y, u in records], MOST_SAMPLES)
+
+    def cost(moved: Sequence[int]) -> float:
+        some = [units.run(*records[i], moved, slice(late + a, late + b)) for i, a, b in cuts]
+        fitted = with_constant(some) if at.blocks.constant else some
+        return refined(linear_solution(at.blocks, fitted), fitted, 5, MAX_OBSERVER_POLE).cost
+
     for j, delay in enumerate(delays):
-        if delay and not current().over:
-            costs = []
-            for moved in (delay - 1, delay + 1):
-                runs = [units.run(y, u, [*delays[:j], moved, *delays[j + 1 :]]) for y, u in records]
-                fitted = with_constant(runs) if at.blocks.constant else runs
-                begin = evaluated(at.blocks, fitted, at.first)
-                costs.append(refined(begin, fitted, 5, MAX_OBSERVER_POLE).cost)
-            curvature = samples * (sum(costs) - 2 * at.cost)
+        if delay and cuts and not current().over:
+            low, best, high = (cost([*delays[:j], delay + by, *delays[j + 1 :]]) for by in (-1, 0, 1))
+            curvature = samples * (low + high - 2 * best)
             found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
     return found
 
@@ -298,14 +301,14 @@ def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     these are those of a nonlinear system, from which a smooth input can be predicted, too: then no
     controller is noticed. `errors` are `(ny, time)` and `inputs` `(nu, time)`, of each record.
     """
-    rows, nu, ny = [], len(inputs[0]), len(errors[0])
+    rows, nu, ny, most = [], len(inputs[0]), len(errors[0]), _ROWS // len(inputs)
     mean, deviation = np.hstack(inputs).mean(axis=1), np.hstack(inputs).std(axis=1)
     for e, u in zip(errors, inputs, strict=True):
         if u.shape[1] > 2 * _LAGS:
             squares = ((u.T - mean) / np.where(deviation > 0, deviation, 1.0)) ** 2 - 1
             signals = np.vstack([u, e, squares.T])
             views = np.lib.stride_tricks.sliding_window_view(signals, _LAGS + 1, axis=1)
-            rows.append(views[:, :_ROWS].transpose(1, 0, 2))
+            rows.append(views[:, :most].transpose(1, 0, 2))
     if not rows:
         return False
     data = np.concatenate(rows)

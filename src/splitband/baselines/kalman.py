@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import current
 
 _FACTORS = (0.0, *np.geomspace(1e-4, 1.0, 9))
 """Process noise that is tried, as a share of the states' standard deviations in the record. Bounds
@@ -145,7 +146,7 @@ def fitted_gain(
             continue
     stable = len(a) == 0 or abs(np.linalg.eigvals(a)).max() <= 1
     best = min(gains if stable else gains[1:] or gains, key=cost)
-    if best.any() and best.size <= _FREE:
+    if best.any() and best.size <= _FREE and not current().over:
         scale = float(abs(best).max())
         shape, start = best.shape, best.ravel() / scale
 

@@ -43,9 +43,9 @@ _NEGLIGIBLE = 1e-5
 """It also ends when one lowers the RMS error by a smaller share. Bounds the time."""
 _CHUNK = 16_384
 """Samples whose derivatives are in memory at once. Bounds the memory."""
-_LEAST, _EACH = 20_000, 50
-"""Fewest samples of the matrix of the normal equations, in all and for each parameter. Bounds the
-time."""
+_LEAST, _EACH = 20_000, 100
+"""Fewest samples of the matrix of the normal equations, in all and for each parameter: with fewer,
+steps go astray. Bounds the time."""
 _WINDOWS = 6
 """Windows of an excerpt of long records. By eye."""
 MOST_SAMPLES = 20_000

@@ -17,20 +17,20 @@ import numpy as np
 import scipy
 
 from splitband.baselines.accuracy import NORMAL, accuracy_of
-from splitband.baselines.delays import filled
 from splitband.baselines.refinement import (
     Run,
     Solution,
     blocks_of,
     by_segment,
     followed,
+    length,
     linear_solution,
     refined,
     segments,
     solved,
     total,
 )
-from splitband.baselines.subspace import Subspace, most_rows, stable, subspace
+from splitband.baselines.subspace import Subspace, filled, most_rows, stable, subspace
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
@@ -50,6 +50,9 @@ _MOST_REDUCED = 8
 """Largest order that is reduced by leaving out each of its poles: where inputs wander, a subspace
 has a pole near 1 in the place of a pair, from which no refinement finds back. Checked by
 `benchmarks.sensitivity`."""
+_NEAR = 0.7
+"""Least order above 8 that is tried, as a share of the one that the singular values show. Bounds the
+time."""
 _ALWAYS = 3
 """Orders up to this one are always tried: of a nonlinear system they go on best. Without it five of
 44 records lose 13 to 65 % of fit, one gains."""
@@ -148,6 +151,14 @@ class Search:
             self.values = self._subspaces[0].values
 
     @property
+    def shown(self) -> int:
+        """Return the order that the singular values show (D. Bauer, Automatica 37, 2001, SVC)."""
+        size = np.arange(max(len(self.values) - 1, 0))
+        ny, samples = len(self.runs[0].y), length(self.runs)
+        each = (2 * ny + len(self.direct)) * np.log(samples) / samples
+        return int(np.argmin(self.values[size] ** 2 + size * each)) if len(size) else 0
+
+    @property
     def limit(self) -> float:
         """Return the largest absolute value of a complex pole."""
         return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
@@ -190,10 +201,12 @@ class Search:
         return at if lasting or free is None else free.solution
 
     def best(self) -> Candidate:
-        """Return the model of the chosen order.
+        """Return the model of the chosen order; after the deadline that which the subspace shows.
 
         From the order with the best information criterion on, smaller ones are tried one by one.
         """
+        if current().over and (start := self._start(min(self.shown, self.most or 0))) is not None:
+            return Candidate(start, np.full((1, len(start.scale)), np.nan))
         grid = dict(self._criteria())
         first = self.of_order(max(self.integrators or 0, 1))
         if not grid or first is None:
@@ -210,7 +223,8 @@ class Search:
             return found[min(m for m, c in found.items() if c.as_good_as(least))]
 
         small = [n for n in grid if n <= min(order, _ALWAYS)]
-        for n in (order, *[n for n in grid if n > order][:1], *small[::-1]):
+        near = [n for n in grid if n > order][:1] + [n for n in grid if n == self.shown]
+        for n in (order, *near, *small[::-1]):
             best = attempt(n)
         for n in reversed([n for n in grid if n < best.order]):
             best = attempt(n)
@@ -264,11 +278,16 @@ class Search:
         return Candidate(at, held_out(at, self.runs))
 
     def _criteria(self) -> Iterator[tuple[int, float]]:
-        """Yield by order the information criterion (BIC) of the subspace's poles."""
+        """Yield by order the information criterion (BIC) of the subspace's poles.
+
+        Orders are small, or near that of the singular values and above it.
+        """
         assert self.most is not None
         ny, least, misses = len(self.runs[0].y), np.inf, 0
         samples = sum(float(run.measured.sum()) for run in self.runs) / ny
-        for order in (n for n in _ORDERS if n <= self.most):
+        shown = self.shown
+        orders = {n for n in _ORDERS if n <= self.most and (n <= 8 or n >= _NEAR * shown)}
+        for order in sorted(orders | ({shown} if 0 < shown <= self.most else set())):
             if current().over or (start := self._start(order)) is None:
                 return
             scale = np.maximum(start.scale, _NEGLIGIBLE)
@@ -277,7 +296,7 @@ class Search:
             yield order, criterion
             misses = 0 if criterion < least else misses + 1
             least = min(least, criterion)
-            if misses >= _MISSES:
+            if misses >= _MISSES and order >= shown:
                 return
 
     def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:

@@ -116,6 +116,12 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
     return Subspace(root @ outer, values, ny, stride)
 
 
+def filled(y: Array) -> Array:
+    """Fill gaps by linear interpolation; a channel without a sample is 0."""
+    rows = np.flatnonzero(~np.isnan(y))
+    return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
+
+
 def _without_gaps(missing: Flags, size: int) -> npt.NDArray[np.int_]:
     """Return the first samples of all windows of `size` without a missing sample."""
     before = np.append(0, np.cumsum(missing))
