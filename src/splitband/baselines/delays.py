@@ -13,8 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from splitband.baselines.refinement import (
@@ -58,7 +60,7 @@ right. Checked by `benchmarks.sensitivity`."""
 _SHARE = 0.4
 """Longest delay that is searched, as a share of the longest record. Checked by
 `benchmarks.sensitivity`."""
-_FEWEST_MOVES = 3.0
+FEWEST_MOVES = 3.0
 """Fewest moves of an input that show a delay: one or two may be followed by anything. By eye."""
 _ALIKE = 1.05
 """Most that the held-out error of a model with a delay may be, as a multiple of that of one without
@@ -69,6 +71,8 @@ late. Checked by `benchmarks.sensitivity`."""
 
 _ROWS = 10
 """Block rows of the subspace models that compare delays. Bounds the time."""
+_EXACT = 1e-7
+"""RMS error, in standard deviations, below which models fit alike. Rounding."""
 _DELAY_ORDERS = (1, 2, 4)
 """Orders of the models that compare delays. Bounds the time."""
 
@@ -127,20 +131,35 @@ class Units:
         return replace(self, y_mean=self.y_mean[[*some]], y_scale=self.y_scale[[*some]])
 
 
-def delays_of(records: Sequence[tuple[Array, Array]]) -> Array:
-    """Return the delay of each input at each output in samples, `(ny, nu)`."""
+class Delays(NamedTuple):
+    """Delays of each input at each output in samples, `(ny, nu)`.
+
+    Attributes
+    ----------
+    taken : Those that held-out samples show, else 0.
+    doubted : Those that explain the outputs best, where they are not taken.
+    """
+
+    taken: npt.NDArray[np.int_]
+    doubted: npt.NDArray[np.int_]
+
+
+def delays_of(records: Sequence[tuple[Array, Array]]) -> Delays:
+    """Estimate the delays of records."""
     units = Units.of(records)
     found = candidates(records)
     chosen = np.zeros((len(found), len(found[0])), int)
+    doubted = np.zeros_like(chosen)
     for k, of_inputs in enumerate(found):
         if any(lags not in ((), (0,)) for lags in of_inputs) and not current().over:
-            chosen[k] = _compared(
+            best, shown = _compared(
                 [(y[:, [k]], u) for y, u in records], units.outputs([k]), of_inputs
             )
+            (chosen if shown else doubted)[k] = best
     acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
     # Where an input shows no effect, its delay is that at the other outputs.
     least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)
-    return np.where(acts, chosen, np.where(acts.any(axis=0), least, 0))
+    return Delays(np.where(acts, chosen, np.where(acts.any(axis=0), least, 0)), doubted)
 
 
 def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
@@ -148,15 +167,15 @@ def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
 
     `records` are `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each.
     """
-    return tuple(delays_of(records).min(axis=0).tolist())
+    return tuple(delays_of(records).taken.min(axis=0).tolist())
 
 
 def _compared(
     records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
-) -> list[int]:
+) -> tuple[list[int], bool]:
     """Return the delays of the inputs of one output with which models of low order fit best.
 
-    Zeros where a model without delays holds out as well.
+    And whether a model without delays holds out worse, or as well with more poles.
     """
     plain = [units.run(y, u, [0] * len(lags), slice(None)) for y, u in records]
     cuts = windows(plain, MOST_SAMPLES)
@@ -181,14 +200,14 @@ def _compared(
         if of_input not in ((), (0,)):
             best[j] = _one_delay(partial(cost, j, tuple(best)), of_input, longest, little)
     if not any(best):
-        return best
+        return best, True
     moving = [bool(np.ptp(u) > 0) for u in np.hstack([run.u for run in plain])]
     late, at_once = (
         Search(runs_of(delays, max(best)), moving, integrators=0).best()
         for delays in (best, [0] * len(best))
     )
     simpler = late.order < at_once.order and late.error < _ALIKE * at_once.error
-    return best if simpler or not at_once.as_good_as(late) else [0] * len(best)
+    return best, simpler or not at_once.as_good_as(late)
 
 
 def _one_delay(
@@ -220,7 +239,8 @@ def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     for order in _DELAY_ORDERS:
         a, c = found.matrices(order)
         at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 3)
-        costs.append(at.cost + order * (1 + nu) * np.log(samples) / (2 * samples))
+        left = float(np.log(np.maximum(at.scale, _EXACT)).sum())
+        costs.append(left + order * (1 + nu) * np.log(samples) / (2 * samples))
     return min(costs)
 
 
@@ -238,7 +258,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
         return found
     for j in range(nu):
         inputs = [u[:, j] for _, u in records]
-        if _moves(inputs) < _FEWEST_MOVES:
+        if moves(inputs) < FEWEST_MOVES:
             continue
         of_input = _whitener(inputs)
         white = [_through(of_input, x) for x in inputs]
@@ -307,7 +327,7 @@ def explains(tested: Array, targets: Array, others: Array) -> bool:
     return bool((explained > max(_EFFECT, significant) * left).any())
 
 
-def _moves(inputs: Sequence[Array]) -> float:
+def moves(inputs: Sequence[Array]) -> float:
     """Return how often an input moves: its changes, squared, as multiples of the largest."""
     changes = np.concatenate([np.diff(u) for u in inputs]) ** 2
     return float(changes.sum() / max(changes.max(initial=0.0), 1e-300))

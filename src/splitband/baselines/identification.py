@@ -87,7 +87,8 @@ def identified(
     """
     units = Units.of(records)
     ny = records[0][0].shape[1]
-    found = delays_of(records) if delay is None else np.asarray(delay, int)
+    estimated = delays_of(records) if delay is None else None
+    found = np.asarray(delay, int) if estimated is None else estimated.taken
     parts = []
     for outputs in _groups(found, _ALIKE if delay is None else 0):
         some = [(y[:, outputs], u) for y, u in records]
@@ -95,10 +96,11 @@ def identified(
         model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
         parts.append((model, outputs))
     model, (y, u) = assembled(parts, ny), records[0]
-    return replace(model, last=model.continued(u, y, u[:0])[1])
+    doubted = () if estimated is None else tuple(estimated.doubted.max(axis=0).tolist())
+    return replace(model, last=model.continued(u, y, u[:0])[1], doubted=doubted)
 
 
-def _groups(delays: Array, alike: int) -> list[list[int]]:
+def _groups(delays: npt.NDArray[np.int_], alike: int) -> list[list[int]]:
     """Return the outputs that are modelled together: their delays differ by at most `alike`."""
     left, found = [*range(len(delays))], []
     while left:
@@ -174,7 +176,9 @@ def _delay_errors(
 
     for j, delay in enumerate(delays):
         if delay and cuts and not current().over:
-            low, best, high = (cost([*delays[:j], delay + by, *delays[j + 1 :]]) for by in (-1, 0, 1))
+            low, best, high = (
+                cost([*delays[:j], delay + by, *delays[j + 1 :]]) for by in (-1, 0, 1)
+            )
             curvature = samples * (low + high - 2 * best)
             found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
     return found

@@ -57,6 +57,8 @@ class LinearModel:
     values : Singular values of the data. These three are empty where outputs are modelled one by
         one, because their delays differ.
     silent : Angles, in radians per sample, of poles that no input excites.
+    doubted : Longest delay of each input, in samples, that was estimated and not taken, as a model
+        without it holds out as well; 0 without one. Empty where delays were given.
     accuracy : Standard errors; None after a deadline.
     """
 
@@ -84,6 +86,7 @@ class LinearModel:
     held_out: Array = field(default_factory=lambda: np.zeros(0))
     values: Array = field(default_factory=lambda: np.zeros(0))
     silent: tuple[float, ...] = ()
+    doubted: tuple[int, ...] = ()
     accuracy: Accuracy | None = None
 
     def __post_init__(self) -> None:

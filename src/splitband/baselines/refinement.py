@@ -39,7 +39,7 @@ _STEPS = 8
 _CONVERGED = 0.1
 """A fit ends when an iteration raises the log-likelihood by less. A parameter without effect raises
 it by 1/2 on average: smaller steps are within the noise."""
-_NEGLIGIBLE = 1e-5
+_NEGLIGIBLE = 1e-4
 """It also ends when one lowers the RMS error by a smaller share. Bounds the time."""
 _CHUNK = 16_384
 """Samples whose derivatives are in memory at once. Bounds the memory."""

@@ -51,7 +51,7 @@ _MOST_REDUCED = 8
 has a pole near 1 in the place of a pair, from which no refinement finds back. Checked by
 `benchmarks.sensitivity`."""
 _NEAR = 0.7
-"""Least order above 8 that is tried, as a share of the one that the singular values show. Bounds the
+"""Orders above 8 are tried from this share of the one that the singular values show. Bounds the
 time."""
 _ALWAYS = 3
 """Orders up to this one are always tried: of a nonlinear system they go on best. Without it five of
@@ -192,7 +192,7 @@ class Search:
         whole = Search(runs, self.direct, self.integrators, chosen.order)
         if not blocks.constant:
             begin = min(begin, whole._start(chosen.order) or begin, key=lambda at: at.cost)
-        at = refined(begin, fitted, ITERATIONS, whole.limit)
+        at = refined(begin, fitted, ITERATIONS // 2, whole.limit)
         if not blocks.constant or self.integrators is not None or current().over:
             return at
         free = whole.of_order(chosen.order)

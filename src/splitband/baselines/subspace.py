@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.arrays import Array
 
 _WORK = 3e9
 """Most operations of the triangular factor of the data: of more windows, some are left out at even
@@ -88,7 +88,7 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
             seen.append(both)
     views = [np.lib.stride_tricks.sliding_window_view(both, 2 * rows, axis=0) for both in seen]
     # Where a window begins that has no gap.
-    begins = [_without_gaps(np.isnan(both).any(axis=1), 2 * rows) for both in seen]
+    begins = [_without_gaps(both, 2 * rows) for both in seen]
     count = sum(map(len, begins))
     if count < _WINDOWS * width:
         return None
@@ -122,9 +122,9 @@ def filled(y: Array) -> Array:
     return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
 
 
-def _without_gaps(missing: Flags, size: int) -> npt.NDArray[np.int_]:
-    """Return the first samples of all windows of `size` without a missing sample."""
-    before = np.append(0, np.cumsum(missing))
+def _without_gaps(both: Array, size: int) -> npt.NDArray[np.int_]:
+    """Return the first samples of all windows of `size` samples without a gap."""
+    before = np.append(0, np.cumsum(np.isnan(both).any(axis=1)))
     return np.flatnonzero(before[size:] == before[:-size])
 
 

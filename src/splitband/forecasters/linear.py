@@ -12,7 +12,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.baselines.accuracy import Accuracy
-from splitband.baselines.delays import LONGEST_DELAY
+from splitband.baselines.delays import FEWEST_MOVES, LONGEST_DELAY, moves
 from splitband.baselines.identification import identified
 from splitband.baselines.kalman import most_probable
 from splitband.baselines.linear import LinearModel
@@ -218,6 +218,16 @@ class Linear(Forecaster):
             step = self.require_fitted().record.sampling_time
             hertz = ", ".join(f"{a / (2 * np.pi * step):.4g}" for a in self.model.silent)
             said.append(f"no input excites the poles at {hertz} Hz: they are uncertain")
+        for j, name in enumerate(records[0].inputs if self.delay is None else ()):
+            moved = moves([r.u[:, j] for r in records if r.u is not None])
+            doubted = self.model.doubted[j]
+            if 0 < moved < FEWEST_MOVES:
+                said.append(f"{name} moves too rarely to show its delay: delay= sets one")
+            elif doubted > 1:
+                said.append(
+                    f"a delay of {doubted} samples of {name} predicts held-out samples no better: "
+                    "none is taken; delay= sets one"
+                )
         return said
 
 
