@@ -99,6 +99,18 @@ def names(text: str, blank: bool = False) -> list[str]:
     return [part.strip() for part in parts if blank or part.strip()]
 
 
+def periods(given: list[str] | None) -> dict[str, float | None]:
+    """Return the names of --unwrap and their periods, None where none is given."""
+    found = dict[str, float | None]()
+    for each in given or ():
+        name, sign, period = each.rpartition("=")
+        try:
+            found[(name if sign else each).strip()] = float(period) if sign else None
+        except ValueError:
+            raise InputError(f"--unwrap must be NAME or NAME=PERIOD, got {each}") from None
+    return found
+
+
 def seconds(duration: str, option: str = "--budget") -> float:
     """Return the length of a duration such as 90s, 10m or 1h; raises ValueError for other text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
@@ -263,6 +275,14 @@ class RecordOptions(FileOptions):
         "NAMES", "all numeric",
     )  # fmt: skip
     inputs: str | None = _record(None, "Known inputs: forces, set-points.", "NAMES", False)
+    unwrap: list[str] | None = _record(
+        None, "Let an angle or a counter go on where it jumps by its period; may be repeated.",
+        "NAME[=PERIOD]", "as it jumps",
+    )  # fmt: skip
+    clip_outliers: bool = _record(
+        False, "Limit outputs to five robust deviations from their median.", None, True,
+        "--clip-outliers",
+    )  # fmt: skip
     sampling_time: float | None = _record(
         None, "Time between samples, without a time column or with one that can mean two things.",
         "SECONDS", False,

@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
+from splitband.data.plausibility import warnings_of
+from splitband.data.preparation import (
+    Clipped,
+    Detrended,
+    Periods,
+    Preparation,
+    Resampled,
+    Unwrapped,
+)
 from splitband.data.signals import (
     ReadingWarning,
     channel_names,
@@ -18,6 +26,7 @@ from splitband.data.signals import (
     filled,
     numbered,
     positive_seconds,
+    refilled,
     require_finite,
     row_ranges,
     same_names,
@@ -63,7 +72,8 @@ class Record:
         every comparison. None: everywhere.
     start : time stamp of the first sample, seconds or a date. None for a record without time
         stamps: other signals are then assumed to begin with it.
-    prepared : the steps of `detrend`, `clip_outliers` and `resample` so far, in their order.
+    prepared : the steps of `unwrap`, `detrend`, `clip_outliers` and `resample` so far, in their
+        order.
     simulator : description of the simulator that computed y_sim, where splitband ran it: a saved
         model knows it again by it.
 
@@ -187,11 +197,8 @@ class Record:
             name: None if (whole := getattr(self, name)) is None else whole[key]
             for name in ("y", "u", "y_true", "y_sim", "measured")
         }
-        if (measured := parts["measured"]) is not None:
-            # Gaps are filled again, from the samples of the slice only.
-            known = measured.any(axis=0)
-            parts["y"] = self.y[key].copy()
-            parts["y"][:, known] = filled("y", self.y_with_gaps[key][:, known])[0]
+        if parts["measured"] is not None:  # gaps are filled again, from the slice only
+            parts["y"] = refilled(self.y[key], self.y_with_gaps[key])
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
@@ -204,6 +211,35 @@ class Record:
         parts = [pd.DataFrame({header: self.stamps})]
         parts += [] if self.u is None else [pd.DataFrame(self.u, columns=self.inputs)]
         return pd.concat([*parts, pd.DataFrame(self.y_with_gaps, columns=self.columns)], axis=1)
+
+    def warnings(self) -> list[str]:
+        """Return what seems wrong in the record, a sentence each, with the way out.
+
+        These are angles and counters that jump; outliers; outputs that are constant, stuck or
+        saturated; inputs that hardly move, that repeat an output, or that come after it.
+
+        Examples
+        --------
+        >>> turning = 3.0 * np.arange(300) % 360
+        >>> sb.Record(turning, 0.1, columns=["yaw"]).warnings()[0]
+        "'yaw' jumps by 360 at rows 120, 240, as an angle ... unwrap={'yaw': 360} ..."
+        """
+        return warnings_of(self)
+
+    def unwrap(self, periods: Periods) -> Record:
+        """Return the record with angles and counters that go on where they jump.
+
+        A model of the record does the same with a history. Its predictions go on beyond a turn, and
+        a stream takes and returns values that do.
+
+        Parameters
+        ----------
+        periods : Periods of outputs and inputs, by name: {"heading": 360}. None, or a name alone,
+            takes the period that the jumps show.
+        """
+        if self.prepared:
+            raise InputError("unwrap must come before detrend, clip_outliers and resample")
+        return self._with(Unwrapped.of(self, periods))
 
     def detrend(self, order: int = 0) -> Record:
         """Return the record without the means, or straight lines, of its outputs and inputs.
@@ -268,7 +304,7 @@ class Record:
         if self.prepared:
             raise InputError(
                 f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
-                "or not at all (detrend, clip_outliers, resample)"
+                "or not at all (unwrap, detrend, clip_outliers, resample)"
             )
         if self.start is None and any(step.timed for step in other.prepared):
             raise InputError(
@@ -383,8 +419,8 @@ def check_alike(other: Record, record: Record, name: str) -> None:
             )
     if other.prepared != record.prepared:
         raise InputError(
-            f"{name} must be prepared like the training record: use prepared_as (detrend, "
-            "clip_outliers, resample)"
+            f"{name} must be prepared like the training record: use prepared_as (unwrap, "
+            "detrend, clip_outliers, resample)"
         )
     if not near_sampling(other.sampling_time, record.sampling_time):
         raise InputError(
