@@ -279,10 +279,9 @@ class RecordOptions(FileOptions):
         None, "Let an angle or a counter go on where it jumps by its period; may be repeated.",
         "NAME[=PERIOD]", "as it jumps",
     )  # fmt: skip
-    clip_outliers: bool = _record(
-        False, "Limit outputs to five robust deviations from their median.", None, True,
-        "--clip-outliers",
-    )  # fmt: skip
+    clip_outliers: str | None = _record(
+        None, "Limit these outputs to five robust deviations from their medians.", "NAMES", False
+    )
     sampling_time: float | None = _record(
         None, "Time between samples, without a time column or with one that can mean two things.",
         "SECONDS", False,

@@ -65,7 +65,8 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
             columns=columns or None, inputs=inputs, sampling_time=reading.sampling_time,
             unwrap=periods(reading.unwrap),
         )  # fmt: skip
-        record = record.clip_outliers() if reading.clip_outliers else record
+        if reading.clip_outliers:
+            record = record.clip_outliers(columns=names(reading.clip_outliers))
         if record.measured is not None:
             missing = ~record.complete
             showing.console.print(

@@ -99,7 +99,11 @@ def _outliers(name: str, x: Array, u: Array | None) -> list[str]:
     if not (few and counts.max() >= 3) and (u is None or _answers(apart, u)):
         return []
     ways = [f"{_missing(*values)} leaves them out"] if few else []
-    ways += [] if u is None else ["clip_outliers() (--clip-outliers) limits them"]
+    ways += (
+        []
+        if u is None
+        else [f"clip_outliers(columns=[{name!r}]) (--clip-outliers {quoted(name)}) limits them"]
+    )
     said = ", ".join(map(_number, values)) if few else f"{values[0]:.4g} to {values[-1]:.4g}"
     return [
         f"{name!r} has outliers, {said} in {apart.sum()} of {len(x)} samples ({row_ranges(apart)}),"

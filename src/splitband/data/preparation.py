@@ -115,8 +115,6 @@ class Unwrapped(Preparation):
 
     def transform(self, what: What, signal: Array, time: Array) -> Array:
         """Return a signal without jumps, which begins as it did; NaN stays NaN."""
-        if len(signal) < 2:  # of a stream, which goes on
-            return signal
         whole = np.array(signal)
         periods = self.input_periods if what == "u" else self.periods
         for x, period in zip(whole.T, periods, strict=True):
@@ -204,13 +202,17 @@ class Clipped(Preparation):
     high: Numbers
 
     @classmethod
-    def of(cls, record: Record, deviations: float) -> Clipped:
-        """Return limits of `deviations` robust standard deviations around the median."""
+    def of(cls, record: Record, deviations: float, columns: Sequence[str]) -> Clipped:
+        """Return limits of `deviations` robust standard deviations around the medians of columns.
+
+        Others have none.
+        """
         seen = record.y_with_gaps
         middle = np.nanmedian(seen, axis=0)
         # The factor turns the median deviation into the standard deviation of a Gaussian.
         reach = deviations * 1.4826 * np.nanmedian(abs(seen - middle), axis=0)
-        reach = np.where(reach > 0, reach, np.inf)
+        chosen = np.array([bool({name, bare_name(name)} & {*columns}) for name in record.columns])
+        reach = np.where(chosen & (reach > 0), reach, np.inf)
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
     def transform(self, what: What, signal: Array, time: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from splitband.data.preparation import (
 )
 from splitband.data.signals import (
     ReadingWarning,
+    bare_name,
     channel_names,
     described,
     filled,
@@ -260,15 +262,23 @@ class Record:
             )
         return self._with(Detrended.of(self, order))
 
-    def clip_outliers(self, deviations: float = 5.0) -> Record:
-        """Return the record with each output limited to `deviations` deviations from its median.
+    def clip_outliers(
+        self, deviations: float = 5.0, columns: Sequence[str] | None = None
+    ) -> Record:
+        """Return the record with outputs, or those named, limited around their medians.
 
-        The deviation is 1.4826 times the median absolute deviation, which is robust to outliers. A
-        model of the record applies the same limits to a history, but not to predictions.
+        The limits are `deviations` deviations away, each 1.4826 times the median absolute
+        deviation, which is robust to outliers. A model of the record applies the same limits to a
+        history, but not to predictions.
         """
         if not deviations > 0:
             raise InputError(f"deviations must be above 0, got {deviations}")
-        return self._with(Clipped.of(self, deviations))
+        columns = self.columns if columns is None else columns
+        if unknown := {*columns} - {*self.columns, *map(bare_name, self.columns)}:
+            raise InputError(
+                f"columns must be outputs ({', '.join(self.columns)}), got {unknown.pop()}"
+            )
+        return self._with(Clipped.of(self, deviations, columns))
 
     def resample(self, sampling_time: float) -> Record:
         """Return the record with a longer sampling time, a multiple of its own.
