@@ -134,8 +134,8 @@ FAULTS: dict[str, tuple[Callable[[Generator], sb.Record], str]] = {
     ),
     "of an input": (spoilt(6553.5, 5, on_input=True), "'u' has outliers, 6553.5 in 5 "),
     "constant": (driven(lambda u, rng: np.full(N, 3.2)), "'y' is constant, 3.2"),
-    "stuck": (stuck, r"is stuck at \S+ in 60 samples \(rows 700 to 759\)"),
-    "stuck at the end": (lambda rng: stuck(rng, 1800, 200), "is stuck at .* in 200 samples"),
+    "stuck": (stuck, r"stays stuck at \S+ in 60 samples \(rows 700 to 759\)"),
+    "stuck at the end": (lambda rng: stuck(rng, 1800, 200), "stays stuck at .* in 200 samples"),
     "saturated": (
         driven(lambda u, rng: np.minimum(lag(u) + noise(rng, 0.2), 45), 0, 60),
         "'y' stays at its highest value, 45, in ",

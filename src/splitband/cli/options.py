@@ -99,16 +99,13 @@ def names(text: str, blank: bool = False) -> list[str]:
     return [part.strip() for part in parts if blank or part.strip()]
 
 
-def periods(given: list[str] | None) -> dict[str, float | None]:
+def periods(given: list[str]) -> dict[str, float | None]:
     """Return the names of --unwrap and their periods, None where none is given."""
-    found = dict[str, float | None]()
-    for each in given or ():
-        name, sign, period = each.rpartition("=")
-        try:
-            found[(name if sign else each).strip()] = float(period) if sign else None
-        except ValueError:
-            raise InputError(f"--unwrap must be NAME or NAME=PERIOD, got {each}") from None
-    return found
+    parts = [each.partition("=") for each in given]
+    try:
+        return {name.strip(): float(period) if sign else None for name, sign, period in parts}
+    except ValueError:
+        raise InputError(f"--unwrap must be NAME or NAME=PERIOD, got {', '.join(given)}") from None
 
 
 def seconds(duration: str, option: str = "--budget") -> float:

@@ -63,7 +63,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
         record = _read(
             name, f"RECORD must be a file or one of {', '.join(RECORDS)}", reading, trained,
             columns=columns or None, inputs=inputs, sampling_time=reading.sampling_time,
-            unwrap=periods(reading.unwrap),
+            unwrap=periods(reading.unwrap or []),
         )  # fmt: skip
         if reading.clip_outliers:
             record = record.clip_outliers(columns=names(reading.clip_outliers))

@@ -31,14 +31,16 @@ REACH, MOST = 20, 20_000
 def warnings_of(record: Record) -> list[str]:
     """Return what is wrong in the columns of a record, a sentence each."""
     u = np.zeros((len(record), 0)) if record.u is None else record.u
-    every, found = np.column_stack([record.y_with_gaps, u]), list[str]()
-    for i, name in enumerate((*record.columns, *record.inputs)):
-        x, others, is_output = every[:, i], np.delete(every, i, axis=1), i < record.ny
+    every, found = record.signals, list[str]()
+    for i, (name, x) in enumerate(every.items()):
+        is_output = i < record.ny
         found += _outliers(name, x, u if is_output else None) or _wraps(name, x)
-        found += _flat(name, x, others) if is_output else _hardly_moves(name, x)
-    pairs = product(enumerate(record.columns), enumerate(record.inputs))
-    for (i, output), (j, name) in pairs:
-        found += _not_an_input(output, record.y[:MOST, i], name, u[:MOST, j])
+        others = (other for by, other in every.items() if by != name)
+        found += _flat(name, x, [*others]) if is_output else _hardly_moves(name, x)
+    for (output, y), (name, v) in product(
+        zip(record.columns, record.y.T, strict=True), zip(record.inputs, u.T, strict=True)
+    ):
+        found += _not_an_input(output, y[:MOST], name, v[:MOST])
     return found
 
 
@@ -55,7 +57,7 @@ def period_of(x: Array) -> float | None:
     if np.isin(x, levels[[0, -1]]).sum() > max(0.05 * len(x), FEW * len(x) / len(levels)):
         return None  # it is switched, or stays at its limits
     units = {_resolution(x), float(f"{np.diff(levels).min():.6g}")} - {0.0}
-    for period in (*TURNS, *(unit * count for unit in units for count in COUNTS)):
+    for period in (*TURNS, *(unit * count for unit, count in product(units, COUNTS))):
         left, at = np.abs(steps - period * np.round(steps / period)), np.abs(steps) > 0.5 * period
         if span > period * (1 + 1e-9) or not at.any() or left.max() > 0.25 * period:
             continue
@@ -77,13 +79,10 @@ def _resolution(x: Array) -> float:
 def _wraps(name: str, x: Array) -> list[str]:
     if (period := period_of(x)) is None:
         return []
-    at = np.append(False, np.abs(np.diff(x)) > 0.5 * period)
-    given = f"{name}={_number(period)}"
-    return [
-        f"{name!r} jumps by {period:.10g} at {row_ranges(at)}, as an angle or a counter that "
-        f"starts again: unwrap={{{name!r}: {_number(period)}}} (--unwrap {quoted(given)}) makes it "
-        "continuous"
-    ]
+    at, size = np.append(False, np.abs(np.diff(x)) > 0.5 * period), _number(period)
+    said = f"{name!r} jumps by {period:.10g} at {row_ranges(at)}, as an angle or a counter does"
+    option = f"--unwrap {quoted(f'{name}={size}')}"
+    return [f"{said}: unwrap={{{name!r}: {size}}} ({option}) makes it continuous"]
 
 
 def _outliers(name: str, x: Array, u: Array | None) -> list[str]:
@@ -99,16 +98,13 @@ def _outliers(name: str, x: Array, u: Array | None) -> list[str]:
     if not (few and counts.max() >= 3) and (u is None or _answers(apart, u)):
         return []
     ways = [f"{_missing(*values)} leaves them out"] if few else []
-    ways += (
-        []
-        if u is None
-        else [f"clip_outliers(columns=[{name!r}]) (--clip-outliers {quoted(name)}) limits them"]
-    )
+    if u is not None:
+        option = f"--clip-outliers {quoted(name)}"
+        ways.append(f"clip_outliers(columns=[{name!r}]) ({option}) limits them")
     said = ", ".join(map(_number, values)) if few else f"{values[0]:.4g} to {values[-1]:.4g}"
-    return [
-        f"{name!r} has outliers, {said} in {apart.sum()} of {len(x)} samples ({row_ranges(apart)}),"
-        f" all others are from {rest[0]:.4g} to {rest[-1]:.4g}: {'; '.join(ways)}"
-    ]
+    said = f"outliers, {said} in {apart.sum()} of {len(x)} samples ({row_ranges(apart)})"
+    usual = f"all others are from {rest[0]:.4g} to {rest[-1]:.4g}"
+    return [f"{name!r} has {said}, {usual}: {'; '.join(ways)}"]
 
 
 def _apart(x: Array) -> tuple[Flags, Array]:
@@ -134,7 +130,7 @@ def _answers(rows: Flags, u: Array) -> bool:
     return any(2 * (each & rows).sum() >= rows.sum() for each in near)
 
 
-def _flat(name: str, x: Array, others: Array) -> list[str]:
+def _flat(name: str, x: Array, others: list[Array]) -> list[str]:
     """Return sentences on an output that is constant, stays at a limit, or is stuck.
 
     What comes to rest slows down before; what is limited or stuck stops abruptly, and goes on so. A
@@ -149,33 +145,28 @@ def _flat(name: str, x: Array, others: Array) -> list[str]:
     held = np.zeros(len(steps), dtype=np.bool_)
     for a, b in runs:
         held[a:b] = True
-    moving = steps[~held]
+    moving, found, abrupt = steps[~held], list[str](), dict[float, list[tuple[int, int]]]()
     if len(moving) < max(FEW, 0.25 * len(x)) or (moving == 0).mean() > 0.1:
         return []
     usual, noisy = float(np.median(np.abs(moving))), _noisy(moving)
-    abrupt = dict[float, list[tuple[int, int]]]()
     for a, b in runs:
         sides = np.abs(steps[max(a - 5, 0) : a]), np.abs(steps[b : b + 5])
         if min(np.median(each) for each in sides if len(each)) >= 0.1 * usual:
             abrupt.setdefault(float(known[a]), []).append((a, b))
-    found = []
     for value, those in abrupt.items():
         i, at = int(np.searchsorted(levels, value)), np.zeros(len(x), dtype=np.bool_)
         for a, b in those:
             at[rows[a : b + 1]] = True
         around = np.append(counts[max(i - 3, 0) : i], counts[i + 1 : i + 4]).mean()
-        limit = {0: "lowest", len(levels) - 1: "highest"}.get(i)
         jump = max(np.abs(steps[b : b + 1]).sum() for _, b in those) > 3 * usual
+        limit = {0: "at its lowest value,", len(levels) - 1: "at its highest value,"}.get(i, "")
         sure = noisy or (len(those) > 1 if limit else jump and value != 0)
         if sure and at.sum() >= max(STUCK, 8 * around) and len(levels) > STUCK:
-            said = f"stays at its {limit} value, {_number(value)}," if limit else (
-                f"is stuck at {_number(value)}")  # fmt: skip
-            cells = "empty cells with gaps='mask' (--gaps mask) leave"
-            way = cells if (others == value).any() else f"{_missing(value)} leaves"
-            found.append(
-                f"{name!r} {said} in {at.sum()} samples ({row_ranges(at)}): {way} them out if the "
-                "sensor is at fault"
-            )
+            said = f"stays {limit or 'stuck at'} {_number(value)}, in {at.sum()} samples"
+            way = f"{_missing(value)} leaves them out"
+            if any((other == value).any() for other in others):
+                way = "empty cells and gaps='mask' (--gaps mask) leave them out"
+            found.append(f"{name!r} {said} ({row_ranges(at)}): if the sensor is at fault, {way}")
     return found
 
 
@@ -183,10 +174,8 @@ def _hardly_moves(name: str, v: Array) -> list[str]:
     """Return a sentence on an input that has a little noise around one value, and nothing else."""
     if not 0 < np.ptp(v) < 0.02 * np.abs(v).max() or np.std(np.diff(v)) < np.std(v):
         return []
-    return [
-        f"{name!r} hardly moves: it is from {v.min():.6g} to {v.max():.6g}, without steps or slow "
-        "changes that could show an effect"
-    ]
+    said = f"{name!r} hardly moves: it is from {v.min():.6g} to {v.max():.6g}"
+    return [f"{said}, without steps or slow changes that could show an effect"]
 
 
 def _not_an_input(output: str, y: Array, name: str, v: Array) -> list[str]:
@@ -196,17 +185,12 @@ def _not_an_input(output: str, y: Array, name: str, v: Array) -> list[str]:
     # An input may be followed by its output exactly, but not by the output's noise.
     for lag in range(REACH + 1) if _noisy(np.diff(y)) else ():
         if _same(v[: len(v) - lag], y[lag:]):
-            when = f" of {lag} sample(s) later" if lag else ""
-            return [
-                f"{name!r} is {output!r}{when}, noise included: leave it out of the inputs if it "
-                "is computed from that column"
-            ]
+            said = f"{name!r} is {output!r}{f' of {lag} sample(s) later' if lag else ''}"
+            return [f"{said}, noise included: if it is computed from that, it must be no input"]
     if not (early := _lead(np.diff(y), np.diff(v))):
         return []
-    return [
-        f"{output!r} moves before {name!r}, by up to {early} sample(s): shift that column if it is "
-        "recorded too late; if it answers the output, it cannot be known in advance"
-    ]
+    said = f"{output!r} moves before {name!r}, by up to {early} sample(s): shift that column if it"
+    return [f"{said} is recorded too late; if it answers the output, nobody knows it in advance"]
 
 
 def _noisy(steps: Array) -> bool:
@@ -218,8 +202,7 @@ def _same(a: Array, b: Array) -> bool:
     """Return whether `a` is `b` in other units, apart from rounding."""
     slope, level = np.polyfit(b, a, 1)
     rounding = 0.6 * (_resolution(a) + abs(slope) * _resolution(b)) + 1e-9 * np.ptp(a)
-    left = np.abs(a - slope * b - level).max()
-    return bool(left <= rounding < 0.3 * np.std(np.diff(a)))
+    return bool(np.abs(a - slope * b - level).max() <= rounding < 0.3 * np.std(np.diff(a)))
 
 
 def _lead(y: Array, v: Array) -> int:

@@ -89,28 +89,24 @@ class Unwrapped(Preparation):
         """Return the step for these names of outputs and inputs; see `Record.unwrap`."""
         given = {periods: None} if isinstance(periods, str) else periods
         given = given if isinstance(given, Mapping) else dict.fromkeys(given)
-        u = np.empty((len(record), 0)) if record.u is None else record.u
-        columns = dict(zip((*record.columns, *record.inputs),
-                           np.hstack([record.y_with_gaps, u]).T, strict=True))  # fmt: skip
+        columns = record.signals
         found = dict.fromkeys(columns, 0.0)
         for asked, value in given.items():
-            name = next((own for own in columns if asked in (own, bare_name(own))), None)
-            if name is None:
-                listed = ", ".join(columns)
-                raise InputError(f"unwrap must name an output or input ({listed}), got {asked}")
-            x = columns[name]
-            period, span = period_of(x) if value is None else value, np.nanmax(x) - np.nanmin(x)
+            if not (names := [own for own in columns if asked in (own, bare_name(own))]):
+                rule = f"name an output or input ({', '.join(columns)})"
+                raise InputError(f"unwrap must {rule}, got {asked}")
+            x = columns[names[0]]
+            period = period_of(x) if value is None else value
             if period is None:
                 raise InputError(
                     f"unwrap must give the period of {asked!r}, which has no clear jumps, as in "
                     f"{{{asked!r}: 360}} (--unwrap {asked}=360)"
                 )
+            span = np.nanmax(x) - np.nanmin(x)
             if not span <= period * (1 + 1e-6) < np.inf:
-                raise InputError(
-                    f"unwrap must give {asked!r} a period of {span:g} at least, which is its "
-                    f"range, got {value}"
-                )
-            found[name] = float(period)
+                rule = f"give {asked!r} a period of {span:g} at least, which is its range"
+                raise InputError(f"unwrap must {rule}, got {value}")
+            found[names[0]] = float(period)
         return cls(tuple(found.values())[: record.ny], tuple(found.values())[record.ny :])
 
     def transform(self, what: What, signal: Array, time: Array) -> Array:

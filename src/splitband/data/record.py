@@ -343,6 +343,12 @@ class Record:
         return self.y if self.measured is None else np.where(self.measured, self.y, np.nan)
 
     @property
+    def signals(self) -> dict[str, Array]:
+        """Return the measured samples, NaN in gaps, and then the inputs, by name, (time,) each."""
+        u = () if self.u is None else self.u.T
+        return dict(zip((*self.columns, *self.inputs), (*self.y_with_gaps.T, *u), strict=True))
+
+    @property
     def truth(self) -> Array:
         """Return what predictions are compared with, (time, ny): `y_true` or `y_with_gaps`."""
         return self.y_with_gaps if self.y_true is None else self.y_true
