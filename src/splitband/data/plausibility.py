@@ -118,8 +118,9 @@ def _apart(x: Array) -> tuple[Flags, Array]:
         low = low if low and gaps[low - 1] >= least else 0
         high = high if high < n and gaps[high - 1] >= least else n
     kept = known[low:high]
-    shown = len(np.unique(kept)) >= FEW
-    return np.asarray(((x < kept[0]) | (x > kept[-1])) & shown), kept
+    if len(np.unique(kept)) < FEW:
+        return np.zeros(len(x), dtype=np.bool_), kept
+    return np.asarray((x < kept[0]) | (x > kept[-1])), kept
 
 
 def _answers(rows: Flags, u: Array) -> bool:
@@ -200,7 +201,7 @@ def _noisy(steps: Array) -> bool:
 
 def _same(a: Array, b: Array) -> bool:
     """Return whether `a` is `b` in other units, apart from rounding."""
-    slope, level = np.polyfit(b, a, 1)
+    slope, level = np.polyfit(b, a, 1) if np.ptp(b) else (0.0, 0.0)
     rounding = 0.6 * (_resolution(a) + abs(slope) * _resolution(b)) + 1e-9 * np.ptp(a)
     return bool(np.abs(a - slope * b - level).max() <= rounding < 0.3 * np.std(np.diff(a)))
 
@@ -209,6 +210,8 @@ def _lead(y: Array, v: Array) -> int:
     """Return by how many samples `y` is ahead of an input, by FIR models; 0 if it is not."""
     rows, shares = np.lib.stride_tricks.sliding_window_view(v, 4 * REACH + 1), []
     y = y[3 * REACH : 3 * REACH + len(rows)]
+    if not y.any():
+        return 0
     for last in (3 * REACH + 1, 4 * REACH + 1):  # without samples to come, and with them
         some = rows[:, :last]
         h = np.linalg.lstsq(some.T @ some, some.T @ y, rcond=1e-9)[0]
