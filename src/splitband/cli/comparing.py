@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from splitband.cli import options, records
+from splitband.cli import options, records, showing
 from splitband.cli.usage import REPLACED_BY_LIKE
 from splitband.data.named import RECORDS
 from splitband.evaluation.checks import check_ahead
@@ -108,7 +108,7 @@ def planned(
     if asked.horizon is not None:
         all_of_it = len(record) if tests else 0
         check_ahead(record, all_of_it if train is None else train, asked.horizon)
-    return plan(
+    found = plan(
         record,
         train,
         chosen,
@@ -123,6 +123,9 @@ def planned(
         refit=asked.refit,
         **_of_model(asked.model),
     )
+    for said in found.warnings:
+        showing.warn(said)
+    return found
 
 
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from splitband.evaluation.run import fit as fit_planned
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import first_origin, held_out_of
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.fitted import unmoved
 from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
@@ -107,6 +106,7 @@ def fit(
     outcome = {
         "final_loss": {name: losses[-1] for name, losses in report.losses.items()},
         "seconds": report.seconds,
+        "warnings": plan.warnings,
         "notes": [*report.notes, *late],
         "training_rmse": error,
     }
@@ -116,9 +116,9 @@ def fit(
     shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     doubts = filter(None, [forecaster.parameters.get("doubt")])
     described = training_in_words or forecaster.describe()
-    still = unmoved([training, *plan.others])
-    for note in dict.fromkeys((*still, *report.notes, *doubts, *late)):
-        showing.warn(note)
+    for note in dict.fromkeys((*plan.warnings, *report.notes, *doubts, *late)):
+        if note not in plan.warnings:
+            showing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
     said = f"{forecaster._title}, {described}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"

@@ -99,6 +99,15 @@ def names(text: str, blank: bool = False) -> list[str]:
     return [part.strip() for part in parts if blank or part.strip()]
 
 
+def periods(given: list[str]) -> dict[str, float | None]:
+    """Return the names of --unwrap and their periods, None where none is given."""
+    parts = [each.partition("=") for each in given]
+    try:
+        return {name.strip(): float(period) if sign else None for name, sign, period in parts}
+    except ValueError:
+        raise InputError(f"--unwrap must be NAME or NAME=PERIOD, got {', '.join(given)}") from None
+
+
 def seconds(duration: str, option: str = "--budget") -> float:
     """Return the length of a duration such as 90s, 10m or 1h; raises ValueError for other text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
@@ -263,6 +272,13 @@ class RecordOptions(FileOptions):
         "NAMES", "all numeric",
     )  # fmt: skip
     inputs: str | None = _record(None, "Known inputs: forces, set-points.", "NAMES", False)
+    unwrap: list[str] | None = _record(
+        None, "Let an angle or a counter go on where it jumps by its period; may be repeated.",
+        "NAME[=PERIOD]", "as it jumps",
+    )  # fmt: skip
+    clip_outliers: str | None = _record(
+        None, "Limit these outputs to five robust deviations from their medians.", "NAMES", False
+    )
     sampling_time: float | None = _record(
         None, "Time between samples, without a time column or with one that can mean two things.",
         "SECONDS", False,

@@ -12,10 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.cli import showing
-from splitband.cli.options import FileOptions, RecordOptions, SimulatorOptions, names
+from splitband.cli.options import (
+    FileOptions,
+    RecordOptions,
+    SimulatorOptions,
+    names,
+    periods,
+)
 from splitband.data import Record, aligned, read, resampled
 from splitband.data.alignment import reach
 from splitband.data.named import RECORDS
+from splitband.data.preparation import seconds
 from splitband.data.reading import ColumnError
 from splitband.data.signals import described, row_ranges, same_names
 from splitband.data.timing import near_sampling, same_sampling
@@ -56,7 +63,10 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
         record = _read(
             name, f"RECORD must be a file or one of {', '.join(RECORDS)}", reading, trained,
             columns=columns or None, inputs=inputs, sampling_time=reading.sampling_time,
+            unwrap=periods(reading.unwrap or []),
         )  # fmt: skip
+        if reading.clip_outliers:
+            record = record.clip_outliers(columns=names(reading.clip_outliers))
         if record.measured is not None:
             missing = ~record.complete
             showing.console.print(
@@ -158,7 +168,7 @@ def load_further(
     for i, file in enumerate(files):
         more = _beside(file, option, record.sampling_time, reading, **how)
         announce(more, file)
-        more = _sampled_like(more, record.sampling_time, file)
+        more = _sampled_like(more.prepared_as(record), record.sampling_time, file)
         more = replace(more, name=file if option == "--more" else Path(file).stem)
         if simulators:
             own = replace(options, simulator=simulators[i])
@@ -241,7 +251,10 @@ def inputs_ahead(
         ahead = replace(ahead, samples=more)
         u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
     assert known.u is not None
-    return continued(option, known.u, u.values, u.values, steps, more=True)[len(known) :]
+    whole = continued(option, known.u, u.values, u.values, steps, more=True)
+    for step in known.prepared:
+        whole = step.transform("u", whole, seconds(known)[0] + ahead.step * np.arange(len(whole)))
+    return whole[len(known) :]
 
 
 def simulator_of(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:

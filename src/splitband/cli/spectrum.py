@@ -97,12 +97,13 @@ def spectrum(
         "reconstruction_rmse": error,
         "peaks": [{"frequency": f, "share": s} for f, s in peaks],
     }
-    warnings = list[str]()
+    warnings = whole.warnings()
     if shown.y_sim is not None:
         facts["simulator"], oracles, agreement = _beside(shown, shown.y_sim, chosen, pair.order)
         tables.append(oracles)
         said.append(agreement)
-        training, warnings = _nothing_to_learn(shown[:trained], chosen, pair.order)
+        training, nothing = _nothing_to_learn(shown[:trained], chosen, pair.order)
+        warnings += nothing
         facts["simulator"]["training"] = training
     if choice is not None:
         said.append(

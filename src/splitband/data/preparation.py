@@ -1,13 +1,16 @@
-"""Prepare records: detrend, clip and resample. Steps are stored, and undone on predictions."""
+"""Prepare records: unwrap, detrend, clip, resample. Steps are stored, and undone on predictions."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
 
 import numpy as np
 import pandas as pd
 
+from splitband.data.plausibility import period_of
+from splitband.data.signals import bare_name, refilled
 from splitband.data.timing import seconds_of, stamp_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -17,6 +20,8 @@ if TYPE_CHECKING:
     from splitband.data.record import Record
 
 Numbers = tuple[float, ...]
+Periods: TypeAlias = Mapping[str, float | None] | Sequence[str] | str
+"""Angles and counters by name, with their periods or without."""
 What = Literal["y", "u", "y_sim"]
 """Measured samples, inputs, or a simulator's output, as which the noise-free signal counts, too."""
 AHEAD = "beyond", "u_beyond"
@@ -34,19 +39,29 @@ class Preparation:
 
     def apply(self, record: Record) -> Record:
         """Return the prepared record."""
-        time = seconds(record)
-        kinds: dict[str, What] = {"y": "y", "u": "u", "u_beyond": "u"}
-        changed: dict[str, Any] = {}
-        for field in SIGNALS:
-            if (signal := getattr(record, field)) is not None:
-                later = time[-1] + record.sampling_time * (1 + np.arange(len(signal)))
-                at = later if field in AHEAD else time
-                changed[field] = self.transform(kinds.get(field, "y_sim"), signal, at)
+        time, step = seconds(record), record.sampling_time
+        y = refilled(record.y, self.transform("y", record.y_with_gaps, time))
+        changed: dict[str, Any] = {"y": y}
+        for field, after in (("y_true", ""), ("y_sim", "beyond"), ("u", "u_beyond")):
+            if (signal := getattr(record, field)) is None:
+                continue
+            later = getattr(record, after) if after else None
+            signal = signal if later is None else np.concatenate([signal, later])
+            at = time[0] + step * np.arange(len(signal))
+            found = self.transform("u" if field == "u" else "y_sim", signal, at)
+            found = found if field == "u" else self.beside(y, found)
+            changed[field] = found[: len(y)]
+            if later is not None:
+                changed[after] = found[len(y) :]
         return replace(record, **changed)
 
     def transform(self, what: What, signal: Array, time: Array) -> Array:
         """Return a prepared signal, `(time, channels)`, at `time` in s."""
         return signal
+
+    def beside(self, y: Array, y_sim: Array) -> Array:
+        """Return a simulator's output as it belongs beside these prepared samples."""
+        return y_sim
 
     def undo(self, what: Literal["y", "u"], signal: Array, time: Array) -> Array:
         """Undo the step on predictions or inputs, `(time, channels)`, at `time` in s."""
@@ -55,6 +70,59 @@ class Preparation:
     def counted_from(self, begin: float) -> Preparation:
         """Return the same step for times counted from `begin`, in seconds."""
         return self
+
+
+@final
+@saved
+@dataclass(frozen=True)
+class Unwrapped(Preparation):
+    """Let angles and counters go on where they jump by a period; predictions go on, too.
+
+    `periods` and `input_periods` are those of each output and input; 0 where one has none.
+    """
+
+    periods: Numbers
+    input_periods: Numbers = ()
+
+    @classmethod
+    def of(cls, record: Record, periods: Periods) -> Unwrapped:
+        """Return the step for these names of outputs and inputs; see `Record.unwrap`."""
+        given = {periods: None} if isinstance(periods, str) else periods
+        given = given if isinstance(given, Mapping) else dict.fromkeys(given)
+        columns = record.signals
+        found = dict.fromkeys(columns, 0.0)
+        for asked, value in given.items():
+            if not (names := [own for own in columns if asked in (own, bare_name(own))]):
+                rule = f"name an output or input ({', '.join(columns)})"
+                raise InputError(f"unwrap must {rule}, got {asked}")
+            x = columns[names[0]]
+            period = period_of(x) if value is None else value
+            if period is None:
+                raise InputError(
+                    f"unwrap must give the period of {asked!r}, which has no clear jumps, as in "
+                    f"{{{asked!r}: 360}} (--unwrap {asked}=360)"
+                )
+            span = np.nanmax(x) - np.nanmin(x)
+            if not span <= period * (1 + 1e-6) < np.inf:
+                rule = f"give {asked!r} a period of {span:g} at least, which is its range"
+                raise InputError(f"unwrap must {rule}, got {value}")
+            found[names[0]] = float(period)
+        return cls(tuple(found.values())[: record.ny], tuple(found.values())[record.ny :])
+
+    def transform(self, what: What, signal: Array, time: Array) -> Array:
+        """Return a signal without jumps, which begins as it did; NaN stays NaN."""
+        whole = np.array(signal)
+        periods = self.input_periods if what == "u" else self.periods
+        for x, period in zip(whole.T, periods, strict=True):
+            known = np.isfinite(x)
+            x[known] = np.unwrap(x[known], period=period) if period else x[known]
+        return whole
+
+    def beside(self, y: Array, y_sim: Array) -> Array:
+        """Return a simulator's output without jumps, which begins in the turn of the samples."""
+        whole, periods = self.transform("y_sim", y_sim, np.empty(0)), np.array(self.periods)
+        turns = np.round((y[0] - whole[0]) / np.where(periods > 0, periods, 1.0))
+        return np.asarray(whole + periods * turns)
 
 
 @final
@@ -130,13 +198,17 @@ class Clipped(Preparation):
     high: Numbers
 
     @classmethod
-    def of(cls, record: Record, deviations: float) -> Clipped:
-        """Return limits of `deviations` robust standard deviations around the median."""
+    def of(cls, record: Record, deviations: float, columns: Sequence[str]) -> Clipped:
+        """Return limits of `deviations` robust standard deviations around the medians of columns.
+
+        Others have none.
+        """
         seen = record.y_with_gaps
         middle = np.nanmedian(seen, axis=0)
         # The factor turns the median deviation into the standard deviation of a Gaussian.
         reach = deviations * 1.4826 * np.nanmedian(abs(seen - middle), axis=0)
-        reach = np.where(reach > 0, reach, np.inf)
+        chosen = np.array([bool({name, bare_name(name)} & {*columns}) for name in record.columns])
+        reach = np.where(chosen & (reach > 0), reach, np.inf)
         return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
 
     def transform(self, what: What, signal: Array, time: Array) -> Array:

@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
+from splitband.data.preparation import Periods
 from splitband.data.record import Record
 from splitband.data.signals import (
     Column,
@@ -79,6 +80,7 @@ def read(  # noqa: PLR0913
     fallback_sampling_time: float | None = None,
     gaps: Gaps = "refuse",
     missing: str | Sequence[str] = (),
+    unwrap: Periods = (),
     skip_rows: int = 0,
     header_row: int | None = None,
 ) -> Record:
@@ -117,6 +119,7 @@ def read(  # noqa: PLR0913
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
         both as not measured, see `Record.with_gaps`.
     missing : words or numbers that stand for a missing value: ["Bad", "-9999"].
+    unwrap : angles and counters, with their periods: {"heading": 360}; see `Record.unwrap`.
     skip_rows : lines at the top of a text file that are left out.
     header_row : line of a text file with the names, from 1, also among `skip_rows`; 0 if there are
         no names.
@@ -161,6 +164,7 @@ def read(  # noqa: PLR0913
             columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
             inputs=tuple(picked.known),
         )  # fmt: skip
+        record = record.unwrap(unwrap) if unwrap else record
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from splitband.data.preparation import Clipped, Detrended, Preparation, Resampled
+from splitband.data.plausibility import warnings_of
+from splitband.data.preparation import (
+    Clipped,
+    Detrended,
+    Periods,
+    Preparation,
+    Resampled,
+    Unwrapped,
+)
 from splitband.data.signals import (
     ReadingWarning,
+    bare_name,
     channel_names,
     described,
     filled,
     numbered,
     positive_seconds,
+    refilled,
     require_finite,
     row_ranges,
     same_names,
@@ -63,7 +74,8 @@ class Record:
         every comparison. None: everywhere.
     start : time stamp of the first sample, seconds or a date. None for a record without time
         stamps: other signals are then assumed to begin with it.
-    prepared : the steps of `detrend`, `clip_outliers` and `resample` so far, in their order.
+    prepared : the steps of `unwrap`, `detrend`, `clip_outliers` and `resample` so far, in their
+        order.
     simulator : description of the simulator that computed y_sim, where splitband ran it: a saved
         model knows it again by it.
 
@@ -187,11 +199,8 @@ class Record:
             name: None if (whole := getattr(self, name)) is None else whole[key]
             for name in ("y", "u", "y_true", "y_sim", "measured")
         }
-        if (measured := parts["measured"]) is not None:
-            # Gaps are filled again, from the samples of the slice only.
-            known = measured.any(axis=0)
-            parts["y"] = self.y[key].copy()
-            parts["y"][:, known] = filled("y", self.y_with_gaps[key][:, known])[0]
+        if parts["measured"] is not None:  # gaps are filled again, from the slice only
+            parts["y"] = refilled(self.y[key], self.y_with_gaps[key])
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
@@ -204,6 +213,35 @@ class Record:
         parts = [pd.DataFrame({header: self.stamps})]
         parts += [] if self.u is None else [pd.DataFrame(self.u, columns=self.inputs)]
         return pd.concat([*parts, pd.DataFrame(self.y_with_gaps, columns=self.columns)], axis=1)
+
+    def warnings(self) -> list[str]:
+        """Return what seems wrong in the record, a sentence each, with the way out.
+
+        These are angles and counters that jump; outliers; outputs that are constant, stuck or
+        saturated; inputs that hardly move, that repeat an output, or that come after it.
+
+        Examples
+        --------
+        >>> turning = 3.0 * np.arange(300) % 360
+        >>> sb.Record(turning, 0.1, columns=["yaw"]).warnings()[0]
+        "'yaw' jumps by 360 at rows 120, 240, as an angle ... unwrap={'yaw': 360} ..."
+        """
+        return warnings_of(self)
+
+    def unwrap(self, periods: Periods) -> Record:
+        """Return the record with angles and counters that go on where they jump.
+
+        A model of the record does the same with a history. Its predictions go on beyond a turn, and
+        a stream takes and returns values that do.
+
+        Parameters
+        ----------
+        periods : Periods of outputs and inputs, by name: {"heading": 360}. None, or a name alone,
+            takes the period that the jumps show.
+        """
+        if self.prepared:
+            raise InputError("unwrap must come before detrend, clip_outliers and resample")
+        return self._with(Unwrapped.of(self, periods))
 
     def detrend(self, order: int = 0) -> Record:
         """Return the record without the means, or straight lines, of its outputs and inputs.
@@ -224,15 +262,23 @@ class Record:
             )
         return self._with(Detrended.of(self, order))
 
-    def clip_outliers(self, deviations: float = 5.0) -> Record:
-        """Return the record with each output limited to `deviations` deviations from its median.
+    def clip_outliers(
+        self, deviations: float = 5.0, columns: Sequence[str] | None = None
+    ) -> Record:
+        """Return the record with outputs, or those named, limited around their medians.
 
-        The deviation is 1.4826 times the median absolute deviation, which is robust to outliers. A
-        model of the record applies the same limits to a history, but not to predictions.
+        The limits are `deviations` deviations away, each 1.4826 times the median absolute
+        deviation, which is robust to outliers. A model of the record applies the same limits to a
+        history, but not to predictions.
         """
         if not deviations > 0:
             raise InputError(f"deviations must be above 0, got {deviations}")
-        return self._with(Clipped.of(self, deviations))
+        columns = self.columns if columns is None else columns
+        if unknown := {*columns} - {*self.columns, *map(bare_name, self.columns)}:
+            raise InputError(
+                f"columns must be outputs ({', '.join(self.columns)}), got {unknown.pop()}"
+            )
+        return self._with(Clipped.of(self, deviations, columns))
 
     def resample(self, sampling_time: float) -> Record:
         """Return the record with a longer sampling time, a multiple of its own.
@@ -268,7 +314,7 @@ class Record:
         if self.prepared:
             raise InputError(
                 f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
-                "or not at all (detrend, clip_outliers, resample)"
+                "or not at all (unwrap, detrend, clip_outliers, resample)"
             )
         if self.start is None and any(step.timed for step in other.prepared):
             raise InputError(
@@ -295,6 +341,12 @@ class Record:
     def y_with_gaps(self) -> Array:
         """Return the measured samples, (time, ny), with NaN in gaps."""
         return self.y if self.measured is None else np.where(self.measured, self.y, np.nan)
+
+    @property
+    def signals(self) -> dict[str, Array]:
+        """Return the measured samples, NaN in gaps, and then the inputs, by name, (time,) each."""
+        u = () if self.u is None else self.u.T
+        return dict(zip((*self.columns, *self.inputs), (*self.y_with_gaps.T, *u), strict=True))
 
     @property
     def truth(self) -> Array:
@@ -383,8 +435,8 @@ def check_alike(other: Record, record: Record, name: str) -> None:
             )
     if other.prepared != record.prepared:
         raise InputError(
-            f"{name} must be prepared like the training record: use prepared_as (detrend, "
-            "clip_outliers, resample)"
+            f"{name} must be prepared like the training record: use prepared_as (unwrap, "
+            "detrend, clip_outliers, resample)"
         )
     if not near_sampling(other.sampling_time, record.sampling_time):
         raise InputError(

@@ -209,6 +209,13 @@ def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
     return whole, known
 
 
+def refilled(y: Array, seen: Array) -> Array:
+    """Return `seen` with its gaps (NaN) filled; a channel without values is that of `y`."""
+    whole, known = np.array(y), np.isfinite(seen).any(axis=0)
+    whole[:, known] = filled("y", seen[:, known])[0]
+    return whole
+
+
 def stretches(rows: Flags) -> list[tuple[int, int]]:
     """Return the first and last index of each stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]])))

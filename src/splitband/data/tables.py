@@ -15,6 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from splitband.data.signals import Column, is_text
+from splitband.data.stamps import is_time
 from splitband.data.text import Layout, check_different, read_table
 from splitband.runtime.errors import InputError, missing, one_line
 
@@ -58,8 +59,13 @@ def load(path: Path, layout: Layout) -> Table:
 
 
 def known(table: Table, layout: Layout) -> Table:
-    """Return a table without the cells that stand for missing values."""
-    return {name: _without(column, layout.missing) for name, column in table.items()}
+    """Return a table without the cells that stand for missing values; time stamps are none."""
+    return {
+        name: column
+        if is_time(name) and column.is_monotonic_increasing
+        else _without(column, layout.missing)
+        for name, column in table.items()
+    }
 
 
 def _without(column: Column, words: Sequence[str]) -> Column:

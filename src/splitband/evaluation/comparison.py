@@ -82,6 +82,11 @@ class Comparison:
         return self.plan.tests
 
     @property
+    def warnings(self) -> list[str]:
+        """Return what seems wrong in the records, a sentence each; see `Record.warnings`."""
+        return self.plan.warnings
+
+    @property
     def methods(self) -> dict[str, Forecaster]:
         """Return the methods by name, not fitted."""
         return {method.name: method for method in self.plan.methods}

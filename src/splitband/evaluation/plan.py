@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 from splitband.data import Record, require_records
@@ -15,6 +15,7 @@ from splitband.filters import Band
 from splitband.forecasters.backtest import BacktestSpec, Origin, first_origin, held_out_origins
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
+from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import (
     BASES,
@@ -92,6 +93,15 @@ class Plan:
     def names(self) -> list[str]:
         """Return the names of the methods."""
         return [method.name for method in self.methods]
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """Return what seems wrong in the records, a sentence each; see `Record.warnings`."""
+        others = (*self.others, *self.tests)
+        found = [f"{each.name}: {said}" for each in others for said in each.warnings()]
+        own = f"{self.record.name}: " if others and self.record.name else ""
+        still = unmoved([self.training, *self.others])
+        return [*(f"{own}{said}" for said in self.record.warnings()), *found, *still]
 
     def spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the predictions by which methods are compared.

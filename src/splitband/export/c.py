@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from textwrap import wrap
 
-from splitband.data.preparation import Resampled
+from splitband.data.preparation import Resampled, Unwrapped
 from splitband.export.c_statements import Precision, Renderer
 from splitband.export.graph import Symbol
 from splitband.export.program import Program
@@ -46,8 +46,9 @@ def _header(program: Program, precision: Precision) -> str:
         f"y_sim{list(program.given['y_sim'])}: the simulator's output of this sample"
         + ", then of the next one" * (rows > 1) if rows else "",
     ]  # fmt: skip
-    # Means are taken outside: the program is given one for each step.
-    done = [type(s).__name__.lower() for s in record.prepared if not isinstance(s, Resampled)]
+    # Means are taken outside, and angles go on: the program is given one for each step.
+    outside = Resampled, Unwrapped
+    done = [type(s).__name__.lower() for s in record.prepared if not isinstance(s, outside)]
     if program.raw and done:
         said = ", ".join(dict.fromkeys(done))
         signals.append(f"as they are measured: before they are {said}")

@@ -421,7 +421,7 @@ class Forecaster(WithRepr, ABC):
         if record.prepared:
             raise InputError(
                 f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
-                "was detrended, clipped or resampled"
+                "was unwrapped, detrended, clipped or resampled"
             )
         known = known_of(self, 0, history, other_record)
         from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch

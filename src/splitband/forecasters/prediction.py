@@ -370,10 +370,11 @@ def prepared_like(
     ) -> npt.ArrayLike | None:
         if past is None or given is None:
             return given
-        signal = continued(name, past, None, given, steps, more=True)[len(past) :]
-        for step in record.prepared:
-            signal = step.transform(name, signal, seconds_after(prepared, len(signal)))
-        return signal
+        signal = continued(name, past, None, given, steps, more=True)
+        time = seconds_after(prepared, len(signal) - len(past))
+        for step in record.prepared:  # also of the past, on which only the turn of an angle depends
+            signal = step.transform(name, signal, np.append(np.zeros(len(past)), time))
+        return signal[len(past) :]
 
     return prepared, ahead("u", history.u, u), ahead("y_sim", history.y_sim, y_sim)
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, require_records
-from splitband.data.preparation import Preparation, seconds
+from splitband.data.preparation import Preparation, Unwrapped, seconds
 from splitband.data.signals import last_before
 from splitband.forecasters.prediction import ForecastContext, extrapolated, known_of, median
 from splitband.runtime.arrays import Array
@@ -530,8 +530,10 @@ def _in_units(
     """Return the recursion in a history's units, else in measured ones; the prepared history."""
     record = forecaster.require_fitted().record
     past = record if history is None else history.prepared_as(record)
-    if past.prepared and (history is None or history.prepared != past.prepared):
-        steps = [each.counted_from(seconds(past)[0]) for each in past.prepared]
+    # An angle goes on in a stream: it takes and returns what `Record.unwrap` does.
+    own = [each for each in past.prepared if not isinstance(each, Unwrapped)]
+    if own and (history is None or history.prepared != past.prepared):
+        steps = [each.counted_from(seconds(past)[0]) for each in own]
         recursion = _prepared(recursion, steps, past.sampling_time)
     return recursion, None if history is None else past
 

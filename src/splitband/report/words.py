@@ -15,7 +15,7 @@ from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.fitted import UNSTABLE, unmoved
+from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import Outcome
@@ -144,7 +144,6 @@ def warnings(comparison: Comparison) -> list[str]:
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
-        *(f"All methods: {said}." for said in _unmoved(comparison)),
         *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
         *_left_range(comparison),
         *_wide_interval(comparison),
@@ -170,11 +169,6 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
         what = "No method predicts"
     named = " and ".join(filter(None, (f"{c.channel} {c.record}".strip() for c in worse)))
     return [f"{what} {named or 'this record'} better than its mean."]
-
-
-def _unmoved(comparison: Comparison) -> list[str]:
-    """Return a remark on inputs that never move in training, which holds for all methods."""
-    return unmoved([comparison.plan.training, *comparison.plan.others])
 
 
 def _unstable(comparison: Comparison) -> list[str]:
@@ -265,7 +259,7 @@ def _few_held_out(train: int) -> list[str]:
 def _notes(comparison: Comparison) -> list[str]:
     """Return the doubts of predictions and the notes of fits, with the methods they are of."""
     called = {name: titled(name, words) for name, words in labels_of(comparison).items()}
-    doubts, general = dict[str, list[str]](), _unmoved(comparison)
+    doubts, general = dict[str, list[str]](), comparison.warnings
     for name, runs in comparison.fits.items():
         said = [run.fitted.parameters.get("doubt") for run in runs]
         if name in comparison.predictions:

@@ -236,6 +236,8 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
         if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
             raise
         y_sim = output(least)
+    for step in record.prepared:
+        y_sim = step.beside(record.y, y_sim)
     rest = y_sim[len(record) :]
     said = Absent.of(simulator)
     beyond = rest if len(rest) else None

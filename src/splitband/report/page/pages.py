@@ -49,7 +49,8 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     sections = [
         Section(
             "answer", f"Recommended: {titled(best, listed.label(best))}", words.afterwards(result),
-            [words.sentence(w) for w in (*words.warnings(result), *words.of_gaps(record))],
+            [words.sentence(w) for w in
+             (*result.warnings, *words.warnings(result), *words.of_gaps(record))],
             facts=[(of, "\n".join(said)) for of, said in words.headline(result)],
         ),
         Section("plot", "Measured and predicted", [what_was_known(result)],
@@ -277,7 +278,7 @@ def of_forecast(result: Forecast, used: Usage) -> Page:
         len(result.prediction),
     )
     text = [words.sentence(result.description)] if result.description else []
-    items = [*words.of_forecast(result), *words.of_gaps(record)]
+    items = [*result.plan.warnings, *words.of_forecast(result), *words.of_gaps(record)]
     items += by_reason(trial.without_result)
     half = trial.intervals[method].half_widths(steps).mean(axis=0)
     level = percent(trial.intervals[method].share)
