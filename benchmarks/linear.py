@@ -3,8 +3,10 @@
     python -m benchmarks.linear                 all tables; `--table plants` one of them
     pip install --no-deps nfoursid              for the column of N4SID (its import needs no more)
 
-"field": stand-ins for records that were measured, a structure of 16 modes with a hardening joint
-and a drive that is started in one direction and in both; the public record of two tanks.
+"sizes": seconds, and memory up to then, from a thousand samples to a million, and for a structure
+of 22 modes from one record and from six. "field": stand-ins for records that were measured, a
+structure of 16 modes with a hardening joint and a drive that is started in one direction and in
+both; the public record of two tanks.
 "plants": fifteen plants, of orders 1 to 40, with delays to 1,000 samples. "errors": how often an
 estimate lies within 1.96 standard errors. "loop": bias behind a controller. "filter": the error one
 step ahead as a multiple of the true Kalman filter's.
@@ -16,6 +18,7 @@ on, for another draw of the input; and nfoursid's model of the true order, where
 from __future__ import annotations
 
 import argparse
+import resource
 import time
 import warnings
 from collections.abc import Callable
@@ -28,6 +31,7 @@ import numpy.typing as npt
 import scipy
 
 from benchmarks.sets import SETS, load
+from splitband import Linear, Record
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.metrics import fit_percent
@@ -202,6 +206,65 @@ def drive(seed: int, both: bool) -> tuple[Array, Array]:
     return u[:, None], y[:, None]
 
 
+def multisine(rng: np.random.Generator, samples: int, inputs: int) -> Array:
+    """Return inputs with the same power at all frequencies up to 0.45 of the rate."""
+    bins = np.arange(max(samples // 100, 1), int(0.45 * samples))
+    u = np.zeros((samples, inputs))
+    for j in range(inputs):
+        spectrum = np.zeros(samples // 2 + 1, complex)
+        spectrum[bins] = np.exp(2j * np.pi * rng.random(len(bins)))
+        u[:, j] = np.fft.irfft(spectrum, samples)
+    return u / u.std(axis=0)
+
+
+def structure(seed: int, samples: int, hardens: float = 1.0) -> tuple[Array, Array]:
+    """Return inputs and outputs of 22 modes of one per cent, with a joint that hardens a little."""
+    a, b, c, d = modes(22, 3, 3, 11, 0.01)
+    u = multisine(np.random.default_rng(seed), samples, 3)
+    joint = c[0] / np.linalg.norm(c[0])
+    usual = (scipy.signal.dlsim((a, b, c, d, 1.0), u)[2] @ joint).std()
+    acts = np.zeros(44)
+    acts[1::2] = 0.015 * hardens * np.random.default_rng(5).standard_normal(22)
+    x, y = np.zeros(44), np.zeros((samples, 3))
+    for n in range(samples):
+        y[n] = c @ x + d @ u[n]
+        moved = np.clip(joint @ x / usual, -4, 4)
+        x = a @ x + b @ u[n] - acts * moved**3
+    return u, y
+
+
+def sizes() -> None:
+    """Print seconds and memory of `Linear().fit` by size of the record."""
+    pole = Plant(first(0.98), samples=20_000, runs=2, hold=50)
+    two, several = Plant(second(0.95, 0.2), hold=5), Plant(modes(6, 3, 3, 3, 0.05))
+    cases = {"1 x 1, one pole, 2 x 20,000 samples": pole}
+    for n in (1_000, 10_000, 100_000, 1_000_000):
+        cases[f"1 x 1, order 2, {n:,} samples"] = two._replace(samples=n)
+    for n in (1_000, 10_000, 100_000):
+        cases[f"3 x 3, order 12, {n:,} samples"] = several._replace(samples=n)
+    print(f"{'record':40} {'seconds':>7} {'GB':>5} {'order':>5} fit %")
+
+    def show(name: str, records: list[Pair], test: Pair) -> None:
+        began = time.perf_counter()
+        model = Linear().fit(*(Record(y, 1.0, u=u) for y, u in records)).model
+        took, memory = (
+            time.perf_counter() - began,
+            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        )
+        fit = fit_of(model, *test, 500).round(2)
+        print(f"{name:40} {took:7.2f} {memory:5.2f} {model.order:5} {fit}", flush=True)
+
+    for name, plant in cases.items():
+        runs = [plant.record(seed, plant.samples) for seed in range(plant.runs)]
+        show(name, [(seen, u) for u, _, seen in runs], plant.record(99, 4000)[:2])
+    rng = np.random.default_rng(0)
+    drawn = [structure(seed, 16_384) for seed in range(6)]
+    noisy = [(y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), u) for u, y in drawn]
+    test = structure(99, 8192)
+    show("3 x 3, 22 modes, 16,384 samples", noisy[:1], test)
+    show("3 x 3, 22 modes, 6 x 16,384 samples", noisy, test)
+
+
 def field() -> None:
     """Print the rows of records that tools were reported to fail on; stand-ins are drawn."""
     rng = np.random.default_rng(0)
@@ -306,7 +369,8 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     tables: dict[str, Callable[..., None]] = {
-        "field": field, "plants": plants, "errors": errors, "loop": loop, "filter": filters,
+        "sizes": sizes, "field": field, "plants": plants, "errors": errors, "loop": loop,
+        "filter": filters,
     }  # fmt: skip
     parser.add_argument("--table", choices=tables)
     parser.add_argument("--seeds", type=int, default=100)

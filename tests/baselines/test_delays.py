@@ -10,6 +10,7 @@ import scipy.signal
 
 import splitband as sb
 from benchmarks import kinds as records
+from benchmarks.linear import structure
 from splitband import Record, Settings
 from splitband.baselines.delays import delayed, input_delays
 from splitband.metrics import leaves_range, rmse
@@ -105,6 +106,37 @@ def test_a_delay_is_found_from_several_records_and_beside_gaps() -> None:
     seen = other.y_with_gaps.copy()
     seen[50:80] = np.nan
     assert input_delays([(one.y_with_gaps, one.u), (seen, other.u)]) == (15,)
+
+
+def test_a_delay_that_a_larger_model_needs_no_more_is_not_taken() -> None:
+    """Lightly damped modes correlate most after some samples; each output then had its own model.
+
+    The outputs without noise are those of `scipy.signal.dlsim`.
+    """
+    u, y = structure(3, 4000, hardens=0.3)
+    noise = 0.01 * y.std(axis=0) * np.random.default_rng(1).standard_normal(y.shape)
+    model = sb.Linear().fit(Record(y + noise, 1.0, u=u))
+    assert model.delays == (0, 0, 0)
+    assert "a delay of 9 samples of u3 predicts held-out samples no better" in model.describe()
+    v, x = structure(4, 2000, hardens=0.3)
+    history = Record(x[:500], 1.0, u=v[:500])
+    ahead = model.predict(1500, history, u=v[500:], other_record=True).y
+    assert np.min(sb.fit_percent(x[500:], ahead)) > 90
+
+
+def test_an_input_that_moves_once_shows_no_delay() -> None:
+    """A friction makes the answer to each step late by chance; a given delay is taken."""
+    u = np.where(np.arange(1200) < 500, 1.0, 1.5)
+    y = scipy.signal.lfilter([0.0] * 40 + [0.05], [1, -0.95], u)
+    record = Record(y + 0.01 * np.random.default_rng(0).standard_normal(1200), DT, u=u)
+    model = sb.Linear().fit(record)
+    assert model.delays == (0,)
+    assert "u moves too rarely to show its delay: delay= sets one" in model.describe()
+    given = sb.Linear(delay=40).fit(record)
+    assert given.delays == (40,)
+    assert "too rarely" not in given.describe()
+    ahead = given.predict(300, u=np.full(300, 1.5)).y
+    np.testing.assert_allclose(ahead, 1.5, atol=0.02)
 
 
 @pytest.mark.parametrize("samples", [2, 5, 30])

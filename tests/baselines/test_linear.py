@@ -1,6 +1,8 @@
 """The linear model, against linear systems of SciPy."""
 
+import itertools
 from typing import Any, cast
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 import splitband as sb
 from benchmarks.driven import drawn
+from benchmarks.linear import PLANTS
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.metrics import fit_percent
@@ -326,6 +329,32 @@ def test_a_further_record_may_be_shorter_than_the_model_is_long() -> None:
         whole.y[TRAIN : TRAIN + 50],
         atol=0.1,
     )
+
+
+def test_long_records_are_fitted_whole_and_their_order_by_windows() -> None:
+    """A slow pole, of which windows see little, beside a fast one; the input mostly rests."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-1.0, 1.0], 1500), 40)
+    u[15_000:40_000] = 1.0
+    slow, fast = (
+        scipy.signal.lfilter([0, 1e-4], [1, -0.9999], u),
+        scipy.signal.lfilter([0, 0.1], [1, -0.9], u),
+    )
+    y = slow + fast
+    found = identified([((y + 0.01 * rng.standard_normal(len(y)))[:, None], u[:, None])])
+    poles = np.sort(np.log(found.poles().real))
+    np.testing.assert_allclose(poles, np.log([0.9, 0.9999]), rtol=0.02)
+
+
+def test_a_fit_that_its_deadline_ends_is_nearly_as_good() -> None:
+    """The deadline passes at the twelfth look at the clock; the best model so far is kept."""
+    u, y, seen = PLANTS["12 modes, 3 x 3"].record(0, 6000)
+    clock = itertools.count()
+    looked = patch("splitband.runtime.deadlines.now", lambda: float(next(clock)))
+    with looked, within(Deadline(12.0)):
+        found = identified([(seen, u)], delay=np.zeros((3, 3), int))
+    assert found.accuracy is None
+    assert np.min(fit_percent(y, found.simulate(u))) > 90
 
 
 def test_after_the_deadline_it_is_the_model_of_the_subspace_and_says_that_it_was_cut() -> None:

@@ -201,17 +201,16 @@ class Search:
         return at if lasting or free is None else free.solution
 
     def best(self) -> Candidate:
-        """Return the model of the chosen order; after the deadline that which the subspace shows.
+        """Return the model of the chosen order; that which the subspace shows comes first.
 
         From the order with the best information criterion on, smaller ones are tried one by one.
         """
-        if current().over and (start := self._start(min(self.shown, self.most or 0))) is not None:
-            return Candidate(start, np.full((1, len(start.scale)), np.nan))
-        grid = dict(self._criteria())
-        first = self.of_order(max(self.integrators or 0, 1))
-        if not grid or first is None:
-            return first or self._constant()
-        found, order = {first.order: first}, min(grid, key=lambda n: grid[n])
+        grid = dict(sorted(self._criteria()))
+        order = min(grid, key=lambda n: grid[n], default=max(self.integrators or 0, 1))
+        first = self.of_order(order)
+        if first is None:
+            return self.of_order(max(self.integrators or 0, 1)) or self._constant()
+        found = {first.order: first}
 
         def attempt(n: int) -> Candidate:
             if n not in found and not current().over:
@@ -280,15 +279,15 @@ class Search:
     def _criteria(self) -> Iterator[tuple[int, float]]:
         """Yield by order the information criterion (BIC) of the subspace's poles.
 
-        Orders are small, or near that of the singular values and above it.
+        First that which the singular values show, then small ones, and larger ones from near it on.
         """
         assert self.most is not None
         ny, least, misses = len(self.runs[0].y), np.inf, 0
         samples = sum(float(run.measured.sum()) for run in self.runs) / ny
         shown = self.shown
-        orders = {n for n in _ORDERS if n <= self.most and (n <= 8 or n >= _NEAR * shown)}
-        for order in sorted(orders | ({shown} if 0 < shown <= self.most else set())):
-            if current().over or (start := self._start(order)) is None:
+        others = (n for n in _ORDERS if n <= self.most and (n <= 8 or n >= _NEAR * shown))
+        for order in dict.fromkeys([*([shown] if 0 < shown <= self.most else []), *others]):
+            if (start := self._start(order)) is None:
                 return
             scale = np.maximum(start.scale, _NEGLIGIBLE)
             parameters = order * (ny + len(self.direct))
@@ -296,7 +295,7 @@ class Search:
             yield order, criterion
             misses = 0 if criterion < least else misses + 1
             least = min(least, criterion)
-            if misses >= _MISSES and order >= shown:
+            if current().over or (misses >= _MISSES and order >= shown):
                 return
 
     def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from splitband.models import Model
 
 
+_WINDOWS = 20_000
+"""Windows of long records from which states are estimated, at even distances. Bounds the memory."""
 _RIDGE = 1e-6
 """Ridge penalty of the state estimator, as a share of the regressors' mean square. Rounding."""
 
@@ -104,12 +106,13 @@ def state_estimator(
     the network's inputs in each record; in a window they are ordered sample by sample, y first.
     """
     seen, wanted = [], []
+    thin = max(sum(len(y) for y, _ in runs) // _WINDOWS, 1)
     for (y, u), x in zip(runs, states, strict=True):
         if len(y) >= samples:
             both = np.hstack([y, u])
-            views = np.lib.stride_tricks.sliding_window_view(both, samples, axis=0)
+            views = np.lib.stride_tricks.sliding_window_view(both, samples, axis=0)[::thin]
             seen.append(views.transpose(0, 2, 1).reshape(len(views), -1))
-            wanted.append(x[: len(views)])
+            wanted.append(x[: len(views) * thin : thin])
     rows, target = np.concatenate(seen), np.concatenate(wanted)
     whole = ~np.isnan(rows).any(axis=1)
     rows, target = rows[whole], target[whole]
