@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.record import Record
+from splitband.data.remedies import remedy
 from splitband.data.signals import (
     Column,
     Gaps,
@@ -38,7 +39,7 @@ from splitband.data.stamps import (
 )  # fmt: skip
 from splitband.data.tables import Table, check_size, known, load, of_frame
 from splitband.data.text import Layout
-from splitband.data.timing import Spacing, same_sampling, spacing
+from splitband.data.timing import Spacing, UnevenError, same_sampling, spacing
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
@@ -368,7 +369,12 @@ def _spacing(
     if stamps:
         what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
         column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-        spaced = spacing(what, stamps[0], column, gaps, given or fallback)
+        try:
+            spaced = spacing(what, stamps[0], column, gaps, given or fallback)
+        except UnevenError as error:
+            rows = {c: v.iloc[::-1] for c, v in table.items()} if error.newest_first else table
+            todo = remedy(rows, stamps, error.read, error.usual)
+            raise InputError(f"{error}; {todo}") from None
         if given is None:
             return spaced
         rows = len(column) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1

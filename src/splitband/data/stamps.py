@@ -56,6 +56,10 @@ _DURATION = re.compile(
     re.IGNORECASE,
 )
 _NO_TIME = re.compile(r"[ T]00:00(:00)?(\.0+)?$")
+_DAY_END = re.compile(r"(?<![\d:.])24(?=(?::00)+(?:\.0+)?(?![:.\d]))")
+"""The hour of the midnight that ends a day, 24:00."""
+_NO_YEAR = re.compile(r"^\s*(\d{1,2})([-/.])(\d{1,2})\.?\s+(?=\d{1,2}:\d\d)")
+_LEAP_DAY = re.compile(r"^\s*0?(?:2[-/.]29|29[-/.]0?2)\b")
 _SERIAL_DAYS = {
     "Excel's serial days": 25569.0,
     "MATLAB's serial days": 719529.0,
@@ -63,6 +67,8 @@ _SERIAL_DAYS = {
 }
 """Number of the first of January 1970."""
 _FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_STEPS_IN_MS = (8, 10, 16, 17, 20, 25, 33, 40, 50, 100, 125, 200, 250, 500)
+"""Common sampling times of loggers in whole milliseconds, other than usual ones in seconds."""
 _DIGITS = {
     6: ("%Y%m",), 8: ("%Y%m%d",), 10: ("%y%m%d%H%M", "%Y%m%d%H"), 12: ("%Y%m%d%H%M",),
     14: ("%Y%m%d%H%M%S",),
@@ -169,6 +175,10 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
     scale = 1.0 if unit is None else unit
     dated = word in ("date", "datetime")
     others = list(_beside_seconds(values, grain, dated)) if unit is None else []
+    millionths = 1e-6 * values
+    if unit == 1e-3 and millionths.min() > 36525 and millionths.max() < 54431 + 25569:  # from 2000
+        if _off_clock(_DAY * float(np.median(np.diff(millionths)))) < 0.01:
+            return [_of_days("millionths of Excel's serial days", millionths, 25569.0, True)]
     if certain := [each for each in others if each.certain]:
         return certain[:1]
     if unit is None and (found := _BRACKETS.search(_AROUND.sub("", name.strip().lower()))):
@@ -213,8 +223,10 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
     parts = _is_whole(step, 1, 4, 12, 52, 365.25) or (not exact and _is_whole(step, 8766))
     if values.min() >= 1700 and values.max() <= 2100 and parts:
         yield Reading("years", (values - values[0]) * _YEAR, grain * _YEAR)
-    if step > 999 and values[0] < 9.4e8 and not (_is_whole(_DAY / step) or _is_whole(step / _DAY)):
-        for words in ("milliseconds", "microseconds"):
+    odd = step > 999 and not (_is_whole(_DAY / step) or _is_whole(step / _DAY))
+    in_ms = step in _STEPS_IN_MS and last_place(values) == 1
+    for words in ("milliseconds", "microseconds")[: 2 if odd else int(in_ms)]:
+        if values[0] < 9.4e8:
             yield Reading(words, values * _FINER[words], grain * _FINER[words])
 
 
@@ -254,8 +266,13 @@ def _steps_in_days(stamps: Array) -> bool:
     span = _DAY * (stamps[-1] - stamps[0])
     count = np.rint(span / (_DAY * np.median(steps)))
     uncertain = 1e-6 + 2 * _DAY * last_place(stamps) / span
-    off = min(abs(span / count / step - 1) for step in _CLOCK_STEPS)
+    off = _off_clock(span / count)
     return bool(off < 1e-6 or off < uncertain < 1e-3)
+
+
+def _off_clock(step: float) -> float:
+    """Return how far a step in s is from the closest common sampling time, as a share of it."""
+    return min(abs(step / each - 1) for each in _CLOCK_STEPS)
 
 
 def _of_clock(column: Column) -> list[Reading]:
@@ -304,6 +321,10 @@ def _of_dates(what: str, column: Column) -> Reading:
     _check_zones(what, column)
     if is_text(column):
         column = column.astype(str).str.replace(_DECIMAL, ".", regex=True)
+    year = 0
+    if is_text(column) and column.str.match(_NO_YEAR).all():
+        year = 2000 if column.str.contains(_LEAP_DAY).any() else 2001
+        column = column.str.replace(_NO_YEAR, rf"\1\2\3\g<2>{year} ", regex=True)
     dates, note = _dates(column)
     dates = dates.where(dates.dt.year.between(1700, 2200))  # what nanoseconds can hold
     if (bad := np.flatnonzero(dates.isna())).size:
@@ -319,6 +340,13 @@ def _of_dates(what: str, column: Column) -> Reading:
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
     if of_day:
         return Reading("times of the day", _unwrapped(seconds, _DAY))
+    if year:
+        begin, end = (pd.Timestamp(each, 1, 1, tz="UTC") for each in (year, year + 1))
+        seconds = _unwrapped(seconds, (end - begin).total_seconds())
+        note = f"has no year: read as seconds since 1 January, from {first:%d %B} on"
+        return Reading(
+            "dates without a year", seconds + (first - begin).total_seconds(), note=note
+        )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zone = pd.to_datetime(column.iloc[:1]).dt.tz  # which tables and messages show
@@ -337,15 +365,18 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
     orders: list[dict[str, Any]] = [{"dayfirst": dotted}, {"dayfirst": not dotted}]
     orders += [{"yearfirst": True}] if _SHORT_YEAR.match(first) else []
 
-    def parsed(**order: Any) -> pd.Series:
-        return pd.to_datetime(column, utc=True, errors="coerce", **order)
+    def parsed(cells: Column, **order: Any) -> pd.Series:
+        return pd.to_datetime(cells, utc=True, errors="coerce", **order)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        iso = parsed(format="ISO8601")
+        iso = parsed(column, format="ISO8601")
         if iso.notna().all():
             return iso, ""
-        tries = [iso, *(parsed(**order) for order in orders)]
+        late = column.astype(str).str.contains(_DAY_END)
+        cells = column.str.replace(_DAY_END, "00", regex=True) if late.any() else column
+        tries = [parsed(cells, **order) for order in ({"format": "ISO8601"}, *orders)]
+        tries = [each + late.astype(int) * pd.Timedelta(1, unit="D") for each in tries]
 
     def doubt(dates: pd.Series) -> tuple[int, float]:
         """Return the number of missing dates, and the unevenness of the steps (relative)."""

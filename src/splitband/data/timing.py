@@ -12,8 +12,9 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
+from splitband.data.remedies import IGNORE
 from splitband.data.signals import Column, Gaps, as_float, in_file, stretches
-from splitband.data.stamps import last_place, readings
+from splitband.data.stamps import Reading, last_place, readings
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
@@ -154,6 +155,19 @@ class Spacing:
     note: str = ""
 
 
+class UnevenError(InputError):
+    """Report stamps that do not increase evenly: `read`, reversed if they are `newest_first`.
+
+    `usual` is what to do about them where nothing else is wrong.
+    """
+
+    def __init__(
+        self, message: str, read: Reading, newest_first: bool = False, usual: str = ""
+    ) -> None:
+        super().__init__(message)
+        self.read, self.newest_first, self.usual = read, newest_first, usual
+
+
 def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | None) -> Spacing:
     """Return the even grid of time stamps; `expected` is the sampling time that a user gave.
 
@@ -167,8 +181,9 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
         column = column.iloc[::-1]
         found = readings(what, name, column)
     found = [each for each in found if (np.diff(each.seconds) > 0).all()] or found[:1]
-    if expected:
-        found = [each for each in found if near_sampling(each.step, expected)][:1] or found
+    if expected:  # readings differ by more than jitter does
+        found.sort(key=lambda each: abs(math.log(max(each.step, 1e-300) / expected)))
+        found = found[: 1 if 0.7 * expected < found[0].step < 1.4 * expected else None]
     if len(found) > 1:
         ways = [f"{each.words} ({each.step:.6g} s)" for each in found]
         raise InputError(
@@ -180,10 +195,11 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     in_order = column if gaps == "refuse" else None
     if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
         row = int(back[0]) + 1
-        raise InputError(
+        raise UnevenError(
             f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
-            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
-            "time_column='' (--time-column '') with sampling_time ignores the stamps"
+            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}",
+            read,
+            newest_first,
         )
     cut = _cut_to_units(what, stamps, expected)
     if gaps == "mask":
@@ -191,7 +207,9 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
     if not cut and unit > 0.99 * np.median(np.diff(stamps)):
         unit = 0.0  # rounding this coarse could hide a missing row
-    _check_steps(what, stamps, unit, in_order)
+    if uneven := _uneven(what, stamps, unit, in_order):
+        mask = "gaps='mask' (--gaps mask) excludes missing rows; " if gaps == "refuse" else ""
+        raise UnevenError(uneven, read, newest_first, mask + IGNORE)
     step, start = _line(what, stamps, unit, read.grain)
     return Spacing(
         step,
@@ -202,8 +220,8 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     )
 
 
-def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -> None:
-    """Raise ValueError for steps that differ by more than 1 % and the `unit` of the last place."""
+def _uneven(what: str, stamps: Array, unit: float, column: Column | None) -> str:
+    """Return where steps differ by more than 1 % and the `unit` of the last place; empty if none."""
     steps = np.diff(stamps)
     median, mean = float(np.median(steps)), float(steps.mean())
     line_off = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
@@ -212,14 +230,12 @@ def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -
     off = np.abs(steps - median)
     exact = 0.01 * median + 4 * float(np.spacing(np.abs(stamps).max()))
     if not (bad := np.flatnonzero((off > exact) & ~rounded)).size:
-        return
+        return ""
     gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
     row = int((gaps if gaps.size else bad)[0]) + 1
-    raise InputError(
+    return (
         f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-        f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}; "
-        + ("gaps='mask' (--gaps mask) excludes missing rows; " if column is not None else "")
-        + "time_column='' (--time-column '') ignores the stamps and takes all rows to be even"
+        f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}"
     )
 
 
@@ -237,8 +253,7 @@ def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, f
     if wander.max() > 0.5 * (step + unit):
         raise InputError(
             f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
-            f"even step of {step:.6g} s, at row {int(wander.argmax())}; time_column='' "
-            "(--time-column '') ignores the stamps"
+            f"even step of {step:.6g} s, at row {int(wander.argmax())}; {IGNORE}"
         )
     if abs(first) < 1e-6 * step:
         return step, float(stamps[0])
