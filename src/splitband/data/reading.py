@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.record import Record
-from splitband.data.remedies import remedy
+from splitband.data.remedies import check_other_clock, remedy
 from splitband.data.signals import (
     Column,
     Gaps,
@@ -25,6 +25,7 @@ from splitband.data.signals import (
     is_text,
     numbers,
     require_finite,
+    switch_states,
     unit_of,
 )
 from splitband.data.stamps import (
@@ -71,7 +72,7 @@ class _Picked(NamedTuple):
 
 
 def read(  # noqa: PLR0913
-    path: str | os.PathLike[str] | pd.DataFrame,
+    path: str | os.PathLike[str] | pd.DataFrame | pd.Series[Any],
     *,
     columns: _Names | None = None,
     inputs: _Names | None = (),
@@ -139,8 +140,9 @@ def read(  # noqa: PLR0913
     >>> len(record), record.sampling_time, record.columns, record.inputs
     (3, 0.5, ('x',), ('force',))
     """
-    frame = path if isinstance(path, pd.DataFrame) else None
-    path = Path("DataFrame") if isinstance(path, pd.DataFrame) else Path(path)
+    frame = path.to_frame() if isinstance(path, pd.Series) else path
+    frame = frame if isinstance(frame, pd.DataFrame) else None
+    path = Path(type(path).__name__ if isinstance(path, pd.DataFrame | pd.Series) else path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
     if gaps not in get_args(Gaps):
         raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
@@ -149,23 +151,29 @@ def read(  # noqa: PLR0913
         if frame is None:
             table = load(path, layout)
         else:
-            layout.check_no_lines("a DataFrame")
+            layout.check_no_lines(f"a {path}")
             table = known(of_frame(frame), layout)
         picked = _picked(table, columns, inputs, time_column)
+        switches = {c: switch_states(table[c]) for c in picked.known + picked.measured}
+        table |= {c: table[c].map(states) for c, states in switches.items() if states}
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
         if spaced.newest_first:
             table = {name: column.iloc[::-1] for name, column in table.items()}
         y = _matrix(table, picked.measured, gaps, spaced.grid_rows)
         u = _matrix(table, picked.known, gaps, spaced.grid_rows) if picked.known else None
+        if time_column is None and picked.stamps:
+            check_other_clock(table, picked.stamps[-1], spaced.step * (len(y) - 1))
         record = Record.with_gaps(
-            y, spaced.step, u=u, name=path.stem if frame is None else "", start=spaced.start,
+            y, spaced.step, u=u, start=spaced.start,
             columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
             inputs=tuple(picked.known),
+            name=path.stem.removesuffix(".csv") if frame is None else "",
         )  # fmt: skip
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    for note in filter(None, (spaced.note, left_out, picked.forgotten)):
+    read_as = [f"column {c!r} is read as {_states(s)}" for c, s in switches.items() if s]
+    for note in filter(None, (spaced.note, *read_as, left_out, picked.forgotten)):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
     return record
 
@@ -179,6 +187,7 @@ def _picked(
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
     timed = [c for c in table if c not in picked and len(table[c]) == rows and is_time(c)]
+    timed = [c for c in timed if "abscissa" in table[c].attrs] or timed
     if time_column is None:
         if len(timed) > 1:  # T is a temperature then, unless it increases
             timed = [c for c in timed if also_time(c, table[c])]
@@ -245,8 +254,8 @@ def _check_alike(table: Table, timed: Sequence[str]) -> None:
 
 def _reason(name: str, column: Column, rows: int) -> str:
     """Return the reason why a column is not a channel; empty if it is one."""
-    if "unread" in column.attrs:
-        return str(column.attrs["unread"])
+    if why := column.attrs.get("unread", column.attrs.get("left out")):
+        return str(why)
     if len(column) != rows:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
     unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
@@ -257,6 +266,8 @@ def _reason(name: str, column: Column, rows: int) -> str:
         return "no name" if column.notna().any() else _EXPECTED
     if also_time(name, column):
         return "another time column"
+    if states := switch_states(column):
+        return f"words, read as {_states(states)} where it is named"
     known = column.dropna()
     reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
     return "" if has_number(column) else reason
@@ -314,8 +325,12 @@ def _values(name: str, column: Column) -> Array:
     try:
         return numbers(f"column {name!r}", column)
     except InputError as error:
-        words = "; missing (--missing) names words for missing values" if is_text(column) else ""
-        raise InputError(f"{error}{words}") from None
+        words = "; missing (--missing) names words for missing values"
+        if is_text(column) and not has_number(column):
+            codes = {word: code for code, word in enumerate(column.dropna().unique())}
+            words = f"; give its words numbers, in pandas table[{name!r}].map({codes})"
+            words = words if len(codes) < 7 else ""
+        raise InputError(f"{error}{words if is_text(column) else ''}") from None
 
 
 def _common_length(table: Table, picked: Sequence[str]) -> int:
@@ -356,6 +371,11 @@ def _find(table: Table, wanted: _Names) -> list[str]:
 
 def _available(table: Table) -> str:
     return f"the columns are {_listed([repr(name) for name in table]) or 'none'}"
+
+
+def _states(switch: Mapping[str, float]) -> str:
+    """Return how the words of a switch are read, for a message: "ON = 1, OFF = 0"."""
+    return ", ".join(f"{word} = {state:g}" for word, state in switch.items())
 
 
 def _listed(names: Sequence[str]) -> str:

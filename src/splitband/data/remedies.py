@@ -9,7 +9,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from splitband.data.signals import Column, has_number
-from splitband.data.stamps import Reading, is_time
+from splitband.data.stamps import Reading, is_moment, is_time, readings
+from splitband.runtime.errors import InputError
 
 IGNORE = (
     "time_column='' (--time-column '') with sampling_time (--sampling-time) ignores the stamps and "
@@ -57,15 +58,16 @@ def remedy(table: Mapping[str, Column], names: Sequence[str], read: Reading, usu
     begins = np.concatenate([[0], back + 1, [len(seconds)]])
     spans = seconds[begins[1:] - 1] - seconds[begins[:-1]]
     if np.diff(begins).min() > 2 and (-steps[back] > 0.5 * spans[:-1]).all():
-        key, apart = f"{time}.diff().lt(0).cumsum()", ""
+        key, apart, drop = f"{time}.diff().lt(0).cumsum()", "", ""
         if runs:
             key, apart = repr(runs[0]), f", which column {runs[0]!r} tells apart"
+            drop = f".drop(columns={key})"
             if not has_number(others[runs[0]]):
                 apart += f" (if it names signals: {_pivot(names, runs[0], others)})"
         return (
             f"the clock begins again ({len(back)} times), the file holds several runs{apart}: save "
-            f"each as a file of its own, in pandas [run.to_csv(f'run{{i}}.csv', index=False) for "
-            f"i, run in table.groupby({key})], and give the others with --more"
+            f"each as a file of its own, in pandas [run{drop}.to_csv(f'run{{i}}.csv', index=False) "
+            f"for i, run in table.groupby({key})], and give the others with --more"
         )
     if len(np.unique(seconds)) == len(seconds):
         return f"sort the rows, in pandas table.sort_values({names[-1]!r})"
@@ -120,3 +122,26 @@ def _clock_change(read: Reading) -> str:
     # Europe, America and Australia change their clocks on Sundays.
     days = read.date + pd.to_timedelta(read.seconds[odd + 1], unit="s")
     return "if summer time began there" if (days.dayofweek == 6).all() else ""
+
+
+def check_other_clock(table: Mapping[str, Column], name: str, length: float) -> None:
+    """Raise ValueError where dates in another column last longer or shorter than numeric stamps.
+
+    `length` is that of the stamps in column `name`, in s.
+    """
+    rows = np.unique(np.linspace(0, len(table[name]) - 1, 400).astype(int))
+    for other, column in table.items() if has_number(table[name]) else ():
+        if other == name or len(column) <= rows[-1] or not is_moment(column):
+            continue
+        try:
+            seconds = readings(other, other, column.iloc[rows])[0].seconds
+        except InputError:
+            continue
+        steps = np.abs(np.diff(seconds))
+        told, unit = abs(seconds[-1] - seconds[0]), float(steps[steps > 0].min(initial=np.inf))
+        if abs(told - length) > 0.02 * max(told, length) + 2 * unit:
+            raise InputError(
+                f"column {name!r} lasts {length:.6g} s, the dates of column {other!r} {told:.6g} "
+                f"s: time_column={name!r} or time_column={other!r} (--time-column) says which of "
+                "them holds the time stamps"
+            )

@@ -23,6 +23,11 @@ _NUMBERED = re.compile(r"[yu]\d*|\d+")
 _THOUSANDS = {".": ",", ",": "."}
 """The thousands separator beside each decimal sign."""
 _INTEGER = r"\s*[-+]?\d+\s*"
+_SWITCHES = (
+    ("on", "off"), ("true", "false"), ("yes", "no"), ("open", "closed"), ("open", "close"),
+    ("active", "inactive"), ("enabled", "disabled"), ("running", "stopped"), ("t", "f"), ("y", "n"),
+)  # fmt: skip
+"""Words for the states of a switch, that of 1 first, in small letters."""
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
@@ -116,6 +121,17 @@ def numbers(what: str, column: Column) -> Array:
     if is_complex_dtype(column):
         raise InputError(f"{what} must be real: it holds complex values")
     return column.to_numpy(dtype=np.float64, na_value=np.nan)
+
+
+def switch_states(column: Column) -> dict[str, float]:
+    """Return 1 and 0 for the words of a column that holds the states of a switch; else nothing."""
+    if not is_text(column) or has_number(column):
+        return {}
+    states = {word: str(word).strip().lower() for word in column.dropna().unique()}
+    for pair in _SWITCHES:
+        if states and {*states.values()} <= {*pair}:
+            return {word: float(state == pair[0]) for word, state in states.items()}
+    return {}
 
 
 def in_file(column: Column, row: int) -> str:

@@ -58,6 +58,7 @@ _DURATION = re.compile(
 _NO_TIME = re.compile(r"[ T]00:00(:00)?(\.0+)?$")
 _DAY_END = re.compile(r"(?<![\d:.])24(?=(?::00)+(?:\.0+)?(?![:.\d]))")
 """The hour of the midnight that ends a day, 24:00."""
+_MOMENT = re.compile(r"\s*\d{1,4}([-/.])\d{1,2}\1\d{1,4}[ T]+\d{1,2}:\d\d")
 _NO_YEAR = re.compile(r"^\s*(\d{1,2})([-/.])(\d{1,2})\.?\s+(?=\d{1,2}:\d\d)")
 _LEAP_DAY = re.compile(r"^\s*0?(?:2[-/.]29|29[-/.]0?2)\b")
 _SERIAL_DAYS = {
@@ -128,6 +129,11 @@ def also_time(name: str, column: Column) -> bool:
 def is_day(column: Column) -> bool:
     """Return whether a column begins with a date without a time."""
     return ":" not in _NO_TIME.sub("", str(column.iloc[0]))
+
+
+def is_moment(column: Column) -> bool:
+    """Return whether a column begins with a date and a time."""
+    return _MOMENT.match(str(column.iloc[0])) is not None
 
 
 def is_time_of_day(column: Column) -> bool:
@@ -344,9 +350,7 @@ def _of_dates(what: str, column: Column) -> Reading:
         begin, end = (pd.Timestamp(each, 1, 1, tz="UTC") for each in (year, year + 1))
         seconds = _unwrapped(seconds, (end - begin).total_seconds())
         note = f"has no year: read as seconds since 1 January, from {first:%d %B} on"
-        return Reading(
-            "dates without a year", seconds + (first - begin).total_seconds(), note=note
-        )
+        return Reading("dates without a year", seconds + (first - begin).total_seconds(), note=note)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zone = pd.to_datetime(column.iloc[:1]).dt.tz  # which tables and messages show

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import bz2
+import contextlib
+import gzip
+import lzma
 import math
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 import scipy
 from numpy.typing import NDArray
+from pandas.api.types import is_float_dtype
 
 from splitband.data.signals import Column, is_text
 from splitband.data.text import Layout, check_different, read_table
@@ -24,10 +30,13 @@ _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip
 _MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
-_IN_MATLAB = (
-    ", which only MATLAB can read: save a timetable T as text, writetimetable(T, 'T.csv'), of a "
-    "timeseries the vectors Time and Data"
-)
+_IN_MATLAB = {
+    "timetable": "writetimetable({0}, '{0}.csv')",
+    "table": "writetable({0}, '{0}.csv')",
+    "timeseries": "time = {0}.Time; data = {0}.Data; save('{0}.mat', 'time', 'data')",
+    "datetime": "time = seconds({0} - {0}(1))",
+}
+"""Lines of MATLAB that save its objects in a form that others can read."""
 _AnyArray: TypeAlias = NDArray[Any]
 Table: TypeAlias = dict[str, Column]
 """Columns by name; in NPZ and MAT files they may differ in length."""
@@ -35,9 +44,13 @@ Table: TypeAlias = dict[str, Column]
 
 def load(path: Path, layout: Layout) -> Table:
     """Read every column of a file; an error of any reader is raised as an `InputError`."""
-    kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
+    unpack = _UNPACK.get(path.suffix.lower())
+    suffix = Path(path.stem if unpack else path).suffix.lower()
+    kind, reader = _READERS.get(suffix, ("text", None))
     if reader is not None:
         layout.check_no_lines(kind)
+        if unpack:
+            raise InputError(f"{kind} must not be compressed as a whole: unpack it first")
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not file.peek(1):
@@ -45,9 +58,13 @@ def load(path: Path, layout: Layout) -> Table:
         if reader is None:  # in one pass, as the file may be a pipe
             check_size(4 * path.stat().st_size)
             # Memory holds it as bytes, as lines and as numbers.
-            raw = file.read(MOST_BYTES // 4 + 1)
+            try:
+                with unpack(file) if unpack else contextlib.nullcontext(file) as text:
+                    raw = text.read(MOST_BYTES // 4 + 1)
+            except (OSError, EOFError, zipfile.BadZipFile, lzma.LZMAError, zlib.error) as error:
+                raise InputError(f"cannot be read as {path.suffix}: {one_line(error)}") from error
             check_size(max(4 * len(raw), 100 * raw.count(b"\n")))
-            return known(_columns(read_table(raw, path.suffix.lower(), layout)), layout)
+            return known(_columns(read_table(raw, suffix, layout)), layout)
         try:
             table = reader(path)
         except InputError:
@@ -86,9 +103,24 @@ def check_size(size: int) -> None:
 
 def of_frame(frame: pd.DataFrame) -> Table:
     """Return the columns of a table, including an index that has a name or holds times."""
+    index = frame.index
+    if isinstance(index, pd.MultiIndex):
+        level = index.names[0]
+        raise InputError(
+            f"its rows have an index of {index.nlevels} levels, {', '.join(map(repr, index.names))}"
+            f": table.xs(..., level={level!r}) is the part of one {level!r}, table.reset_index() "
+            "makes columns of all"
+        )
+    if isinstance(index, pd.PeriodIndex):
+        frame = frame.to_timestamp()
     times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
-    if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
-        frame = frame.reset_index(names=str(frame.index.name or "time"))
+    if (
+        times
+        or is_float_dtype(index)
+        or not (index.name is None or isinstance(index, pd.RangeIndex))
+    ):
+        name = str(index.name or ("index" if "time" in frame.columns else "time"))
+        frame = frame.reset_index(names=name)
     return _columns(frame)
 
 
@@ -120,23 +152,79 @@ def _read_numpy(path: Path) -> Table:
 
 def _read_mat(path: Path) -> Table:
     try:
-        found = [v for v in scipy.io.whosmat(path) if not v[0].startswith("__")]
+        found = [v for v in _in_mat(path) if not v[0].startswith("__")]
         check_size(8 * sum(math.prod(shape) for _, shape, kind in found if kind in _MAT_NUMBERS))
         names = [name for name, _, kind in found if kind in _MAT_READ]
-        table = _variables(scipy.io.loadmat(path, variable_names=names, simplify_cells=True))
+        content = scipy.io.loadmat(path, variable_names=names, simplify_cells=True)
     except NotImplementedError:
         raise InputError(
             "cannot be read as MAT: it is a v7.3 (HDF5) file; save it with the option -v7"
         ) from None
-    others = {
-        name: "sparse" if kind == "sparse" else f"{kind}{_IN_MATLAB}"
-        for name, _, kind in found
-        if kind not in _MAT_READ
-    }
+    if {"Aclass", "name", "dataInfo", "data_2"} <= {*content}:
+        return _of_modelica(content)
+    table = _variables(content)
+    others = {}
+    for name, _, kind in found:
+        line = f", which MATLAB saves as vectors: {_IN_MATLAB[kind]}" if kind in _IN_MATLAB else ""
+        if kind not in _MAT_READ or not table:
+            others[name] = kind + line.format(name)
     if not table:
-        kinds = ", ".join(f"{name!r} ({kind})" for name, _, kind in found) or "nothing"
-        raise InputError(f"it holds no numbers, but {kinds}{_IN_MATLAB if others else ''}")
+        kinds = ", ".join(f"{name!r} ({what})" for name, what in others.items()) or "nothing"
+        raise InputError(f"it holds no numbers, but {kinds}")
     return table | {name: _unread(why) for name, why in others.items()}
+
+
+def _in_mat(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
+    """Return name, shape and class of each variable of a MAT file, those of objects included."""
+    try:
+        return scipy.io.whosmat(path)
+    except TypeError:  # SciPy has no shape for an object
+        pass
+    found = []
+    with path.open("rb") as file:
+        for name, part in scipy.io.matlab.varmats_from_mat(file):
+            if name != "None":
+                found += scipy.io.whosmat(part)
+            else:
+                opaque = scipy.io.loadmat(part)["None"][0]
+                found.append((opaque["s0"].decode(), (1, 1), opaque["s2"].decode()))
+    return found
+
+
+def _of_modelica(content: Mapping[str, _AnyArray]) -> Table:
+    """Return the variables of a result file of Dymola or OpenModelica by their names.
+
+    `dataInfo` holds the matrix of each variable, and its column with a sign; `data_1` has the first
+    and the last value of constants. In the form "binTrans" all matrices are transposed.
+    """
+    names, places = np.atleast_1d(content["name"]), content["dataInfo"]
+    parts = {key: value for key, value in content.items() if key.startswith("data_")}
+    if "binTrans" in "".join(content["Aclass"]):
+        names = np.array(["".join(letters) for letters in zip(*names, strict=True)])
+        parts, places = {key: value.T for key, value in parts.items()}, places.T
+    rows = _even_rows(parts["data_2"][:, 0])
+    table: Table = {}
+    for name, (part, column) in zip(map(str.strip, names), places[:, :2], strict=True):
+        values = parts[f"data_{part or 2}"][:, abs(column) - 1]
+        values = np.full(len(rows), values[0]) if part == 1 else values[rows]
+        table[name] = pd.Series(values if column > 0 else -values)
+        table[name].attrs |= {0: {"abscissa": True}, 1: {"left out": "a constant"}}.get(part, {})
+    return table
+
+
+def _even_rows(time: _AnyArray) -> NDArray[np.int_]:
+    """Return the rows of a simulation's output at even times, or those of different times.
+
+    At an event, the tools write a row before it and one after it, also between even times.
+    """
+    rows = np.flatnonzero(np.diff(time, append=np.inf) > 0)  # after the event
+    steps = np.diff(time := time[rows])
+    step = np.quantile(steps, 0.9)
+    whole = np.abs(steps - step) < 0.02 * step
+    on = np.concatenate([[True], whole]) | np.concatenate([whole, [True]])
+    at = np.interp(time, time[on], np.cumsum(np.rint(np.diff(time[on], prepend=time[0]) / step)))
+    even = np.abs(at - np.rint(at)) < 0.02
+    return rows[even] if (np.diff(np.rint(at[even])) == 1).all() else rows
 
 
 def _unread(why: str) -> Column:
@@ -192,6 +280,19 @@ def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
             yield name, _native(np.asarray(value))
 
 
+def _from_zip(file: IO[bytes]) -> IO[bytes]:
+    """Open the only file of an archive."""
+    archive = zipfile.ZipFile(file)
+    if len(names := archive.namelist()) != 1:
+        raise InputError(
+            f"it must hold one file, not {len(names)}: unpack it, and read one of them"
+        )
+    return archive.open(names[0])
+
+
+_UNPACK: dict[str, Callable[[IO[bytes]], Any]] = {
+    ".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open, ".zip": _from_zip
+}  # fmt: skip
 _READERS = {
     ".parquet": ("Parquet", _read_parquet),
     ".pq": ("Parquet", _read_parquet),

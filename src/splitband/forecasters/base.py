@@ -519,6 +519,8 @@ class Forecaster(WithRepr, ABC):
         require_records("records", *records)
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
+        if not any(record.complete.any() for record in records):
+            raise InputError("records must have a sample measured in every channel, got none")
         for record in records:
             name = record.name or "the record"
             if "inputs" in self.needs and record.u is None:
