@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, get_args
 
@@ -40,7 +41,7 @@ from splitband.data.stamps import (
 )  # fmt: skip
 from splitband.data.tables import Table, check_size, known, load, of_frame
 from splitband.data.text import Layout
-from splitband.data.timing import Spacing, UnevenError, same_sampling, spacing
+from splitband.data.timing import Spacing, same_sampling, spacing
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
@@ -140,8 +141,7 @@ def read(  # noqa: PLR0913
     >>> len(record), record.sampling_time, record.columns, record.inputs
     (3, 0.5, ('x',), ('force',))
     """
-    frame = path.to_frame() if isinstance(path, pd.Series) else path
-    frame = frame if isinstance(frame, pd.DataFrame) else None
+    frame = path if isinstance(path, pd.DataFrame | pd.Series) else None
     path = Path(type(path).__name__ if isinstance(path, pd.DataFrame | pd.Series) else path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
     if gaps not in get_args(Gaps):
@@ -152,7 +152,7 @@ def read(  # noqa: PLR0913
             table = load(path, layout)
         else:
             layout.check_no_lines(f"a {path}")
-            table = known(of_frame(frame), layout)
+            table = known(of_frame(pd.DataFrame(frame)), layout)
         picked = _picked(table, columns, inputs, time_column)
         switches = {c: switch_states(table[c]) for c in picked.known + picked.measured}
         table |= {c: table[c].map(states) for c, states in switches.items() if states}
@@ -254,7 +254,7 @@ def _check_alike(table: Table, timed: Sequence[str]) -> None:
 
 def _reason(name: str, column: Column, rows: int) -> str:
     """Return the reason why a column is not a channel; empty if it is one."""
-    if why := column.attrs.get("unread", column.attrs.get("left out")):
+    if why := column.attrs.get("unread", column.attrs.get("left out", "")):
         return str(why)
     if len(column) != rows:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
@@ -327,9 +327,8 @@ def _values(name: str, column: Column) -> Array:
     except InputError as error:
         words = "; missing (--missing) names words for missing values"
         if is_text(column) and not has_number(column):
-            codes = {word: code for code, word in enumerate(column.dropna().unique())}
-            words = f"; give its words numbers, in pandas table[{name!r}].map({codes})"
-            words = words if len(codes) < 7 else ""
+            states = dict(zip(column.dropna().astype(str).unique()[:4], range(4), strict=False))
+            words = f"; numbers may stand for words, in pandas table[{name!r}].map({states})"
         raise InputError(f"{error}{words if is_text(column) else ''}") from None
 
 
@@ -389,12 +388,8 @@ def _spacing(
     if stamps:
         what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
         column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-        try:
-            spaced = spacing(what, stamps[0], column, gaps, given or fallback)
-        except UnevenError as error:
-            rows = {c: v.iloc[::-1] for c, v in table.items()} if error.newest_first else table
-            todo = remedy(rows, stamps, error.read, error.usual)
-            raise InputError(f"{error}; {todo}") from None
+        todo = partial(remedy, table, stamps)
+        spaced = spacing(what, stamps[0], column, gaps, given or fallback, todo)
         if given is None:
             return spaced
         rows = len(column) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1

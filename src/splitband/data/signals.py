@@ -125,12 +125,11 @@ def numbers(what: str, column: Column) -> Array:
 
 def switch_states(column: Column) -> dict[str, float]:
     """Return 1 and 0 for the words of a column that holds the states of a switch; else nothing."""
-    if not is_text(column) or has_number(column):
-        return {}
-    states = {word: str(word).strip().lower() for word in column.dropna().unique()}
-    for pair in _SWITCHES:
-        if states and {*states.values()} <= {*pair}:
-            return {word: float(state == pair[0]) for word, state in states.items()}
+    words = column.dropna().astype(str).unique() if is_text(column) else ()
+    for on, off in _SWITCHES:
+        states = {str(word): {on: 1.0, off: 0.0}.get(word.strip().lower()) for word in words}
+        if states and None not in states.values():
+            return states
     return {}
 
 

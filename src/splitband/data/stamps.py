@@ -60,7 +60,6 @@ _DAY_END = re.compile(r"(?<![\d:.])24(?=(?::00)+(?:\.0+)?(?![:.\d]))")
 """The hour of the midnight that ends a day, 24:00."""
 _MOMENT = re.compile(r"\s*\d{1,4}([-/.])\d{1,2}\1\d{1,4}[ T]+\d{1,2}:\d\d")
 _NO_YEAR = re.compile(r"^\s*(\d{1,2})([-/.])(\d{1,2})\.?\s+(?=\d{1,2}:\d\d)")
-_LEAP_DAY = re.compile(r"^\s*0?(?:2[-/.]29|29[-/.]0?2)\b")
 _SERIAL_DAYS = {
     "Excel's serial days": 25569.0,
     "MATLAB's serial days": 719529.0,
@@ -181,10 +180,9 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
     scale = 1.0 if unit is None else unit
     dated = word in ("date", "datetime")
     others = list(_beside_seconds(values, grain, dated)) if unit is None else []
-    millionths = 1e-6 * values
-    if unit == 1e-3 and millionths.min() > 36525 and millionths.max() < 54431 + 25569:  # from 2000
-        if _off_clock(_DAY * float(np.median(np.diff(millionths)))) < 0.01:
-            return [_of_days("millionths of Excel's serial days", millionths, 25569.0, True)]
+    days = 1e-6 * values  # from 2000 on: WinCC calls millionths of a day ms
+    if unit == 1e-3 and days.min() > 36525 and days.max() < 80000:
+        return [_of_days("millionths of Excel's serial days", days, 25569.0, True)]
     if certain := [each for each in others if each.certain]:
         return certain[:1]
     if unit is None and (found := _BRACKETS.search(_AROUND.sub("", name.strip().lower()))):
@@ -272,13 +270,8 @@ def _steps_in_days(stamps: Array) -> bool:
     span = _DAY * (stamps[-1] - stamps[0])
     count = np.rint(span / (_DAY * np.median(steps)))
     uncertain = 1e-6 + 2 * _DAY * last_place(stamps) / span
-    off = _off_clock(span / count)
+    off = min(abs(span / count / step - 1) for step in _CLOCK_STEPS)
     return bool(off < 1e-6 or off < uncertain < 1e-3)
-
-
-def _off_clock(step: float) -> float:
-    """Return how far a step in s is from the closest common sampling time, as a share of it."""
-    return min(abs(step / each - 1) for each in _CLOCK_STEPS)
 
 
 def _of_clock(column: Column) -> list[Reading]:
@@ -327,10 +320,8 @@ def _of_dates(what: str, column: Column) -> Reading:
     _check_zones(what, column)
     if is_text(column):
         column = column.astype(str).str.replace(_DECIMAL, ".", regex=True)
-    year = 0
-    if is_text(column) and column.str.match(_NO_YEAR).all():
-        year = 2000 if column.str.contains(_LEAP_DAY).any() else 2001
-        column = column.str.replace(_NO_YEAR, rf"\1\2\3\g<2>{year} ", regex=True)
+    if yearless := is_text(column) and column.str.match(_NO_YEAR).all():
+        column = column.str.replace(_NO_YEAR, r"\1\2\3\g<2>2001 ", regex=True)
     dates, note = _dates(column)
     dates = dates.where(dates.dt.year.between(1700, 2200))  # what nanoseconds can hold
     if (bad := np.flatnonzero(dates.isna())).size:
@@ -342,15 +333,16 @@ def _of_dates(what: str, column: Column) -> Reading:
     first = dates.iloc[0].as_unit("ns")
     # pandas adds today's date to a time without a date; here it is counted from midnight.
     of_day = _TIME_OF_DAY.fullmatch(str(column.iloc[0])) is not None
-    since = dates - (first.normalize() if of_day else first)
+    midnight = first.normalize()
+    since = dates - (
+        midnight.replace(month=1, day=1) if yearless else midnight if of_day else first
+    )
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
     if of_day:
         return Reading("times of the day", _unwrapped(seconds, _DAY))
-    if year:
-        begin, end = (pd.Timestamp(each, 1, 1, tz="UTC") for each in (year, year + 1))
-        seconds = _unwrapped(seconds, (end - begin).total_seconds())
-        note = f"has no year: read as seconds since 1 January, from {first:%d %B} on"
-        return Reading("dates without a year", seconds + (first - begin).total_seconds(), note=note)
+    if yearless:
+        note = f"has no year: it is read as seconds since 1 January, from {first:%d %B} on"
+        return Reading("dates without a year", _unwrapped(seconds, 365 * _DAY), note=note)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zone = pd.to_datetime(column.iloc[:1]).dt.tz  # which tables and messages show

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import bz2
 import contextlib
-import gzip
-import lzma
 import math
 import warnings
 import zipfile
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 import scipy
 from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype
+from pandas.io.common import get_handle, infer_compression  # type: ignore[import-not-found]
 
 from splitband.data.signals import Column, is_text
 from splitband.data.text import Layout, check_different, read_table
@@ -31,12 +28,12 @@ _MAT_NUMBERS = (
 )  # fmt: skip
 _MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
 _IN_MATLAB = {
-    "timetable": "writetimetable({0}, '{0}.csv')",
-    "table": "writetable({0}, '{0}.csv')",
-    "timeseries": "time = {0}.Time; data = {0}.Data; save('{0}.mat', 'time', 'data')",
-    "datetime": "time = seconds({0} - {0}(1))",
+    "timetable": "; in MATLAB writetimetable({0}, '{0}.csv')",
+    "table": "; in MATLAB writetable({0}, '{0}.csv')",
+    "timeseries": "; in MATLAB time = {0}.Time; data = {0}.Data; save('{0}.mat', 'time', 'data')",
+    "datetime": "; in MATLAB time = seconds({0} - {0}(1))",
 }
-"""Lines of MATLAB that save its objects in a form that others can read."""
+"""What saves objects in a form that others can read."""
 _AnyArray: TypeAlias = NDArray[Any]
 Table: TypeAlias = dict[str, Column]
 """Columns by name; in NPZ and MAT files they may differ in length."""
@@ -44,13 +41,9 @@ Table: TypeAlias = dict[str, Column]
 
 def load(path: Path, layout: Layout) -> Table:
     """Read every column of a file; an error of any reader is raised as an `InputError`."""
-    unpack = _UNPACK.get(path.suffix.lower())
-    suffix = Path(path.stem if unpack else path).suffix.lower()
-    kind, reader = _READERS.get(suffix, ("text", None))
+    kind, reader = _READERS.get(path.suffix.lower(), ("text", None))
     if reader is not None:
         layout.check_no_lines(kind)
-        if unpack:
-            raise InputError(f"{kind} must not be compressed as a whole: unpack it first")
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if not file.peek(1):
@@ -58,13 +51,15 @@ def load(path: Path, layout: Layout) -> Table:
         if reader is None:  # in one pass, as the file may be a pipe
             check_size(4 * path.stat().st_size)
             # Memory holds it as bytes, as lines and as numbers.
+            packed = infer_compression(str(path), "infer")
             try:
-                with unpack(file) if unpack else contextlib.nullcontext(file) as text:
-                    raw = text.read(MOST_BYTES // 4 + 1)
-            except (OSError, EOFError, zipfile.BadZipFile, lzma.LZMAError, zlib.error) as error:
+                with get_handle(file, "rb", compression=packed, is_text=False) as unpacked:
+                    raw = unpacked.handle.read(MOST_BYTES // 4 + 1)
+            except Exception as error:  # gzip, zipfile and lzma each raise their own
                 raise InputError(f"cannot be read as {path.suffix}: {one_line(error)}") from error
+            suffix = Path(path.stem).suffix if packed else path.suffix
             check_size(max(4 * len(raw), 100 * raw.count(b"\n")))
-            return known(_columns(read_table(raw, suffix, layout)), layout)
+            return known(_columns(read_table(raw, suffix.lower(), layout)), layout)
         try:
             table = reader(path)
         except InputError:
@@ -103,24 +98,19 @@ def check_size(size: int) -> None:
 
 def of_frame(frame: pd.DataFrame) -> Table:
     """Return the columns of a table, including an index that has a name or holds times."""
-    index = frame.index
-    if isinstance(index, pd.MultiIndex):
-        level = index.names[0]
+    if isinstance(frame.index, pd.MultiIndex):
+        level = frame.index.names[0]
         raise InputError(
-            f"its rows have an index of {index.nlevels} levels, {', '.join(map(repr, index.names))}"
-            f": table.xs(..., level={level!r}) is the part of one {level!r}, table.reset_index() "
-            "makes columns of all"
+            f"its rows must have one index, not {', '.join(map(repr, frame.index.names))}: "
+            f"table.xs(..., level={level!r}) is one part, table.reset_index() makes columns of all"
         )
-    if isinstance(index, pd.PeriodIndex):
+    if isinstance(frame.index, pd.PeriodIndex):
         frame = frame.to_timestamp()
-    times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
-    if (
-        times
-        or is_float_dtype(index)
-        or not (index.name is None or isinstance(index, pd.RangeIndex))
-    ):
-        name = str(index.name or ("index" if "time" in frame.columns else "time"))
-        frame = frame.reset_index(names=name)
+    index = frame.index
+    times = isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex) or is_float_dtype(index)
+    if times or (index.name is not None and not isinstance(index, pd.RangeIndex)):
+        name = index.name or ("index" if "time" in frame.columns else "time")
+        frame = frame.reset_index(names=str(name))
     return _columns(frame)
 
 
@@ -163,30 +153,29 @@ def _read_mat(path: Path) -> Table:
     if {"Aclass", "name", "dataInfo", "data_2"} <= {*content}:
         return _of_modelica(content)
     table = _variables(content)
-    others = {}
-    for name, _, kind in found:
-        line = f", which MATLAB saves as vectors: {_IN_MATLAB[kind]}" if kind in _IN_MATLAB else ""
-        if kind not in _MAT_READ or not table:
-            others[name] = kind + line.format(name)
+    others = {
+        name: (kind + _IN_MATLAB.get(kind, "")).format(name)
+        for name, _, kind in found
+        if kind not in _MAT_READ or not table
+    }
     if not table:
         kinds = ", ".join(f"{name!r} ({what})" for name, what in others.items()) or "nothing"
         raise InputError(f"it holds no numbers, but {kinds}")
     return table | {name: _unread(why) for name, why in others.items()}
 
 
-def _in_mat(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
+def _in_mat(path: Path) -> Sequence[tuple[str, tuple[int, ...], str]]:
     """Return name, shape and class of each variable of a MAT file, those of objects included."""
-    try:
+    with contextlib.suppress(TypeError):  # which SciPy raises for an object
         return scipy.io.whosmat(path)
-    except TypeError:  # SciPy has no shape for an object
-        pass
-    found = []
+    found: list[tuple[str, tuple[int, ...], str]] = []
     with path.open("rb") as file:
         for name, part in scipy.io.matlab.varmats_from_mat(file):
+            each: Any = part
             if name != "None":
-                found += scipy.io.whosmat(part)
+                found += scipy.io.whosmat(each)
             else:
-                opaque = scipy.io.loadmat(part)["None"][0]
+                opaque = scipy.io.loadmat(each)[name][0]
                 found.append((opaque["s0"].decode(), (1, 1), opaque["s2"].decode()))
     return found
 
@@ -208,7 +197,9 @@ def _of_modelica(content: Mapping[str, _AnyArray]) -> Table:
         values = parts[f"data_{part or 2}"][:, abs(column) - 1]
         values = np.full(len(rows), values[0]) if part == 1 else values[rows]
         table[name] = pd.Series(values if column > 0 else -values)
-        table[name].attrs |= {0: {"abscissa": True}, 1: {"left out": "a constant"}}.get(part, {})
+        table[name].attrs.update(
+            {0: {"abscissa": True}, 1: {"left out": "a constant"}}.get(part, {})
+        )
     return table
 
 
@@ -280,19 +271,6 @@ def _arrays(value: object, name: str = "") -> Iterator[tuple[str, _AnyArray]]:
             yield name, _native(np.asarray(value))
 
 
-def _from_zip(file: IO[bytes]) -> IO[bytes]:
-    """Open the only file of an archive."""
-    archive = zipfile.ZipFile(file)
-    if len(names := archive.namelist()) != 1:
-        raise InputError(
-            f"it must hold one file, not {len(names)}: unpack it, and read one of them"
-        )
-    return archive.open(names[0])
-
-
-_UNPACK: dict[str, Callable[[IO[bytes]], Any]] = {
-    ".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open, ".zip": _from_zip
-}  # fmt: skip
 _READERS = {
     ".parquet": ("Parquet", _read_parquet),
     ".pq": ("Parquet", _read_parquet),

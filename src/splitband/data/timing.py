@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, TypeAlias
 
@@ -155,21 +156,13 @@ class Spacing:
     note: str = ""
 
 
-class UnevenError(InputError):
-    """Report stamps that do not increase evenly: `read`, reversed if they are `newest_first`.
-
-    `usual` is what to do about them where nothing else is wrong.
-    """
-
-    def __init__(
-        self, message: str, read: Reading, newest_first: bool = False, usual: str = ""
-    ) -> None:
-        super().__init__(message)
-        self.read, self.newest_first, self.usual = read, newest_first, usual
-
-
-def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | None) -> Spacing:
+def spacing(
+    what: str, name: str, column: Column, gaps: Gaps, expected: float | None,
+    remedy: Callable[[Reading, str], str],
+) -> Spacing:  # fmt: skip
     """Return the even grid of time stamps; `expected` is the sampling time that a user gave.
+
+    `remedy` says what to do about uneven stamps, from these and from what usually is.
 
     Raises ValueError for cells that are not stamps, for stamps that do not increase evenly
     (`reading.read` states the tolerance), and for stamps with several readings of different steps,
@@ -191,15 +184,15 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
             f"seconds decides; it holds {column.iloc[0]}, {column.iloc[1]}, ..."
         )
     read = found[0]
+    raw = replace(read, seconds=read.seconds[::-1] if newest_first else read.seconds)
     rows, stamps = np.arange(len(column)), read.seconds
     in_order = column if gaps == "refuse" else None
     if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
         row = int(back[0]) + 1
-        raise UnevenError(
+        raise InputError(
             f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
-            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}",
-            read,
-            newest_first,
+            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
+            + remedy(raw, "")
         )
     cut = _cut_to_units(what, stamps, expected)
     if gaps == "mask":
@@ -209,7 +202,7 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
         unit = 0.0  # rounding this coarse could hide a missing row
     if uneven := _uneven(what, stamps, unit, in_order):
         mask = "gaps='mask' (--gaps mask) excludes missing rows; " if gaps == "refuse" else ""
-        raise UnevenError(uneven, read, newest_first, mask + IGNORE)
+        raise InputError(f"{uneven}; {remedy(raw, mask + IGNORE)}")
     step, start = _line(what, stamps, unit, read.grain)
     return Spacing(
         step,
@@ -221,7 +214,7 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
 
 
 def _uneven(what: str, stamps: Array, unit: float, column: Column | None) -> str:
-    """Return where steps differ by more than 1 % and the `unit` of the last place; empty if none."""
+    """Return where steps differ by more than 1 % and the `unit` of the last place, if they do."""
     steps = np.diff(stamps)
     median, mean = float(np.median(steps)), float(steps.mean())
     line_off = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
