@@ -7,7 +7,6 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, get_args
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.data.record import Record
-from splitband.data.remedies import check_other_clock, remedy
+from splitband.data.remedies import Table, check_other_clock
 from splitband.data.signals import (
     Column,
     Gaps,
@@ -39,7 +38,7 @@ from splitband.data.stamps import (
     joined,
     time_name,
 )  # fmt: skip
-from splitband.data.tables import Table, check_size, known, load, of_frame
+from splitband.data.tables import check_size, known, load, of_frame
 from splitband.data.text import Layout
 from splitband.data.timing import Spacing, same_sampling, spacing
 from splitband.runtime.arrays import Array
@@ -172,7 +171,7 @@ def read(  # noqa: PLR0913
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    read_as = [f"column {c!r} is read as {_states(s)}" for c, s in switches.items() if s]
+    read_as = [f"words of column {c!r} are read as {s}" for c, s in switches.items() if s]
     for note in filter(None, (spaced.note, *read_as, left_out, picked.forgotten)):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
     return record
@@ -266,8 +265,6 @@ def _reason(name: str, column: Column, rows: int) -> str:
         return "no name" if column.notna().any() else _EXPECTED
     if also_time(name, column):
         return "another time column"
-    if states := switch_states(column):
-        return f"words, read as {_states(states)} where it is named"
     known = column.dropna()
     reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
     return "" if has_number(column) else reason
@@ -372,11 +369,6 @@ def _available(table: Table) -> str:
     return f"the columns are {_listed([repr(name) for name in table]) or 'none'}"
 
 
-def _states(switch: Mapping[str, float]) -> str:
-    """Return how the words of a switch are read, for a message: "ON = 1, OFF = 0"."""
-    return ", ".join(f"{word} = {state:g}" for word, state in switch.items())
-
-
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
 
@@ -388,8 +380,7 @@ def _spacing(
     if stamps:
         what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
         column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-        todo = partial(remedy, table, stamps)
-        spaced = spacing(what, stamps[0], column, gaps, given or fallback, todo)
+        spaced = spacing(what, column, gaps, given or fallback, table, [*stamps])
         if given is None:
             return spaced
         rows = len(column) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from splitband.data.signals import Column, has_number
-from splitband.data.stamps import Reading, is_moment, is_time, readings
+from splitband.data.stamps import Reading, is_time, readings
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
+Table: TypeAlias = dict[str, Column]
+"""Columns by name; in NPZ and MAT files they may differ in length."""
+_MOMENT = re.compile(r"\s*\d{1,4}([-/.])\d{1,2}\1\d{1,4}[ T]+\d{1,2}:\d\d")
 IGNORE = (
     "time_column='' (--time-column '') with sampling_time (--sampling-time) ignores the stamps and "
     "takes all rows to be even"
 )
 
 
-def remedy(table: Mapping[str, Column], names: Sequence[str], read: Reading, usual: str) -> str:
+def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str:
     """Return what to do about the stamps in columns `names`, which do not increase evenly.
 
     `usual` is what to do where nothing else is wrong; empty for stamps that do not increase.
@@ -85,18 +90,18 @@ def _names_signals(
     alternates = np.count_nonzero(np.diff(codes)) >= 0.5 * len(codes)
     doubled = len(np.unique(seconds)) < 0.6 * len(codes)
     if numeric:  # a signal may alternate by chance
-        return alternates and doubled and int(np.ptp(np.bincount(codes))) <= 1
-    return alternates or (doubled and date is not None)
+        return bool(alternates and doubled and np.ptp(np.bincount(codes)) <= 1)
+    return bool(alternates or (doubled and date is not None))
 
 
-def check_other_clock(table: Mapping[str, Column], name: str, length: float) -> None:
+def check_other_clock(table: Table, name: str, length: float) -> None:
     """Raise ValueError where dates of another column do not last `length` s as numeric stamps do.
 
     The stamps, in column `name`, may be in another unit than they seem to be.
     """
     rows = np.unique(np.linspace(0, len(table[name]) - 1, 400).astype(int))
     for other, column in table.items() if has_number(table[name]) else ():
-        if len(column) != len(table[name]) or not is_moment(column):
+        if len(column) != len(table[name]) or not _MOMENT.match(str(column.iloc[0])):
             continue
         try:
             seconds = np.unique(readings(other, other, column.iloc[rows])[0].seconds)

@@ -127,9 +127,9 @@ def switch_states(column: Column) -> dict[str, float]:
     """Return 1 and 0 for the words of a column that holds the states of a switch; else nothing."""
     words = column.dropna().astype(str).unique() if is_text(column) else ()
     for on, off in _SWITCHES:
-        states = {str(word): {on: 1.0, off: 0.0}.get(word.strip().lower()) for word in words}
-        if states and None not in states.values():
-            return states
+        states = {word: word.strip().lower() for word in words}
+        if states and {*states.values()} <= {on, off}:
+            return {word: float(state == on) for word, state in states.items()}
     return {}
 
 

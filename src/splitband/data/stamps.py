@@ -58,7 +58,6 @@ _DURATION = re.compile(
 _NO_TIME = re.compile(r"[ T]00:00(:00)?(\.0+)?$")
 _DAY_END = re.compile(r"(?<![\d:.])24(?=(?::00)+(?:\.0+)?(?![:.\d]))")
 """The hour of the midnight that ends a day, 24:00."""
-_MOMENT = re.compile(r"\s*\d{1,4}([-/.])\d{1,2}\1\d{1,4}[ T]+\d{1,2}:\d\d")
 _NO_YEAR = re.compile(r"^\s*(\d{1,2})([-/.])(\d{1,2})\.?\s+(?=\d{1,2}:\d\d)")
 _SERIAL_DAYS = {
     "Excel's serial days": 25569.0,
@@ -128,11 +127,6 @@ def also_time(name: str, column: Column) -> bool:
 def is_day(column: Column) -> bool:
     """Return whether a column begins with a date without a time."""
     return ":" not in _NO_TIME.sub("", str(column.iloc[0]))
-
-
-def is_moment(column: Column) -> bool:
-    """Return whether a column begins with a date and a time."""
-    return _MOMENT.match(str(column.iloc[0])) is not None
 
 
 def is_time_of_day(column: Column) -> bool:
@@ -361,18 +355,17 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
     orders: list[dict[str, Any]] = [{"dayfirst": dotted}, {"dayfirst": not dotted}]
     orders += [{"yearfirst": True}] if _SHORT_YEAR.match(first) else []
 
-    def parsed(cells: Column, **order: Any) -> pd.Series:
-        return pd.to_datetime(cells, utc=True, errors="coerce", **order)
+    def parsed(**order: Any) -> pd.Series:
+        return pd.to_datetime(column, utc=True, errors="coerce", **order)
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        iso = parsed(column, format="ISO8601")
+        iso = parsed(format="ISO8601")
         if iso.notna().all():
             return iso, ""
-        late = column.astype(str).str.contains(_DAY_END)
-        cells = column.str.replace(_DAY_END, "00", regex=True) if late.any() else column
-        tries = [parsed(cells, **order) for order in ({"format": "ISO8601"}, *orders)]
-        tries = [each + late.astype(int) * pd.Timedelta(1, unit="D") for each in tries]
+        late = pd.to_timedelta((texts := column.astype(str)).str.contains(_DAY_END) * 1, unit="D")
+        column = texts.str.replace(_DAY_END, "00", regex=True)
+        tries = [parsed(**order) + late for order in ({"format": "ISO8601"}, *orders)]
 
     def doubt(dates: pd.Series) -> tuple[int, float]:
         """Return the number of missing dates, and the unevenness of the steps (relative)."""

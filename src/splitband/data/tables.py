@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_float_dtype
 from pandas.io.common import get_handle, infer_compression  # type: ignore[import-not-found]
 
+from splitband.data.remedies import Table
 from splitband.data.signals import Column, is_text
 from splitband.data.text import Layout, check_different, read_table
 from splitband.runtime.errors import InputError, missing, one_line
@@ -35,8 +36,6 @@ _IN_MATLAB = {
 }
 """What saves objects in a form that others can read."""
 _AnyArray: TypeAlias = NDArray[Any]
-Table: TypeAlias = dict[str, Column]
-"""Columns by name; in NPZ and MAT files they may differ in length."""
 
 
 def load(path: Path, layout: Layout) -> Table:
@@ -197,9 +196,8 @@ def _of_modelica(content: Mapping[str, _AnyArray]) -> Table:
         values = parts[f"data_{part or 2}"][:, abs(column) - 1]
         values = np.full(len(rows), values[0]) if part == 1 else values[rows]
         table[name] = pd.Series(values if column > 0 else -values)
-        table[name].attrs.update(
-            {0: {"abscissa": True}, 1: {"left out": "a constant"}}.get(part, {})
-        )
+        if part < 2:
+            table[name].attrs["left out" if part else "abscissa"] = "a constant"
     return table
 
 
@@ -211,8 +209,9 @@ def _even_rows(time: _AnyArray) -> NDArray[np.int_]:
     rows = np.flatnonzero(np.diff(time, append=np.inf) > 0)  # after the event
     steps = np.diff(time := time[rows])
     step = np.quantile(steps, 0.9)
-    whole = np.abs(steps - step) < 0.02 * step
-    on = np.concatenate([[True], whole]) | np.concatenate([whole, [True]])
+    whole = np.concatenate([[False], np.abs(steps - step) < 0.02 * step, [False]])
+    on = whole[1:] | whole[:-1]  # beside no event
+    on[0] = True
     at = np.interp(time, time[on], np.cumsum(np.rint(np.diff(time[on], prepend=time[0]) / step)))
     even = np.abs(at - np.rint(at)) < 0.02
     return rows[even] if (np.diff(np.rint(at[even])) == 1).all() else rows

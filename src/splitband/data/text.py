@@ -246,11 +246,6 @@ def _is_value(cell: str) -> bool:
     return any(pattern.fullmatch(cell) for pattern in _VALUES)
 
 
-def _several(cell: str) -> bool:
-    """Return whether a cell holds several values between blanks, and is no date."""
-    return not _is_value(cell) and sum(map(_is_value, cell.split())) > 1
-
-
 def _separator(lines: Sequence[str], layout: Layout) -> str:
     """Return what separates the columns, so that most cells are numbers or dates; " ": blanks."""
     lines = lines[layout.header_row or 0 :]
@@ -263,9 +258,9 @@ def _separator(lines: Sequence[str], layout: Layout) -> str:
         several = 2 * sum(len(row.cells) > 1 for row in rows) > len(rows)
         values = [cell for cell in cells if _is_value(cell) and not cell.endswith(",")]
         shares[sep] = len(values) / len(cells) if several and cells else -1.0
-        even = several and len({len(row.cells) for row in rows}) == 1
-        if sep in ";\t|" and even and not any(map(_several, cells)):
-            blanks_within = True
+        torn = any(sum(map(_is_value, c.split())) > 1 for c in cells if not _is_value(c))
+        if sep in ";\t|" and several and len({len(row.cells) for row in rows}) == 1:
+            blanks_within |= not torn
     if blanks_within:
         del shares[" "]
     best = max(shares, key=shares.__getitem__)  # the first of equals

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,9 +14,9 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
-from splitband.data.remedies import IGNORE
+from splitband.data.remedies import IGNORE, Table, remedy
 from splitband.data.signals import Column, Gaps, as_float, in_file, stretches
-from splitband.data.stamps import Reading, last_place, readings
+from splitband.data.stamps import last_place, readings
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
@@ -157,22 +158,21 @@ class Spacing:
 
 
 def spacing(
-    what: str, name: str, column: Column, gaps: Gaps, expected: float | None,
-    remedy: Callable[[Reading, str], str],
-) -> Spacing:  # fmt: skip
+    what: str, column: Column, gaps: Gaps, expected: float | None, table: Table, names: list[str]
+) -> Spacing:
     """Return the even grid of time stamps; `expected` is the sampling time that a user gave.
 
-    `remedy` says what to do about uneven stamps, from these and from what usually is.
+    They are in the columns `names` of a `table`, whose others may tell what is wrong with them.
 
     Raises ValueError for cells that are not stamps, for stamps that do not increase evenly
     (`reading.read` states the tolerance), and for stamps with several readings of different steps,
     none of which is the expected one.
     """
-    found = readings(what, name, column)
+    found = readings(what, names[0], column)
     newest_first = found[0].step < 0
     if newest_first:
         column = column.iloc[::-1]
-        found = readings(what, name, column)
+        found = readings(what, names[0], column)
     found = [each for each in found if (np.diff(each.seconds) > 0).all()] or found[:1]
     if expected:  # readings differ by more than jitter does
         found.sort(key=lambda each: abs(math.log(max(each.step, 1e-300) / expected)))
@@ -185,6 +185,7 @@ def spacing(
         )
     read = found[0]
     raw = replace(read, seconds=read.seconds[::-1] if newest_first else read.seconds)
+    todo = partial(remedy, table, names, raw)
     rows, stamps = np.arange(len(column)), read.seconds
     in_order = column if gaps == "refuse" else None
     if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
@@ -192,7 +193,7 @@ def spacing(
         raise InputError(
             f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
             f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
-            + remedy(raw, "")
+            + todo("")
         )
     cut = _cut_to_units(what, stamps, expected)
     if gaps == "mask":
@@ -200,9 +201,7 @@ def spacing(
     unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
     if not cut and unit > 0.99 * np.median(np.diff(stamps)):
         unit = 0.0  # rounding this coarse could hide a missing row
-    if uneven := _uneven(what, stamps, unit, in_order):
-        mask = "gaps='mask' (--gaps mask) excludes missing rows; " if gaps == "refuse" else ""
-        raise InputError(f"{uneven}; {remedy(raw, mask + IGNORE)}")
+    _check_steps(what, stamps, unit, in_order, todo)
     step, start = _line(what, stamps, unit, read.grain)
     return Spacing(
         step,
@@ -213,8 +212,10 @@ def spacing(
     )
 
 
-def _uneven(what: str, stamps: Array, unit: float, column: Column | None) -> str:
-    """Return where steps differ by more than 1 % and the `unit` of the last place, if they do."""
+def _check_steps(
+    what: str, stamps: Array, unit: float, column: Column | None, todo: Callable[[str], str]
+) -> None:
+    """Raise ValueError for steps that differ by more than 1 % and the `unit` of the last place."""
     steps = np.diff(stamps)
     median, mean = float(np.median(steps)), float(steps.mean())
     line_off = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
@@ -223,12 +224,14 @@ def _uneven(what: str, stamps: Array, unit: float, column: Column | None) -> str
     off = np.abs(steps - median)
     exact = 0.01 * median + 4 * float(np.spacing(np.abs(stamps).max()))
     if not (bad := np.flatnonzero((off > exact) & ~rounded)).size:
-        return ""
+        return
     gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
     row = int((gaps if gaps.size else bad)[0]) + 1
-    return (
+    mask = "gaps='mask' (--gaps mask) excludes missing rows; "
+    raise InputError(
         f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-        f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}"
+        f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}; "
+        + todo((mask if column is not None else "") + IGNORE)
     )
 
 
