@@ -84,12 +84,13 @@ def read(  # noqa: PLR0913
     skip_rows: int = 0,
     header_row: int | None = None,
 ) -> Record:
-    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or a DataFrame.
+    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or from pandas.
 
     Columns are chosen by name, or by position from 0 in a text or NPY file without names; a single
     column without a name is called y. A variable of an NPZ or MAT file is a column, and so is a
     field of a structure, "out.time"; of a matrix `m`, "m" chooses all columns and "m[0]" the first.
-    A file with one row of numbers is one channel over time.
+    A file with one row of numbers is one channel over time. A DataFrame or a Series has its time
+    stamps in a column, or in an index of dates, durations, periods or fractions, or with a name.
 
     Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `%`. It
     has one decimal sign, a point or a comma, and may have thousands separators. Lines above the
@@ -140,8 +141,10 @@ def read(  # noqa: PLR0913
     >>> len(record), record.sampling_time, record.columns, record.inputs
     (3, 0.5, ('x',), ('force',))
     """
-    frame = path if isinstance(path, pd.DataFrame | pd.Series) else None
-    path = Path(type(path).__name__ if isinstance(path, pd.DataFrame | pd.Series) else path)
+    kind = type(path).__name__
+    path = path.to_frame(path.name or _NAMELESS) if isinstance(path, pd.Series) else path
+    frame = path if isinstance(path, pd.DataFrame) else None
+    path = Path(kind) if isinstance(path, pd.DataFrame) else Path(path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
     if gaps not in get_args(Gaps):
         raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
@@ -151,7 +154,7 @@ def read(  # noqa: PLR0913
             table = load(path, layout)
         else:
             layout.check_no_lines(f"a {path}")
-            table = known(of_frame(pd.DataFrame(frame)), layout)
+            table = known(of_frame(frame), layout)
         picked = _picked(table, columns, inputs, time_column)
         switches = {c: switch_states(table[c]) for c in picked.known + picked.measured}
         table |= {c: table[c].map(states) for c, states in switches.items() if states}

@@ -125,7 +125,9 @@ def numbers(what: str, column: Column) -> Array:
 
 def switch_states(column: Column) -> dict[str, float]:
     """Return 1 and 0 for the words of a column that holds the states of a switch; else nothing."""
-    words = column.dropna().astype(str).unique() if is_text(column) else ()
+    if not is_text(column) or has_number(column):
+        return {}
+    words = column.dropna().astype(str).unique()
     for on, off in _SWITCHES:
         states = {word: word.strip().lower() for word in words}
         if states and {*states.values()} <= {on, off}:
