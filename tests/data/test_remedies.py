@@ -69,10 +69,8 @@ def test_several_runs_are_given_as_files_of_their_own(
         u = np.repeat(g.uniform(-1, 1, 3), 20)
         x = scipy.signal.lfilter([0, 0.05], [1, -0.95], u, zi=[g.normal(0, 3)])[0]
         part = pd.DataFrame({"time": np.arange(60) / 10, "u": u, "x": x})
-        name: Any = [i, f"d{i}"][column == "day"]
-        parts.append(
-            part if column is None else part.assign(**{column: [i, f"d{i}"][column == "day"]})
-        )
+        words: dict[str, Any] = {"run": i, "day": f"d{i}"}
+        parts.append(part if column is None else part.assign(**{column: words[column]}))
     table = pd.concat(parts)
     table.to_csv(tmp_path / "runs.csv", index=False)
     said = message(tmp_path / "runs.csv", columns="x", inputs="u")
@@ -121,6 +119,22 @@ def test_serial_days_beside_fractions_are_added(tmp_path: Path) -> None:
         found = sb.read(told(said, table=pd.read_csv(path)))
     assert found.sampling_time == pytest.approx(3600, rel=1e-6)
     assert found.columns == ("y",)
+
+
+@pytest.mark.parametrize(
+    ("cell", "said", "old", "new", "step"),
+    [
+        ("2024-03-01,{h}00", "write times of the day as 09:30", "00,", ":00,", 3600),
+        ("2024-03-01,{h}:00 UTC+1", "+01:00 for an hour east", " UTC+1", "+01:00", 3600),
+    ],
+)
+def test_stamps_that_are_to_be_written_otherwise(
+    tmp_path: Path, cell: str, said: str, old: str, new: str, step: float
+) -> None:
+    text = "Date,Time,y\n" + "".join(f"{cell.format(h=h)},{h}\n" for h in range(10, 24))
+    assert said in message(text_file(tmp_path, text))
+    found = sb.read(text_file(tmp_path, text.replace(old, new)))
+    assert (found.sampling_time, len(found), found.columns) == (step, 14, ("y",))
 
 
 def test_jitter_is_ignored_where_nothing_else_is_wrong(tmp_path: Path) -> None:
@@ -320,5 +334,10 @@ def test_measured_values_survive_a_longer_step() -> None:
 def test_a_record_without_a_measured_sample_is_refused() -> None:
     empty = sb.Record(np.arange(50.0), 0.1, measured=np.zeros(50, bool))
     for model in (sb.Linear(), sb.Mean()):
-        with pytest.raises(sb.InputError, match="records must have a sample measured in every"):
+        with pytest.raises(sb.InputError, match="records must have a measured sample of 'y'"):
             model.fit(empty)
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 20)
+    y = np.column_stack([scipy.signal.lfilter([0, 1 - a], [1, -a], u) for a in (0.9, 0.95)])
+    turns = np.where(np.arange(800)[:, None] % 2 == [0, 1], y, np.nan)  # never at the same time
+    found = sb.Linear().fit(sb.Record.with_gaps(turns, 0.1, u=u)[:600]).predict(200)
+    assert sb.fit_percent(y[600:], found.y).min() > 95
