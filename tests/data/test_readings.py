@@ -181,7 +181,7 @@ def test_a_reading_that_is_probable_is_said(
         ([f"{i + (i % 5 == 1) / 100:.2f}" for i in range(60)], 1),  # 0.99, 1, 1.01 s
         ([f"{1e6 + i + (i % 5 == 1) / 100:.2f}" for i in range(60)], 1),
         ([60 * i - (i % 4 == 1) for i in range(60)], 60),
-        ([10 * i + (i % 7 == 3) for i in range(60)], 10),
+        ([15 * i + (i % 7 == 3) for i in range(60)], 15),
         ([f"2024-01-01 {clock(60 * i - (i % 3 == 1))}" for i in range(60)], 60),
         ([f"{0.1 * i + 0.001 * (i % 3 == 1):.3f}" for i in range(60)], 0.1),
     ],

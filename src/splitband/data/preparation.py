@@ -223,7 +223,7 @@ class Clipped(Preparation):
 @saved
 @dataclass(frozen=True)
 class Resampled(Preparation):
-    """Replace every `factor` samples by their mean, without looking ahead.
+    """Replace every `factor` samples by the mean of those measured, without looking ahead.
 
     Samples that are too few for a mean are dropped at the beginning of the record. The time stamp
     of a mean is that of its last sample. Predictions, and the inputs given for them, have the new
@@ -240,19 +240,21 @@ class Resampled(Preparation):
         if len(record) < 2 * k:
             raise InputError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
         first = len(record) % k
-        measured = None if record.measured is None else record.measured[first:]
-        if measured is not None:
-            measured = np.asarray(measured.reshape(-1, k, record.ny).all(axis=1))
         changed: dict[str, Any] = {}
         for field in SIGNALS:
             if (signal := getattr(record, field)) is not None:
                 kept = signal[: len(signal) // k * k] if field in AHEAD else signal[first:]
                 means = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
                 changed[field] = means if len(means) else None
+        if record.measured is not None:
+            known = record.y_with_gaps[first:].reshape(-1, k, record.ny)
+            count = np.isfinite(known).sum(axis=1)
+            means = np.nansum(known, axis=1) / np.maximum(count, 1)
+            changed |= {"y": np.where(count > 0, means, changed["y"]), "measured": count > 0}
         step, start = record.sampling_time, record.start
         if start is not None:
             start = stamp_after(start, (first + k - 1) * step)
-        return replace(record, sampling_time=k * step, start=start, measured=measured, **changed)
+        return replace(record, sampling_time=k * step, start=start, **changed)
 
 
 def seconds(record: Record) -> Array:

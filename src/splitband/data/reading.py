@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,7 @@ from pandas.api.types import is_numeric_dtype
 
 from splitband.data.preparation import Periods
 from splitband.data.record import Record
+from splitband.data.remedies import Table, check_other_clock
 from splitband.data.signals import (
     Column,
     Gaps,
@@ -25,6 +26,7 @@ from splitband.data.signals import (
     is_text,
     numbers,
     require_finite,
+    switch_states,
     unit_of,
 )
 from splitband.data.stamps import (
@@ -37,7 +39,7 @@ from splitband.data.stamps import (
     joined,
     time_name,
 )  # fmt: skip
-from splitband.data.tables import Table, check_size, known, load, of_frame
+from splitband.data.tables import check_size, known, load, of_frame
 from splitband.data.text import Layout
 from splitband.data.timing import Spacing, same_sampling, spacing
 from splitband.runtime.arrays import Array
@@ -71,7 +73,7 @@ class _Picked(NamedTuple):
 
 
 def read(  # noqa: PLR0913
-    path: str | os.PathLike[str] | pd.DataFrame,
+    path: str | os.PathLike[str] | pd.DataFrame | pd.Series[Any],
     *,
     columns: _Names | None = None,
     inputs: _Names | None = (),
@@ -84,12 +86,13 @@ def read(  # noqa: PLR0913
     skip_rows: int = 0,
     header_row: int | None = None,
 ) -> Record:
-    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or a DataFrame.
+    """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or from pandas.
 
     Columns are chosen by name, or by position from 0 in a text or NPY file without names; a single
     column without a name is called y. A variable of an NPZ or MAT file is a column, and so is a
     field of a structure, "out.time"; of a matrix `m`, "m" chooses all columns and "m[0]" the first.
-    A file with one row of numbers is one channel over time.
+    A file with one row of numbers is one channel over time. A DataFrame or a Series has its time
+    stamps in a column, or in an index of dates, durations, periods or fractions, or with a name.
 
     Text may be separated by commas, semicolons, tabs or blanks, with comments after `#` or `%`. It
     has one decimal sign, a point or a comma, and may have thousands separators. Lines above the
@@ -141,8 +144,10 @@ def read(  # noqa: PLR0913
     >>> len(record), record.sampling_time, record.columns, record.inputs
     (3, 0.5, ('x',), ('force',))
     """
+    kind = type(path).__name__
+    path = path.to_frame(path.name or _NAMELESS) if isinstance(path, pd.Series) else path
     frame = path if isinstance(path, pd.DataFrame) else None
-    path = Path("DataFrame") if isinstance(path, pd.DataFrame) else Path(path)
+    path = Path(kind) if isinstance(path, pd.DataFrame) else Path(path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
     if gaps not in get_args(Gaps):
         raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
@@ -151,24 +156,30 @@ def read(  # noqa: PLR0913
         if frame is None:
             table = load(path, layout)
         else:
-            layout.check_no_lines("a DataFrame")
+            layout.check_no_lines(f"a {path}")
             table = known(of_frame(frame), layout)
         picked = _picked(table, columns, inputs, time_column)
+        switches = {c: switch_states(table[c]) for c in picked.known + picked.measured}
+        table |= {c: table[c].map(states) for c, states in switches.items() if states}
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
         if spaced.newest_first:
             table = {name: column.iloc[::-1] for name, column in table.items()}
         y = _matrix(table, picked.measured, gaps, spaced.grid_rows)
         u = _matrix(table, picked.known, gaps, spaced.grid_rows) if picked.known else None
+        if time_column is None and picked.stamps:
+            check_other_clock(table, picked.stamps[-1], spaced.step * (len(y) - 1))
         record = Record.with_gaps(
-            y, spaced.step, u=u, name=path.stem if frame is None else "", start=spaced.start,
+            y, spaced.step, u=u, start=spaced.start,
             columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
             inputs=tuple(picked.known),
+            name=path.stem.removesuffix(".csv") if frame is None else "",
         )  # fmt: skip
         record = record.unwrap(unwrap) if unwrap else record
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    for note in filter(None, (spaced.note, left_out, picked.forgotten)):
+    read_as = [f"words of column {c!r} are read as {s}" for c, s in switches.items() if s]
+    for note in filter(None, (spaced.note, *read_as, left_out, picked.forgotten)):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
     return record
 
@@ -182,6 +193,7 @@ def _picked(
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
     timed = [c for c in table if c not in picked and len(table[c]) == rows and is_time(c)]
+    timed = [c for c in timed if "abscissa" in table[c].attrs] or timed
     if time_column is None:
         if len(timed) > 1:  # T is a temperature then, unless it increases
             timed = [c for c in timed if also_time(c, table[c])]
@@ -248,8 +260,8 @@ def _check_alike(table: Table, timed: Sequence[str]) -> None:
 
 def _reason(name: str, column: Column, rows: int) -> str:
     """Return the reason why a column is not a channel; empty if it is one."""
-    if "unread" in column.attrs:
-        return str(column.attrs["unread"])
+    if why := column.attrs.get("unread", column.attrs.get("left out", "")):
+        return str(why)
     if len(column) != rows:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
     unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
@@ -317,8 +329,11 @@ def _values(name: str, column: Column) -> Array:
     try:
         return numbers(f"column {name!r}", column)
     except InputError as error:
-        words = "; missing (--missing) names words for missing values" if is_text(column) else ""
-        raise InputError(f"{error}{words}") from None
+        words = "; missing (--missing) names words for missing values"
+        if is_text(column) and not has_number(column):
+            states = dict(zip(column.dropna().astype(str).unique()[:4], range(4), strict=False))
+            words = f"; numbers may stand for words, in pandas table[{name!r}].map({states})"
+        raise InputError(f"{error}{words if is_text(column) else ''}") from None
 
 
 def _common_length(table: Table, picked: Sequence[str]) -> int:
@@ -372,7 +387,7 @@ def _spacing(
     if stamps:
         what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
         column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-        spaced = spacing(what, stamps[0], column, gaps, given or fallback)
+        spaced = spacing(what, column, gaps, given or fallback, table, [*stamps])
         if given is None:
             return spaced
         rows = len(column) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1

@@ -283,8 +283,9 @@ class Record:
     def resample(self, sampling_time: float) -> Record:
         """Return the record with a longer sampling time, a multiple of its own.
 
-        Each new sample is the mean of the samples since the previous one, so nothing looks ahead. A
-        model of the record resamples a history in the same way, and predicts at the new step.
+        Each new sample is the mean of the measured samples since the previous one, so nothing looks
+        ahead; without any, it is not measured. A model of the record resamples a history in the
+        same way, and predicts at the new step.
         """
         factor = round(positive_seconds(sampling_time) / self.sampling_time)
         if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):

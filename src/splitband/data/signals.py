@@ -23,6 +23,11 @@ _NUMBERED = re.compile(r"[yu]\d*|\d+")
 _THOUSANDS = {".": ",", ",": "."}
 """The thousands separator beside each decimal sign."""
 _INTEGER = r"\s*[-+]?\d+\s*"
+_SWITCHES = (
+    ("on", "off"), ("true", "false"), ("yes", "no"), ("open", "closed"), ("open", "close"),
+    ("active", "inactive"), ("enabled", "disabled"), ("running", "stopped"), ("t", "f"), ("y", "n"),
+)  # fmt: skip
+"""Words for the states of a switch, that of 1 first, in small letters."""
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
@@ -116,6 +121,18 @@ def numbers(what: str, column: Column) -> Array:
     if is_complex_dtype(column):
         raise InputError(f"{what} must be real: it holds complex values")
     return column.to_numpy(dtype=np.float64, na_value=np.nan)
+
+
+def switch_states(column: Column) -> dict[str, float]:
+    """Return 1 and 0 for the words of a column that holds the states of a switch; else nothing."""
+    if not is_text(column) or has_number(column):
+        return {}
+    words = column.dropna().astype(str).unique()
+    for on, off in _SWITCHES:
+        states = {word: word.strip().lower() for word in words}
+        if states and {*states.values()} <= {on, off}:
+            return {word: float(state == on) for word, state in states.items()}
+    return {}
 
 
 def in_file(column: Column, row: int) -> str:

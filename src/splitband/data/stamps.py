@@ -56,6 +56,9 @@ _DURATION = re.compile(
     re.IGNORECASE,
 )
 _NO_TIME = re.compile(r"[ T]00:00(:00)?(\.0+)?$")
+_DAY_END = re.compile(r"(?<![\d:.])24(?=(?::00)+(?:\.0+)?(?![:.\d]))")
+"""The hour of the midnight that ends a day, 24:00."""
+_NO_YEAR = re.compile(r"^\s*(\d{1,2})([-/.])(\d{1,2})\.?\s+(?=\d{1,2}:\d\d)")
 _SERIAL_DAYS = {
     "Excel's serial days": 25569.0,
     "MATLAB's serial days": 719529.0,
@@ -63,6 +66,8 @@ _SERIAL_DAYS = {
 }
 """Number of the first of January 1970."""
 _FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_STEPS_IN_MS = (8, 10, 16, 17, 20, 25, 33, 40, 50, 100, 125, 200, 250, 500)
+"""Common sampling times of loggers in whole milliseconds, other than usual ones in seconds."""
 _DIGITS = {
     6: ("%Y%m",), 8: ("%Y%m%d",), 10: ("%y%m%d%H%M", "%Y%m%d%H"), 12: ("%Y%m%d%H%M",),
     14: ("%Y%m%d%H%M%S",),
@@ -169,6 +174,9 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
     scale = 1.0 if unit is None else unit
     dated = word in ("date", "datetime")
     others = list(_beside_seconds(values, grain, dated)) if unit is None else []
+    days = 1e-6 * values  # from 2000 on: WinCC calls millionths of a day ms
+    if unit == 1e-3 and days.min() > 36525 and days.max() < 80000:
+        return [_of_days("millionths of Excel's serial days", days, 25569.0, True)]
     if certain := [each for each in others if each.certain]:
         return certain[:1]
     if unit is None and (found := _BRACKETS.search(_AROUND.sub("", name.strip().lower()))):
@@ -213,8 +221,10 @@ def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Readin
     parts = _is_whole(step, 1, 4, 12, 52, 365.25) or (not exact and _is_whole(step, 8766))
     if values.min() >= 1700 and values.max() <= 2100 and parts:
         yield Reading("years", (values - values[0]) * _YEAR, grain * _YEAR)
-    if step > 999 and values[0] < 9.4e8 and not (_is_whole(_DAY / step) or _is_whole(step / _DAY)):
-        for words in ("milliseconds", "microseconds"):
+    odd = step > 999 and not (_is_whole(_DAY / step) or _is_whole(step / _DAY))
+    in_ms = step in _STEPS_IN_MS and last_place(values) == 1
+    for words in ("milliseconds", "microseconds")[: 2 if odd else int(in_ms)]:
+        if values[0] < 9.4e8:
             yield Reading(words, values * _FINER[words], grain * _FINER[words])
 
 
@@ -304,6 +314,8 @@ def _of_dates(what: str, column: Column) -> Reading:
     _check_zones(what, column)
     if is_text(column):
         column = column.astype(str).str.replace(_DECIMAL, ".", regex=True)
+    if yearless := is_text(column) and column.str.match(_NO_YEAR).all():
+        column = column.str.replace(_NO_YEAR, r"\1\2\3\g<2>2001 ", regex=True)
     dates, note = _dates(column)
     dates = dates.where(dates.dt.year.between(1700, 2200))  # what nanoseconds can hold
     if (bad := np.flatnonzero(dates.isna())).size:
@@ -315,10 +327,16 @@ def _of_dates(what: str, column: Column) -> Reading:
     first = dates.iloc[0].as_unit("ns")
     # pandas adds today's date to a time without a date; here it is counted from midnight.
     of_day = _TIME_OF_DAY.fullmatch(str(column.iloc[0])) is not None
-    since = dates - (first.normalize() if of_day else first)
+    midnight = first.normalize()
+    since = dates - (
+        midnight.replace(month=1, day=1) if yearless else midnight if of_day else first
+    )
     seconds = np.asarray(since / pd.Timedelta(1, unit="s"), dtype=np.float64)
     if of_day:
         return Reading("times of the day", _unwrapped(seconds, _DAY))
+    if yearless:
+        note = f"has no year: it is read as seconds since 1 January, from {first:%d %B} on"
+        return Reading("dates without a year", _unwrapped(seconds, 365 * _DAY), note=note)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         zone = pd.to_datetime(column.iloc[:1]).dt.tz  # which tables and messages show
@@ -345,7 +363,9 @@ def _dates(column: Column) -> tuple[pd.Series, str]:
         iso = parsed(format="ISO8601")
         if iso.notna().all():
             return iso, ""
-        tries = [iso, *(parsed(**order) for order in orders)]
+        late = pd.to_timedelta((texts := column.astype(str)).str.contains(_DAY_END) * 1, unit="D")
+        column = texts.str.replace(_DAY_END, "00", regex=True)
+        tries = [parsed(**order) + late for order in ({"format": "ISO8601"}, *orders)]
 
     def doubt(dates: pd.Series) -> tuple[int, float]:
         """Return the number of missing dates, and the unevenness of the steps (relative)."""

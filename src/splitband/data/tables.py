@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
 import zipfile
@@ -13,7 +14,10 @@ import numpy as np
 import pandas as pd
 import scipy
 from numpy.typing import NDArray
+from pandas.api.types import is_float_dtype
+from pandas.io.common import get_handle, infer_compression  # type: ignore[import-not-found]
 
+from splitband.data.remedies import Table
 from splitband.data.signals import Column, is_text
 from splitband.data.stamps import is_time
 from splitband.data.text import Layout, check_different, read_table
@@ -25,13 +29,14 @@ _MAT_NUMBERS = (
     "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )  # fmt: skip
 _MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
-_IN_MATLAB = (
-    ", which only MATLAB can read: save a timetable T as text, writetimetable(T, 'T.csv'), of a "
-    "timeseries the vectors Time and Data"
-)
+_IN_MATLAB = {
+    "timetable": "; in MATLAB writetimetable({0}, '{0}.csv')",
+    "table": "; in MATLAB writetable({0}, '{0}.csv')",
+    "timeseries": "; in MATLAB time = {0}.Time; data = {0}.Data; save('{0}.mat', 'time', 'data')",
+    "datetime": "; in MATLAB time = seconds({0} - {0}(1))",
+}
+"""What saves objects in a form that others can read."""
 _AnyArray: TypeAlias = NDArray[Any]
-Table: TypeAlias = dict[str, Column]
-"""Columns by name; in NPZ and MAT files they may differ in length."""
 
 
 def load(path: Path, layout: Layout) -> Table:
@@ -46,9 +51,15 @@ def load(path: Path, layout: Layout) -> Table:
         if reader is None:  # in one pass, as the file may be a pipe
             check_size(4 * path.stat().st_size)
             # Memory holds it as bytes, as lines and as numbers.
-            raw = file.read(MOST_BYTES // 4 + 1)
+            packed = infer_compression(str(path), "infer")
+            try:
+                with get_handle(file, "rb", compression=packed, is_text=False) as unpacked:
+                    raw = unpacked.handle.read(MOST_BYTES // 4 + 1)
+            except Exception as error:  # gzip, zipfile and lzma each raise their own
+                raise InputError(f"cannot be read as {path.suffix}: {one_line(error)}") from error
+            suffix = Path(path.stem).suffix if packed else path.suffix
             check_size(max(4 * len(raw), 100 * raw.count(b"\n")))
-            return known(_columns(read_table(raw, path.suffix.lower(), layout)), layout)
+            return known(_columns(read_table(raw, suffix.lower(), layout)), layout)
         try:
             table = reader(path)
         except InputError:
@@ -92,9 +103,19 @@ def check_size(size: int) -> None:
 
 def of_frame(frame: pd.DataFrame) -> Table:
     """Return the columns of a table, including an index that has a name or holds times."""
-    times = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
-    if times or (frame.index.name is not None and not isinstance(frame.index, pd.RangeIndex)):
-        frame = frame.reset_index(names=str(frame.index.name or "time"))
+    if isinstance(frame.index, pd.MultiIndex):
+        level = frame.index.names[0]
+        raise InputError(
+            f"its rows must have one index, not {', '.join(map(repr, frame.index.names))}: "
+            f"table.xs(..., level={level!r}) is one part, table.reset_index() makes columns of all"
+        )
+    if isinstance(frame.index, pd.PeriodIndex):
+        frame = frame.to_timestamp()
+    index = frame.index
+    times = isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex) or is_float_dtype(index)
+    if times or (index.name is not None and not isinstance(index, pd.RangeIndex)):
+        name = index.name or ("index" if "time" in frame.columns else "time")
+        frame = frame.reset_index(names=str(name))
     return _columns(frame)
 
 
@@ -126,23 +147,80 @@ def _read_numpy(path: Path) -> Table:
 
 def _read_mat(path: Path) -> Table:
     try:
-        found = [v for v in scipy.io.whosmat(path) if not v[0].startswith("__")]
+        found = [v for v in _in_mat(path) if not v[0].startswith("__")]
         check_size(8 * sum(math.prod(shape) for _, shape, kind in found if kind in _MAT_NUMBERS))
         names = [name for name, _, kind in found if kind in _MAT_READ]
-        table = _variables(scipy.io.loadmat(path, variable_names=names, simplify_cells=True))
+        content = scipy.io.loadmat(path, variable_names=names, simplify_cells=True)
     except NotImplementedError:
         raise InputError(
             "cannot be read as MAT: it is a v7.3 (HDF5) file; save it with the option -v7"
         ) from None
+    if {"Aclass", "name", "dataInfo", "data_2"} <= {*content}:
+        return _of_modelica(content)
+    table = _variables(content)
     others = {
-        name: "sparse" if kind == "sparse" else f"{kind}{_IN_MATLAB}"
+        name: (kind + _IN_MATLAB.get(kind, "")).format(name)
         for name, _, kind in found
-        if kind not in _MAT_READ
+        if kind not in _MAT_READ or not table
     }
     if not table:
-        kinds = ", ".join(f"{name!r} ({kind})" for name, _, kind in found) or "nothing"
-        raise InputError(f"it holds no numbers, but {kinds}{_IN_MATLAB if others else ''}")
+        kinds = ", ".join(f"{name!r} ({what})" for name, what in others.items()) or "nothing"
+        raise InputError(f"it holds no numbers, but {kinds}")
     return table | {name: _unread(why) for name, why in others.items()}
+
+
+def _in_mat(path: Path) -> Sequence[tuple[str, tuple[int, ...], str]]:
+    """Return name, shape and class of each variable of a MAT file, those of objects included."""
+    with contextlib.suppress(TypeError):  # which SciPy raises for an object
+        return scipy.io.whosmat(path)
+    found: list[tuple[str, tuple[int, ...], str]] = []
+    with path.open("rb") as file:
+        for name, part in scipy.io.matlab.varmats_from_mat(file):
+            each: Any = part
+            if name != "None":
+                found += scipy.io.whosmat(each)
+            else:
+                opaque = scipy.io.loadmat(each)[name][0]
+                found.append((opaque["s0"].decode(), (1, 1), opaque["s2"].decode()))
+    return found
+
+
+def _of_modelica(content: Mapping[str, _AnyArray]) -> Table:
+    """Return the variables of a result file of Dymola or OpenModelica by their names.
+
+    `dataInfo` holds the matrix of each variable, and its column with a sign; `data_1` has the first
+    and the last value of constants. In the form "binTrans" all matrices are transposed.
+    """
+    names, places = np.atleast_1d(content["name"]), content["dataInfo"]
+    parts = {key: value for key, value in content.items() if key.startswith("data_")}
+    if "binTrans" in "".join(content["Aclass"]):
+        names = np.array(["".join(letters) for letters in zip(*names, strict=True)])
+        parts, places = {key: value.T for key, value in parts.items()}, places.T
+    rows = _even_rows(parts["data_2"][:, 0])
+    table: Table = {}
+    for name, (part, column) in zip(map(str.strip, names), places[:, :2], strict=True):
+        values = parts[f"data_{part or 2}"][:, abs(column) - 1]
+        values = np.full(len(rows), values[0]) if part == 1 else values[rows]
+        table[name] = pd.Series(values if column > 0 else -values)
+        if part < 2:
+            table[name].attrs["left out" if part else "abscissa"] = "a constant"
+    return table
+
+
+def _even_rows(time: _AnyArray) -> NDArray[np.int_]:
+    """Return the rows of a simulation's output at even times, or those of different times.
+
+    At an event, the tools write a row before it and one after it, also between even times.
+    """
+    rows = np.flatnonzero(np.diff(time, append=np.inf) > 0)  # after the event
+    steps = np.diff(time := time[rows])
+    step = np.quantile(steps, 0.9)
+    whole = np.concatenate([[False], np.abs(steps - step) < 0.02 * step, [False]])
+    on = whole[1:] | whole[:-1]  # beside no event
+    on[0] = True
+    at = np.interp(time, time[on], np.cumsum(np.rint(np.diff(time[on], prepend=time[0]) / step)))
+    even = np.abs(at - np.rint(at)) < 0.02
+    return rows[even] if (np.diff(np.rint(at[even])) == 1).all() else rows
 
 
 def _unread(why: str) -> Column:

@@ -251,12 +251,19 @@ def _separator(lines: Sequence[str], layout: Layout) -> str:
     lines = lines[layout.header_row or 0 :]
     sample = [*islice((line for line in lines if line.strip(" \t;,|")), _SAMPLE)]
     shares, no_values = {}, layout.no_values
+    blanks_within = False  # words and dates
     for sep in _SEPARATORS:
         rows = _last([_Row.of(0, line, sep) for line in sample])
         cells = [c for row in rows for c in row.cells if c.lower() not in no_values]
         several = 2 * sum(len(row.cells) > 1 for row in rows) > len(rows)
-        shares[sep] = sum(map(_is_value, cells)) / len(cells) if several and cells else -1.0
-    best = max(_SEPARATORS, key=shares.__getitem__)  # the first of equals
+        values = [cell for cell in cells if _is_value(cell) and not cell.endswith(",")]
+        shares[sep] = len(values) / len(cells) if several and cells else -1.0
+        torn = any(sum(map(_is_value, c.split())) > 1 for c in cells if not _is_value(c))
+        if sep in ";\t|" and several and len({len(row.cells) for row in rows}) == 1:
+            blanks_within |= not torn
+    if blanks_within:
+        del shares[" "]
+    best = max(shares, key=shares.__getitem__)  # the first of equals
     return best if shares[best] >= 0 else ","
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +14,7 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
+from splitband.data.remedies import IGNORE, Table, remedy
 from splitband.data.signals import Column, Gaps, as_float, in_file, stretches
 from splitband.data.stamps import last_place, readings
 from splitband.runtime.arrays import Array
@@ -154,21 +157,26 @@ class Spacing:
     note: str = ""
 
 
-def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | None) -> Spacing:
+def spacing(
+    what: str, column: Column, gaps: Gaps, expected: float | None, table: Table, names: list[str]
+) -> Spacing:
     """Return the even grid of time stamps; `expected` is the sampling time that a user gave.
+
+    They are in the columns `names` of a `table`, whose others may tell what is wrong with them.
 
     Raises ValueError for cells that are not stamps, for stamps that do not increase evenly
     (`reading.read` states the tolerance), and for stamps with several readings of different steps,
     none of which is the expected one.
     """
-    found = readings(what, name, column)
+    found = readings(what, names[0], column)
     newest_first = found[0].step < 0
     if newest_first:
         column = column.iloc[::-1]
-        found = readings(what, name, column)
+        found = readings(what, names[0], column)
     found = [each for each in found if (np.diff(each.seconds) > 0).all()] or found[:1]
-    if expected:
-        found = [each for each in found if near_sampling(each.step, expected)][:1] or found
+    if expected:  # readings differ by more than jitter does
+        found.sort(key=lambda each: abs(math.log(max(each.step, 1e-300) / expected)))
+        found = found[: 1 if 0.7 * expected < found[0].step < 1.4 * expected else None]
     if len(found) > 1:
         ways = [f"{each.words} ({each.step:.6g} s)" for each in found]
         raise InputError(
@@ -176,6 +184,8 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
             f"seconds decides; it holds {column.iloc[0]}, {column.iloc[1]}, ..."
         )
     read = found[0]
+    raw = replace(read, seconds=read.seconds[::-1] if newest_first else read.seconds)
+    todo = partial(remedy, table, names, raw)
     rows, stamps = np.arange(len(column)), read.seconds
     in_order = column if gaps == "refuse" else None
     if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
@@ -183,7 +193,7 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
         raise InputError(
             f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
             f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
-            "time_column='' (--time-column '') with sampling_time ignores the stamps"
+            + todo("")
         )
     cut = _cut_to_units(what, stamps, expected)
     if gaps == "mask":
@@ -191,7 +201,7 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
     if not cut and unit > 0.99 * np.median(np.diff(stamps)):
         unit = 0.0  # rounding this coarse could hide a missing row
-    _check_steps(what, stamps, unit, in_order)
+    _check_steps(what, stamps, unit, in_order, todo)
     step, start = _line(what, stamps, unit, read.grain)
     return Spacing(
         step,
@@ -202,7 +212,9 @@ def spacing(what: str, name: str, column: Column, gaps: Gaps, expected: float | 
     )
 
 
-def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -> None:
+def _check_steps(
+    what: str, stamps: Array, unit: float, column: Column | None, todo: Callable[[str], str]
+) -> None:
     """Raise ValueError for steps that differ by more than 1 % and the `unit` of the last place."""
     steps = np.diff(stamps)
     median, mean = float(np.median(steps)), float(steps.mean())
@@ -215,11 +227,11 @@ def _check_steps(what: str, stamps: Array, unit: float, column: Column | None) -
         return
     gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
     row = int((gaps if gaps.size else bad)[0]) + 1
+    mask = "gaps='mask' (--gaps mask) excludes missing rows; "
     raise InputError(
         f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
         f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}; "
-        + ("gaps='mask' (--gaps mask) excludes missing rows; " if column is not None else "")
-        + "time_column='' (--time-column '') ignores the stamps and takes all rows to be even"
+        + todo((mask if column is not None else "") + IGNORE)
     )
 
 
@@ -237,8 +249,7 @@ def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, f
     if wander.max() > 0.5 * (step + unit):
         raise InputError(
             f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
-            f"even step of {step:.6g} s, at row {int(wander.argmax())}; time_column='' "
-            "(--time-column '') ignores the stamps"
+            f"even step of {step:.6g} s, at row {int(wander.argmax())}; {IGNORE}"
         )
     if abs(first) < 1e-6 * step:
         return step, float(stamps[0])

@@ -519,6 +519,10 @@ class Forecaster(WithRepr, ABC):
         require_records("records", *records)
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
+        measured = [np.isfinite(record.y_with_gaps).any(axis=0) for record in records]
+        if not (seen := np.any(measured, axis=0)).all():
+            column = records[0].columns[int(seen.argmin())]
+            raise InputError(f"records must have a measured sample of {column!r}, got none")
         for record in records:
             name = record.name or "the record"
             if "inputs" in self.needs and record.u is None:
