@@ -63,9 +63,9 @@ def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
     monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 0)
     table: list[Any] = [1.0, "text"]
     solve = Solver(lambda t, x: [-float(str(x[0])) * table[0]], 2)
+    found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
     with pytest.warns(UserWarning, match="solved in Python, .*slower than compiled: .*float"):
-        found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
-    again, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
+        again, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
     for each in (found, again):
         np.testing.assert_allclose(each[:, 0], np.exp(-TIME), atol=1e-8)
 
