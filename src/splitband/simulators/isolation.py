@@ -41,9 +41,9 @@ class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
     `timeout`: seconds to wait; `reads`: other files that the output depends on; `cache`: see `run`;
-    `outputs`, `inputs`, `start`, `held`: see `Fmu` and `Function`; `driven`: whether it takes the
-    record's inputs, set for an FMU by `matched`; `files`: those of the modules that it had imported
-    after its last run.
+    `outputs`, `inputs`, `start`, `held`, `step`: see `Fmu` and `Function`; `driven`: whether it
+    takes the record's inputs, set for an FMU by `matched`; `files`: those of the modules that it
+    had imported after its last run.
     """
 
     path: str
@@ -56,6 +56,7 @@ class Isolated:
     driven: bool = False
     start: Start | None = None
     held: bool = False
+    step: float | None = None
     files: Sequence[str] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
@@ -119,7 +120,8 @@ class Isolated:
             return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
         # Without values of parameters, as that of an `Fmu`.
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held} []"
+        step = "" if self.step is None else f" {self.step}"
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held}{step} []"
 
 
 def _how(code: int) -> str:
@@ -152,7 +154,8 @@ def _simulated(
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
     """Run the simulator in this process."""
     if task.function is None:
-        with Fmu(task.path, task.outputs or None, inputs=task.inputs, held=task.held) as fmu:
+        how: dict[str, Any] = {"inputs": task.inputs, "held": task.held, "step": task.step}
+        with Fmu(task.path, task.outputs or None, **how) as fmu:
             return fmu.simulate(time, u)
     function = named_in(task.path, task.function)
     if not callable(function):
@@ -177,6 +180,7 @@ def adjustable_from(  # noqa: PLR0913
     inputs: Sequence[str] | None = None,
     start: Start | None = None,
     held: bool = False,
+    step: float | None = None,
 ) -> Adjustable:
     """Return a simulator with these parameters, which runs in this process.
 
@@ -192,9 +196,10 @@ def adjustable_from(  # noqa: PLR0913
     outputs, inputs : Variables of an FMU.
     start : Of the simulator; None for its own.
     held : Whether inputs are held until the next sample; False for what an `Ode` says itself.
+    step : Communication step of an FMU.
     """
     if not name:
-        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held)
+        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held, step)
     file = str(Path(file).resolve())
     _defined(file, name, content_digest([file]))  # which imports what it needs
     key = f"{content_digest([file, *loaded_files()])} {name}"
