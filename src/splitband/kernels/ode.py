@@ -190,8 +190,9 @@ class Solver:
                 self.solve = compiled
                 return
             reason = "compiled, it gives other numbers"
+        name = getattr(self.rhs, "__name__", type(self.rhs).__name__)
         warnings.warn(
-            f"the equation {getattr(self.rhs, '__name__', '')} is solved in Python, many times "
+            f"the equation {name} is solved in Python, many times "
             f"slower than compiled: Numba cannot compile it ({reason.strip(' .:')}); write it with "
             'numbers, p.k in place of p["k"], and other functions of NumPy or math',
             stacklevel=2,

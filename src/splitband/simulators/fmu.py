@@ -285,12 +285,12 @@ def substeps(unit: Unit, sampling_time: float, given: float | None) -> int:
     own = unit.own_step if given is None else given
     if own is None:
         return 1
-    count = max(math.ceil(sampling_time / own - SAME), 1) if own > 0 else 1
+    count = max(math.ceil(sampling_time / own * (1 - SAME)), 1) if own > 0 else 1
     used, longer = (sampling_time / n for n in (count, max(count - 1, 1)))
     if abs(used / own - 1 if own > 0 else 1.0) <= SAME:
         return count
     if given is not None:
-        near = " or ".join(f"{each:.6g}" for each in dict.fromkeys((used, longer)))
+        near = " or ".join(f"{each:.9g}" for each in dict.fromkeys((used, longer)))
         raise InputError(
             f"step (--simulator-step) must divide the sampling time, {sampling_time:g} s: got "
             f"{given:g}; the nearest are {near}"
