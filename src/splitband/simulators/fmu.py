@@ -212,7 +212,7 @@ class Fmu(Adjustable):
         other = unit.any_step or unit.own_step is None  # half of it may be asked for
         if step in unit.checked or not other or (self.known.free and not self._fitted):
             return
-        unit.checked.add(step)
+        unit.checked[step] = ""
         part = slice(MOST_CHECKED)
         short = replace(task, time=task.time[part], u=None if task.u is None else task.u[part])
         found = []
@@ -226,12 +226,18 @@ class Fmu(Adjustable):
         apart, span = np.abs(found[1] - found[0]).max(axis=0), np.ptp(found[1], axis=0)
         shares = np.divide(apart, span, out=np.zeros(len(span)), where=span > 0)
         if shares[worst := int(np.argmax(shares))] > DEPENDS:
-            warnings.warn(
+            unit.checked[step] = (
                 f"{self.outputs[worst]} of {self.path} depends on the communication step: with "
                 f"{step / 2:g} s in place of {step:g} s it changes by up to {shares[worst]:.2g} of "
-                "its range; step (--simulator-step) sets a shorter one",
-                stacklevel=2,
+                "its range; step (--simulator-step) sets a shorter one"
             )
+            if not self._fitted:
+                warnings.warn(unit.checked[step], stacklevel=2)
+
+    @property
+    def remarks(self) -> list[str]:  # type: ignore[override]
+        """Return a sentence on its communication step, if the outputs depend on it."""
+        return [*filter(None, self._unit.checked.values())]
 
     def precise(self) -> Self:
         """Return a copy for the last steps of a fit, which checks its communication step."""

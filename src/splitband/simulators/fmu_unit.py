@@ -150,8 +150,8 @@ class Unit:
 
     The archive is unpacked once; between runs an instance is reset, not loaded again. The unpacked
     files are removed by `close`, when the object is deleted, or when the process ends. `readings`
-    says how its outputs are read, by outputs, inputs and sampling time; `checked` holds the
-    communication steps on which it is known whether they depend.
+    says how its outputs are read, by outputs, inputs and sampling time; `checked` says how
+    they depend on the communication step, empty if they hardly do.
     """
 
     def __init__(self, path: Path) -> None:
@@ -160,7 +160,7 @@ class Unit:
         if not path.is_file():
             raise FileNotFoundError(f"no such FMU: {path}")
         self.readings: dict[Any, Any] = {}
-        self.checked: set[float] = set()
+        self.checked: dict[float, str] = {}
         self.folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
         # Unlike `weakref.finalize` it also runs at the end of a worker process, and does not remove

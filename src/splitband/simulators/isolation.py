@@ -9,6 +9,7 @@ import contextlib
 import os
 import runpy
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
@@ -94,7 +95,7 @@ class Isolated:
         try:
             head = result_of(workers.submit(lead_group))
             task = workers.submit(_simulated, self, time, u)
-            values, self.files = result_of(task, self.timeout)
+            values, self.files, said = result_of(task, self.timeout)
         except TimeoutError:
             raise SimulatorTimeoutError(f"within {self.timeout:g} s") from None
         except ProcessExpired as error:
@@ -107,6 +108,8 @@ class Isolated:
             if head is not None:  # with the processes that it has started
                 end_group(head)
             workers.shutdown()
+        for each in said:
+            warnings.warn(each, stacklevel=2)
         return values
 
     def fingerprint(self) -> str:
@@ -133,12 +136,14 @@ def _how(code: int) -> str:
 
 def _simulated(
     task: Isolated, time: Array, u: Array | None = None
-) -> tuple[npt.NDArray[Any], Sequence[str]]:
-    """Return the output, and the files of the user's modules that were imported for it."""
+) -> tuple[npt.NDArray[Any], Sequence[str], Sequence[str]]:
+    """Return the output, the files of the user's modules that were imported for it, warnings."""
     with contextlib.suppress(OSError):  # a program without a console has neither
         os.dup2(_STDERR, _STDOUT)
     try:
-        values = np.asarray(simulate(task, time, u))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("default")
+            values = np.asarray(simulate(task, time, u))
         values = values.astype(float) if values.dtype == object else values
     except KeyboardInterrupt:  # the user's, not the simulator's
         raise
@@ -148,7 +153,7 @@ def _simulated(
     finally:
         if sys.stdout is not None:
             sys.stdout.flush()
-    return values, loaded_files()
+    return values, loaded_files(), [*dict.fromkeys(str(each.message) for each in caught)]
 
 
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
