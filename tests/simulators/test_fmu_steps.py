@@ -46,7 +46,8 @@ def test_an_fmu_makes_the_steps_that_it_declares_between_samples(
     with sb.Fmu(path) as fmu:
         found = np.asarray(fmu.simulate(TIME, U[:, None]))[:, 0]
     np.testing.assert_allclose(found, by_euler(50), atol=1e-12)
-    table = np.rec.fromarrays([np.repeat(TIME, 2)[1:], np.repeat(U, 2)[:-1]], names="time,u")
+    signals: Any = np.repeat(TIME, 2)[1:], np.repeat(U, 2)[:-1]
+    table = np.rec.fromarrays(signals, names="time,u")  # type: ignore[call-overload]
     by_fmpy = fmpy.simulate_fmu(
         str(path), input=table, stop_time=TIME[-1], output_interval=0.01, fmi_type="CoSimulation"
     )
