@@ -265,3 +265,24 @@ def test_too_few_observed_samples_are_said_in_the_log(tmp_path: Path) -> None:
     assert np.isnan(found["y"] if "y" in found.dtype.names else found[found.dtype.names[1]]).all()
     needed = f"{forecaster.warmup} in a row are needed"
     assert [needed in message for message in said] == [True]
+
+
+def test_the_loop_of_the_guide_gives_the_numbers_of_predict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Inputs, outputs, step; FMPy's own loop reads too soon where the input steps."""
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[2] / "docs/howto/embed.md").read_text(encoding="utf-8")
+    block = next(each for each in page.split("```{run} python\n")[1:] if "doStep" in each)
+    known: dict[str, Any] = {}
+    exec(block.split("```")[0], known)
+    found, wanted, force = np.array(known["found"][40:]), known["p"].y[:, 0], known["run"].u[40:]
+    deviation = float(np.std(wanted))
+    np.testing.assert_allclose(found, wanted, atol=1e-9 * deviation)
+    signals: Any = 0.05 * np.arange(460), force[:, 0]
+    table = np.rec.fromarrays(signals, names="time,force")  # type: ignore[call-overload]
+    model = known["model"]
+    model.export("again.fmu", history=known["run"][:40], other_record=True)
+    own = fmpy.simulate_fmu("again.fmu", input=table, stop_time=22.95, output_interval=0.05)
+    apart, steps = np.abs(own["position"] - wanted), np.diff(force[:, 0], prepend=force[0, 0]) != 0
+    assert apart[~steps].max() < 1e-9 * deviation < 1e-3 * deviation < apart[steps].max()

@@ -63,9 +63,23 @@ def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
     monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 0)
     table: list[Any] = [1.0, "text"]
     solve = Solver(lambda t, x: [-float(str(x[0])) * table[0]], 2)
-    for _ in range(2):
-        found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
-        np.testing.assert_allclose(found[:, 0], np.exp(-TIME), atol=1e-8)
+    found, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
+    with pytest.warns(UserWarning, match="solved in Python, .*slower than compiled: .*float"):
+        again, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
+    for each in (found, again):
+        np.testing.assert_allclose(each[:, 0], np.exp(-TIME), atol=1e-8)
+
+
+def test_a_hard_saturation_of_a_number_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numba's own np.clip takes arrays alone; in Python such an equation takes 100 times longer."""
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
+    solve = Solver(lambda t, x, u, p: [float(np.clip(p.k * (u[0] - x[0]), -1, 1.0))], 4)
+    p, x0, u = parameters_class(("k",))(2.0), np.array([3.0]), np.zeros((len(TIME), 1))
+    for _ in range(2):  # at the limit until x = 1/2
+        found, *_ = solve(p, x0, TIME, (u, True), (NONE, 0.0), TIGHT)
+        after = 0.5 * np.exp(-2 * np.maximum(TIME - 2.5, 0.0))
+        np.testing.assert_allclose(found[:, 0], np.maximum(3 - TIME, after), atol=1e-8)
+    assert "CPUDispatcher" in repr(solve.solve)
 
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-7, 1e-10])

@@ -34,10 +34,11 @@ static int get(Model *m, const unsigned v[], size_t n, double x[])
 static int step(Model *m, double h)
 {
     if (FIXED && fabs(h - FIXED) > 1e-9) return 3;
-    for (int i = 0; i < 200; i++) {  /* the midpoint rule */
+    if (SUBSTEPS == 0) m->r[X] += h * slope(m);
+    for (int i = 0; i < SUBSTEPS; i++) {  /* the midpoint rule */
         double x = m->r[X];
-        m->r[X] = x + h / 400 * slope(m);
-        m->r[X] = x + h / 200 * slope(m);
+        m->r[X] = x + h / SUBSTEPS / 2 * slope(m);
+        m->r[X] = x + h / SUBSTEPS * slope(m);
     }
     m->shown = out(m);
     m->stale = 0;
@@ -86,7 +87,7 @@ int fmi2NewDiscreteStates(Model *m, Info *info)
     double *r = m->r;
     memset(info, 0, sizeof *info);
     if (m->next <= m->t + 1e-12) { r[X] += 1; m->next = 1e300; info->values = 1; }
-    if (r[X] > LIMIT - 1e-9) m->flag = 1;
+    if (EXCEEDED) m->flag = 1;
     if (LIMIT < 1e9) r[V] = m->flag;
     info->defined = m->next < 1e299;
     info->time = m->next;
@@ -187,8 +188,11 @@ def built(
     inputs: Sequence[str] = ("u",),
     output: str = "y",
     dependencies: str | None = None,
+    declared: float = 0.0,
     next_event: float = 1e300,
     limit: float = 1e300,
+    exceeded: str = "r[X] > LIMIT - 1e-9",
+    substeps: int = 200,
 ) -> Path:
     """Compile x' = `slope`, y = `out` of the inputs r[U] and r[V] as an FMU; return its path.
 
@@ -196,13 +200,16 @@ def built(
     ----------
     mode : How co-simulation shows y: 0 at once, 1 after a step, 2 refused between set and step.
     fixed : The only step that is taken.
+    declared : Step of its default experiment, or fixed internal step for FMI 3.
     inputs, types, output : Names and types of the variables.
     dependencies : Of y, as the description gives them.
     next_event : Time at which x jumps by 1, in model exchange.
     limit : State above which r[V] becomes 1 for good, in model exchange.
+    exceeded : The condition for it.
+    substeps : Steps of the midpoint rule in a communication step; with 0 it is one of Euler.
     """
     defines = {"SLOPE": slope, "OUT": out, "MODE": mode, "FIXED": fixed, "NEXT": next_event,
-               "LIMIT": limit}  # fmt: skip
+               "LIMIT": limit, "EXCEEDED": exceeded, "SUBSTEPS": substeps}  # fmt: skip
     source = "\n".join(f"#define {name} ({value})" for name, value in defines.items()) + COMMON
     source += {1: FMI1.replace("NAME", path.stem), 2: FMI2, 3: FMI3}[version]
     if version == 3:
@@ -214,6 +221,12 @@ def built(
     subprocess.run(["gcc", "-O1", "-w", "-shared", "-fPIC", code, "-o", library, "-lm"], check=True)
     text = _DESCRIPTIONS[version](path.stem, kinds, inputs, types, output, dependencies, fixed,
                                   limit < 1e9)  # fmt: skip
+    if declared and version == 3:
+        own = f'<CoSimulation fixedInternalStepSize="{declared}" '
+        text = text.replace("<CoSimulation ", own)
+    elif declared:
+        own = f'<DefaultExperiment stepSize="{declared}"/><ModelVariables>'
+        text = text.replace("<ModelVariables>", own)
     folder = "x86_64-linux" if version == 3 else "linux64"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)

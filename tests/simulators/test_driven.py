@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -323,3 +324,34 @@ def test_an_equation_knows_the_time_that_it_is_given() -> None:
         record = sb.Record(5 * TIME + TIME**2 / 2, DT, u=STEPS, start=1.7e9)
         found = sb.GreyBox(ode).fit(record[:80]).predict(40, u=STEPS[80:])
         np.testing.assert_allclose(found.y, record.y[80:], rtol=1e-6)
+
+
+class Leveling:
+    """A callable object that takes no parameters."""
+
+    def __call__(self, time: Array, u: Array, **more: Any) -> Array:
+        return time
+
+
+def test_parameters_that_a_function_does_not_take_are_refused_with_the_signature() -> None:
+    """It would be said that the record does not tell them."""
+
+    def level(time: Array, u: Array) -> Array:
+        return time
+
+    given = {"c": (0.01, 0.04)}
+    says: dict[Any, str] = {
+        level: r"level\(time, u\) must be level\(time, u, p\), with p.c in it",
+        partial(level): r"\(time, u\) must be .*\(time, u, p\)",
+        Leveling(): r"Leveling\(time, u, \*\*more\) must be Leveling\(time, u, p\)",
+    }
+    for function, words in says.items():
+        with pytest.raises(ValueError, match=words):
+            sb.Function(function, parameters=given)
+    with pytest.raises(ValueError, match=r"must be .*\(t, x, u, p\), with p.c"):
+        sb.Ode(lambda t, x, u: [u[0]], [0.0], parameters={**given, "x0_1": 1.0})
+    sb.Ode(lambda t, x, u: [u[0]], [0.0], parameters={"x0_1": 1.0})
+    # As the message says, it is found once it is an argument.
+    record = sb.Record(0.02 * np.cumsum(STEPS), DT, u=STEPS)
+    told = sb.Function(lambda time, u, p: p.c * np.cumsum(u[:, 0]), parameters=given)
+    assert sb.identify(told, record).values == pytest.approx({"c": 0.02})

@@ -128,6 +128,7 @@ def falls(t: float, x: Array) -> list[float]:
     return [-RATE * x[0]]
 
 
+@pytest.mark.filterwarnings("ignore:the equation partial is solved in Python")
 def test_a_compiled_equation_sees_what_its_globals_become(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is compiled after some ten thousand steps; numba keeps the values of globals."""
     grid: Array = 0.001 * np.arange(20001.0)

@@ -16,7 +16,7 @@ from splitband.cli.options import (
     SimulatorOptions,
     with_groups,
 )
-from splitband.export.fmu import platforms
+from splitband.export.fmu import ORDER, platforms
 from splitband.export.program import holds_equation
 from splitband.export.writing import renderer
 from splitband.forecasters import saving as forecasters
@@ -49,10 +49,11 @@ def export(
     estimate its state, and predicts where there are none, with the numbers of `simulate`. C is one
     source file and a header that need only math.h. An FMU is for co-simulation (FMI 2.0): with the
     extra `everywhere` for Windows, Linux and macOS, with a C compiler for this platform only; it
-    contains its sources. ONNX is the graph of one step, with a second one of a whole simulation.
-    CasADi is the function of one step, with a second one of the state. It goes on from the end of
-    --history. An equation that --simulator names is integrated in the exported model; any other
-    simulator of a hybrid, and one that is not named, stays outside: its output is an input.
+    contains its sources; set the inputs of a sample, read its outputs, then make the step. ONNX is
+    the graph of one step, with a second one of a whole simulation. CasADi is the function of one
+    step, with a second one of the state. It goes on from the end of --history. An equation that
+    --simulator names is integrated in the exported model; any other simulator of a hybrid, and one
+    that is not named, stays outside: its output is an input.
     """
     renderer(out)
     forecaster = forecasters.load(model_dir)
@@ -82,5 +83,6 @@ def export(
     facts: dict[str, Any] = {"model": str(model_dir), "method": forecaster.name}
     facts |= {"precision": precision, "files": [str(file) for file in written]}
     if out.suffix.lower() == ".fmu":
+        showing.console.print(ORDER)
         facts["platforms"] = platforms(out)
     showing.as_json(facts)

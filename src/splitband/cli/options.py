@@ -338,6 +338,10 @@ class SimulatorOptions:
         None, "Its time in s at the record's first sample, or `record` for its time stamp there.",
         "SECONDS|record", "0",
     )  # fmt: skip
+    simulator_step: float | None = _simulator(
+        None, "Communication step of an FMU for co-simulation, which divides the sampling time.",
+        "SECONDS", "the step that it declares",
+    )  # fmt: skip
     held: bool = _simulator(
         False, "Hold its inputs until the next sample (zero-order hold), as a D/A converter does, "
         "where an equation or an FMU for model exchange interpolates them.", None, True, "--held",

@@ -261,7 +261,8 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
     """Return the simulator that the options name, or the name of a baseline; None without any."""
     name, inputs = options.simulator, options.simulator_inputs
     given = {"--simulator-inputs": inputs is not None, "--held": options.held,
-             "--simulator-start": options.simulator_start is not None}  # fmt: skip
+             "--simulator-start": options.simulator_start is not None,
+             "--simulator-step": options.simulator_step is not None}  # fmt: skip
     if (name is None or name in BASES) and any(given.values()):
         option = next(option for option in given if given[option])
         raise InputError(
@@ -301,7 +302,8 @@ def with_simulator(
     for saved in filter(None, map(description_of, simulations(model)) if runs else ()):
         held = options.held or bool(saved.held)  # what is not given is as it was
         start = options.simulator_start or (str(saved.start) if saved.start else None)
-        options = replace(options, held=held, simulator_start=start)
+        step = options.simulator_step or saved.step
+        options = replace(options, held=held, simulator_start=start, simulator_step=step)
     if used is not None:
         if not runs:
             raise InputError(

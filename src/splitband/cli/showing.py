@@ -64,7 +64,7 @@ def saying(quiet: bool, json: bool, verbose: bool = False) -> Iterator[None]:
         others, notes = warnings.showwarning, _Notes(logging.INFO)
 
         def show(message: Any, category: Any, *where: Any) -> None:
-            if issubclass(category, ReadingWarning):
+            if issubclass(category, ReadingWarning) or category is UserWarning:
                 warn(str(message))
             else:
                 others(message, category, *where)

@@ -59,6 +59,13 @@ FLAGS = (
     Variable("begin_empty", "parameter", "begin with nothing measured", False),
 )  # fmt: skip
 
+ORDER = (
+    "Order in a tool: set the inputs of a sample, read its outputs, make the step to the next one. "
+    "A tool that reads after a step, before it sets the next inputs, such as FMPy's simulate_fmu, "
+    "gets each output for the inputs of the sample before."
+)
+"""What a user must know of the order in which an FMU's outputs are read."""
+
 
 def render(program: Program) -> bytes:
     """Return the FMU: binaries, see `compiling.libraries`, and the sources for other platforms."""

@@ -474,7 +474,8 @@ class Forecaster(WithRepr, ABC):
             a functional mock-up unit for co-simulation (FMI 2.0), for Windows, Linux and macOS with
             the extra `everywhere`, else for this platform; `.onnx` is the graph of a step, with a
             second graph for a whole simulation; `.casadi` is the function of `as_casadi`, with a
-            second one that returns its state.
+            second one that returns its state. Of an FMU, set the inputs of a sample, read its
+            outputs, and only then make the step to the next sample.
         precision : Of all numbers; an FMU and CasADi compute in double precision.
         history, other_record : The program starts at the end of the history, see `predict`; by
             default of the training record.

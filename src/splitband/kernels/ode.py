@@ -8,12 +8,14 @@ parameters and states, so that finite differences see a smooth function.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 
 from splitband.runtime.arrays import Array
 
@@ -126,6 +128,13 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     return states, ends[:taken], size
 
 
+@overload(np.clip, strict=False)
+def _clip(a: Any, a_min: Any, a_max: Any) -> Any:
+    """Return `np.clip` of a number, as of a hard saturation: Numba has that of arrays alone."""
+    numbers = all(isinstance(each, types.Number) for each in (a, a_min, a_max))
+    return (lambda a, a_min, a_max: np.minimum(np.maximum(a, a_min), a_max)) if numbers else None
+
+
 _compiled = njit(**_OPTIONS)(solve)
 
 
@@ -173,10 +182,21 @@ class Solver:
                 wrapped = njit(**_OPTIONS)(_prefixed(fast, self.arguments))
             compiled = partial(_compiled, wrapped)
             found = compiled(*probe)[0]
-        except Exception:  # code that Numba does not support
-            return
-        if np.allclose(found, expected, rtol=1e-6, equal_nan=True):
-            self.solve = compiled
+        except Exception as error:  # code that Numba does not support
+            said = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
+            reason = next(iter(said), "") or type(error).__name__
+        else:
+            if np.allclose(found, expected, rtol=1e-6, equal_nan=True):
+                self.solve = compiled
+                return
+            reason = "compiled, it gives other numbers"
+        name = getattr(self.rhs, "__name__", type(self.rhs).__name__)
+        warnings.warn(
+            f"the equation {name} is solved in Python, many times "
+            f"slower than compiled: Numba cannot compile it ({reason.strip(' .:')}); write it with "
+            'numbers, p.k in place of p["k"], and other functions of NumPy or math',
+            stacklevel=2,
+        )
 
 
 @cache

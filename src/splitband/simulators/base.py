@@ -347,6 +347,7 @@ class Absent:
     start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
         has time stamps of its own.
     held : Whether it holds its inputs until the next sample; None for one that does not say.
+    step : Communication step in s that was chosen for an FMU; None for its own.
     """
 
     kind: str
@@ -355,6 +356,7 @@ class Absent:
     fitted: bool = False
     start: Start | None = None
     held: bool | None = None
+    step: float | None = None
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -368,6 +370,8 @@ class Absent:
             )
         if self.held not in (None, False, True):
             raise InputError(f"held must be true, false or null, got {str(self.held)[:60]!r}")
+        if not (self.step is None or as_float(self.step) > 0):
+            raise InputError(f"step must be a number of seconds, got {str(self.step)[:60]!r}")
         vars(self)["start"] = check_start(self.start)
 
     @classmethod
@@ -383,7 +387,8 @@ class Absent:
         start = None if own else getattr(simulator, "start", None) or 0.0
         held = getattr(simulator, "held", None) if getattr(simulator, "driven", False) else None
         kind = getattr(simulator, "kind", type(simulator).__name__)
-        return cls(kind, file, said and str(said), fitted, start, held)
+        step = getattr(simulator, "step", None) if kind == "Fmu" else None
+        return cls(kind, file, said and str(said), fitted, start, held, step)
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError; the message says which simulator to pass, and how."""

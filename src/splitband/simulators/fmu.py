@@ -8,6 +8,7 @@ at a time, tells.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,13 +24,17 @@ from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
 from splitband.simulators.code import content_digest
 from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
-from splitband.simulators.fmu_unit import EXCHANGE, REAL, Unit
+from splitband.simulators.fmu_unit import EXCHANGE, REAL, Unit, listed
 from splitband.simulators.parameters import Adjustable, Given, Point, Response
 
 SAMPLES = 8
 """Samples before the inputs are changed, so that states are not at 0. By eye."""
 FRACTION_OF_A_STEP = 1e-4
-"""A short step, as a share of the sampling time. By eye."""
+"""A short step, as a share of the communication step. By eye."""
+DEPENDS, MOST_CHECKED = 0.01, 1000
+"""Change of an output by half the communication step, as a share of its range, above which it is
+said to depend on that, and the samples over which it is found out. A convention; bounds the time.
+"""
 AT_ONCE = 0.01
 """An output that changes in a step without length by this share of what it changes in a whole one
 depends on the input at once. By eye."""
@@ -59,11 +64,16 @@ class Fmu(Adjustable):
     start : Time of a record's first sample in s, or "record" for its time stamp.
     held : Whether model exchange holds inputs until the next sample, as co-simulation does. By
         default it interpolates them.
+    step : Communication step of co-simulation in s, of which the sampling time is a multiple. By
+        default the one that the FMU declares, or the next shorter one that divides the sampling
+        time, or that if it declares none. A warning says where half of it changes the outputs by
+        more than one per cent of their range, over the first 1,000 samples.
     """
 
     difference = 1e-4
+    _fitted = False
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         path: str | Path,
         outputs: Sequence[str] | None = None,
@@ -71,24 +81,35 @@ class Fmu(Adjustable):
         inputs: Sequence[str] | None = None,
         start: Start = 0.0,
         held: bool = False,
+        step: float | None = None,
     ) -> None:
         self.path = Path(path)
         self.parameters = None if parameters is None else dict(parameters)
         self.inputs = None if inputs is None else [*inputs]
-        self.start, self.held = check_start(start), held
+        self.start, self.held, self.step = check_start(start), held, step
         self._unit, self._named = Unit(self.path), bool(outputs)
         self.outputs = [*(outputs or self._unit.variables.outputs)]
         try:
             self._unit.variables.check([*self.outputs, *self.known.given], self.inputs)
+            if step is not None and self._unit.kind == EXCHANGE:
+                raise InputError(
+                    f"step (--simulator-step) must be left out for {self.path}, which is run by "
+                    f"model exchange: its solver adapts the steps; got {step}"
+                )
             self._check_parameters()
         except ValueError:
             self.close()
             raise
 
     def _check_parameters(self) -> None:
-        """Raise ValueError for values, and ranges, that integer parameters cannot have."""
+        """Raise ValueError for what cannot be set, and what integer parameters cannot have."""
         for name in self.known.given:
             kind = self._unit.by_name[name].type
+            if name not in (able := self._unit.settable()):
+                raise InputError(
+                    f"parameters must be variables that can be set, got {name} of {self.path}, "
+                    f"which is constant or computed by the FMU; it has {listed(able) or 'none'}"
+                )
             if name in self.known.free and kind not in REAL:
                 raise InputError(
                     f"parameters must be numbers, not ranges, for {name} of {self.path}, which is "
@@ -153,7 +174,9 @@ class Fmu(Adjustable):
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
+        task = replace(task, substeps=substeps(unit, task.step, self.step))
         reading = self._reading(task)
+        self._check_step(task, reading)
         with unit.instance() as instance:
             return CoSimulation(unit, instance, task).run(reading)
 
@@ -165,7 +188,7 @@ class Fmu(Adjustable):
         unit, step = self._unit, round(task.step, 12)
         span = () if task.u is None else (*task.u.min(axis=0), *task.u.max(axis=0))
         what = *task.outputs, *task.inputs, str(self.known), *span
-        key = (*what, step, min(len(task.time), SAMPLES))
+        key = (*what, step, task.substeps, min(len(task.time), SAMPLES))
         if key in unit.readings:
             return cast("Reading", unit.readings[key])
         found = [reading_of(unit, task)]
@@ -183,6 +206,44 @@ class Fmu(Adjustable):
             unit.readings[key] = reading
         return reading
 
+    def _check_step(self, task: Task, reading: Reading) -> None:
+        """Warn where the outputs depend on the communication step; of a fit, at its values."""
+        unit, step = self._unit, round(task.length, 12)
+        other = unit.any_step or unit.own_step is None  # half of it may be asked for
+        if step in unit.checked or not other or (self.known.free and not self._fitted):
+            return
+        unit.checked[step] = ""
+        part = slice(MOST_CHECKED)
+        short = replace(task, time=task.time[part], u=None if task.u is None else task.u[part])
+        found = []
+        try:
+            for count in (task.substeps, 2 * task.substeps):
+                with unit.instance() as instance:
+                    run = CoSimulation(unit, instance, replace(short, substeps=count))
+                    found.append(run.run(reading))
+        except Exception:  # it makes no such steps; the run itself says what else is wrong
+            return
+        apart, span = np.abs(found[1] - found[0]).max(axis=0), np.ptp(found[1], axis=0)
+        shares = np.divide(apart, span, out=np.zeros(len(span)), where=span > 0)
+        if shares[worst := int(np.argmax(shares))] > DEPENDS:
+            unit.checked[step] = (
+                f"{self.outputs[worst]} of {self.path} depends on the communication step: with "
+                f"{step / 2:g} s in place of {step:g} s it changes by up to {shares[worst]:.2g} of "
+                "its range; step (--simulator-step) sets a shorter one"
+            )
+            if not self._fitted:
+                warnings.warn(unit.checked[step], stacklevel=2)
+
+    @property
+    def remarks(self) -> list[str]:  # type: ignore[override]
+        """Return a sentence on its communication step, if the outputs depend on it."""
+        return [*filter(None, self._unit.checked.values())]
+
+    def precise(self) -> Self:
+        """Return a copy for the last steps of a fit, which checks its communication step."""
+        self._unit.checked.clear()
+        return self._with(_fitted=True)
+
     def _with(self, **changes: Any) -> Self:
         """Return a copy that shares the unpacked files."""
         made = type(self).__new__(type(self))
@@ -198,12 +259,13 @@ class Fmu(Adjustable):
     def digest(self) -> str:
         """Return an identifier of the response, without the values of parameters."""
         content = content_digest([self.path])
-        return f"{content} {self.outputs} {self.inputs} {self.start} {self.held}"
+        step = "" if self.step is None else f" {self.step}"
+        return f"{content} {self.outputs} {self.inputs} {self.start} {self.held}{step}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments, with which another process opens it."""
-        outputs = self.outputs if self._named else None
-        return type(self), (self.path, outputs, self.parameters, self.inputs, self.start, self.held)
+        outputs, rest = self.outputs if self._named else None, (self.start, self.held, self.step)
+        return type(self), (self.path, outputs, self.parameters, self.inputs, *rest)
 
     def fingerprint(self) -> str:
         """Return the cache key: everything the output depends on except the time grid."""
@@ -218,6 +280,35 @@ class Fmu(Adjustable):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def substeps(unit: Unit, sampling_time: float, given: float | None) -> int:
+    """Return how many communication steps lead from one sample to the next.
+
+    Raises ValueError for a given one that does not divide the sampling time, with the next ones
+    that do. Warns where that holds for the one that the FMU declares.
+    """
+    own = unit.own_step if given is None else given
+    if own is None:
+        return 1
+    count = max(math.ceil(sampling_time / own * (1 - SAME)), 1) if own > 0 else 1
+    used, longer = (sampling_time / n for n in (count, max(count - 1, 1)))
+    if abs(used / own - 1 if own > 0 else 1.0) <= SAME:
+        return count
+    if given is not None:
+        near = " or ".join(f"{each:.9g}" for each in dict.fromkeys((used, longer)))
+        raise InputError(
+            f"step (--simulator-step) must divide the sampling time, {sampling_time:g} s: got "
+            f"{given:g}; the nearest are {near}"
+        )
+    if own < sampling_time or not unit.any_step:
+        warnings.warn(
+            f"{unit.path} declares a communication step of {own:g} s, and is run with "
+            f"{used:.6g} s, which divides the sampling time, {sampling_time:g} s; if it keeps to "
+            f"its own step, resample the record to a multiple of {own:g} s",
+            stacklevel=2,
+        )
+    return count
 
 
 # ---------------------------------------------------------------- how outputs are read
@@ -244,9 +335,7 @@ def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
     if not open_ones.any():
         return Reading(nothing, before), True
     late, moved = nothing.copy(), nothing.copy()
-    able = unit.description.coSimulation.canHandleVariableCommunicationStepSize
-    able = able or unit.version == 1  # of which FMPy does not read it
-    shares = (1.0, FRACTION_OF_A_STEP, FRACTION_OF_A_STEP / 2) if able else (1.0,)
+    shares = (1.0, FRACTION_OF_A_STEP, FRACTION_OF_A_STEP / 2) if unit.any_step else (1.0,)
     begin = [_two_steps(unit, start, usual, usual, share) for share in shares]
     for changed in changes:
         moves = [None if at is None else _two_steps(unit, start, changed, usual, share)
@@ -353,7 +442,7 @@ def _two_steps(unit: Unit, task: Task, first: Array, second: Array, share: float
             run.advance()
             for u in (first, second):
                 run.inputs.set(u)
-                run.step(share * task.step)
+                run.step(share * task.length)
                 found.append(run.outputs.get())
             run.instance.terminate()
     except Exception:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from ctypes import POINTER, c_double
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +30,8 @@ class Task:
 
     `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
     of variables; `outputs`, `inputs`: names of the variables to read, and of those that take `u`;
-    `held`: whether model exchange holds inputs until the next sample, or interpolates them.
+    `held`: whether model exchange holds inputs until the next sample, or interpolates them;
+    `substeps`: communication steps of co-simulation from one sample to the next.
     """
 
     time: Array
@@ -38,11 +40,17 @@ class Task:
     outputs: Sequence[str]
     inputs: Sequence[str]
     held: bool = False
+    substeps: int = 1
 
     @property
     def step(self) -> float:
         """Return the sampling time in s."""
         return float(self.time[1] - self.time[0])
+
+    @property
+    def length(self) -> float:
+        """Return the communication step in s."""
+        return self.step / self.substeps
 
 
 class Access:
@@ -159,27 +167,31 @@ class Exchange:
         if unit.version > 1:
             self._update()
         self.solver = self._solver()
+        self.touched = self._touches()
 
     def run(self) -> Array:
         """Return the outputs, `(time, outputs)`, of events at a sample those after them."""
         outputs = Access(self.unit, self.instance, self.task.outputs)
         found = np.empty((len(self.task.time), outputs.count))
         for n in range(len(found)):
-            if n:
-                self._integrate(n)
+            self._integrate(n)
             found[n] = outputs.get()
         self.instance.terminate()
         return found
 
     def _integrate(self, n: int) -> None:
         """Go on to sample n, and set its inputs."""
-        now, end = (float(t) for t in self.task.time[n - 1 : n + 1])
-        near, instance = NEAR * self.task.step, self.instance
+        before = max(n - 1, 0)
+        now, end = float(self.task.time[before]), float(self.task.time[n])
+        near, instance = max(NEAR * self.task.step, 8 * np.spacing(abs(end))), self.instance
         for _ in range(MOST_EVENTS):
-            if now >= end - near and self.event_time > end + near:
+            if now >= end - near and self.event_time > end + near and not self.touched:
                 break
-            event, stop = False, min(end, self.event_time)
-            if stop > now + near:
+            event, stop, touched = False, min(end, self.event_time), self.touched
+            if touched:  # the solver does not see an indicator that leaves 0
+                _, _, now = self.solver.step(now, now + near)
+                event = True
+            elif stop > now + near:
                 event, _, now = self.solver.step(now, stop)
             if self.event_time <= now + near:
                 event, now = True, max(now, self.event_time)
@@ -189,10 +201,11 @@ class Exchange:
                 event |= bool(done if self.unit.version == 1 else done[0])
             if event:
                 self._event(now)
+                self.touched &= not touched
         else:
             raise InputError(f"the FMU {self.unit.path} has no end of events at {now:g} s")
         self._set_time(end)
-        if (self.inputs.jumps[n] != self.inputs.jumps[n - 1]).any():
+        if (self.inputs.jumps[n] != self.inputs.jumps[before]).any():
             self._event(end, n)
 
     def _event(self, now: float, n: int | None = None) -> None:
@@ -203,6 +216,14 @@ class Exchange:
             self.inputs.all.set(self.inputs.u[n])
         self._update()
         self.solver.reset(now)
+        self.touched = self._touches()
+
+    def _touches(self) -> bool:
+        """Return whether an event indicator is 0: its event may be due just after."""
+        z = np.ones(self.solver.nz)
+        if self.solver.nz:
+            self.instance.getEventIndicators(z.ctypes.data_as(POINTER(c_double)), len(z))
+        return bool((z == 0).any())
 
     def _update(self) -> None:
         """Update the discrete states, and find the time of the next event."""
@@ -285,10 +306,11 @@ class CoSimulation:
             if not (reading.before or late.all()):
                 found[n] = self.outputs.get()
             if n + 1 < len(found) or late.any():
-                self.now = float(task.time[n])
-                self.step(task.step)
+                self.step(task.length)
             if late.any():
                 found[n, late] = self.outputs.get()[late]
+            if n + 1 < len(found):
+                self.rest()
         self.instance.terminate()
         return found
 
@@ -296,20 +318,31 @@ class CoSimulation:
         """Go on to the last sample."""
         for n in range(len(self.task.time) - 1):
             self.drive(n)
-            self.step(self.task.step)
+            self.step(self.task.length)
+            self.rest()
 
     def drive(self, n: int) -> None:
         """Set the inputs of a sample."""
+        self.now = float(self.task.time[n])
         if self.task.u is not None:
             self.inputs.set(self.task.u[n])
+
+    def rest(self) -> None:
+        """Make the steps after the first one up to the next sample."""
+        for _ in range(self.task.substeps - 1):
+            self.step(self.task.length)
 
     def step(self, length: float) -> None:
         """Make a step of this length in s."""
         try:
             done = self.instance.doStep(self.now, length)
         except Exception as error:
+            own = self.unit.own_step
             raise InputError(
-                f"the FMU {self.unit.path} stopped at {self.now:g} s: {error}"
+                f"the FMU {self.unit.path} stopped at {self.now:g} s, in a step of {length:g} s: "
+                f"{error}; it declares "
+                + ("no step" if own is None else f"a step of {own:g} s")
+                + ", and step (--simulator-step) sets the step"
             ) from error
         if done is not None and (done[1] or done[2]):  # FMI 3 tells it ended or returned early
             raise InputError(f"the FMU {self.unit.path} stopped at {done[3]:g} s")

@@ -64,13 +64,13 @@ class Variables:
         inputs = [name for name in inputs or () if name]
         for name in (*(outputs or ()), *inputs):
             if name not in self.names:
-                known = _listed(self.names)
+                known = listed(self.names)
                 raise InputError(f"{self.file} has no variable {name}; it has {known}")
         for name in inputs:
             if name not in self.able:
                 raise InputError(
                     f"inputs must be inputs of {self.file}: {name} is none; it has "
-                    f"{_listed([*self.inputs, *self.optional])}"
+                    f"{listed([*self.inputs, *self.optional])}"
                 )
 
     def outputs_for(self, columns: Sequence[str], given: Sequence[str] | None) -> list[str]:
@@ -87,8 +87,8 @@ class Variables:
         if not all(found):
             raise InputError(
                 f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
-                f"the record's channels, {_listed(columns)}, in their order: "
-                + (f"got {_listed(given)}" if given else f"it has {_listed(self.outputs)}")
+                f"the record's channels, {listed(columns)}, in their order: "
+                + (f"got {listed(given)}" if given else f"it has {listed(self.outputs)}")
             )
         return found
 
@@ -103,7 +103,7 @@ class Variables:
         if given is None and self.arrays:
             raise InputError(
                 f"inputs (--simulator-inputs) must name the inputs of {self.file} that are driven: "
-                f"{_listed(self.arrays)} is an array, which cannot be; it keeps its start values"
+                f"{listed(self.arrays)} is an array, which cannot be; it keeps its start values"
             )
         if given is None:
             found = _by_name(inputs, [*self.inputs, *self.optional], self.labels)
@@ -113,8 +113,8 @@ class Variables:
                 return [*self.inputs]
         raise InputError(
             f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
-            f"record's inputs, {_listed(inputs) or 'of which it has none'}, in their order: "
-            + (f"got {_listed(given)}" if given else f"it has {_listed(self.inputs)}")
+            f"record's inputs, {listed(inputs) or 'of which it has none'}, in their order: "
+            + (f"got {listed(given)}" if given else f"it has {listed(self.inputs)}")
             + '; "" for one that it does not take; inputs that are not named keep their start '
             "values, and with an empty list all do"
         )
@@ -132,7 +132,8 @@ def _by_name(wanted: Sequence[str], known: Sequence[str], labels: Mapping[str, s
     return [name if alone.count(name) == 1 else "" for name in alone]
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return the first names for a message."""
     return ", ".join(names[:_MOST]) + (", ..." if len(names) > _MOST else "")
 
 
@@ -149,7 +150,8 @@ class Unit:
 
     The archive is unpacked once; between runs an instance is reset, not loaded again. The unpacked
     files are removed by `close`, when the object is deleted, or when the process ends. `readings`
-    says how its outputs are read, by outputs, inputs and sampling time.
+    says how its outputs are read, by outputs, inputs and sampling time; `checked` says how
+    they depend on the communication step, empty if they hardly do.
     """
 
     def __init__(self, path: Path) -> None:
@@ -158,6 +160,7 @@ class Unit:
         if not path.is_file():
             raise FileNotFoundError(f"no such FMU: {path}")
         self.readings: dict[Any, Any] = {}
+        self.checked: dict[float, str] = {}
         self.folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
         # Unlike `weakref.finalize` it also runs at the end of a worker process, and does not remove
@@ -178,6 +181,31 @@ class Unit:
     def version(self) -> int:
         """Return the version of FMI: 1, 2 or 3."""
         return int(self.description.fmiVersion.split(".")[0])
+
+    def settable(self) -> list[str]:
+        """Return the names of the variables whose start values can be set."""
+        from fmpy import simulation as by_fmpy  # noqa: PLC0415  the optional extra
+
+        begin, later = by_fmpy.settable_in_instantiated, by_fmpy.settable_in_initialization_mode
+        able = (lambda v: v.start is not None) if self.version == 1 else (
+            lambda v: begin(v) or later(v)
+        )  # fmt: skip
+        return [v.name for v in self.description.modelVariables
+                if v.variability != "constant" and able(v)]  # fmt: skip
+
+    @property
+    def own_step(self) -> float | None:
+        """Return the communication step in s that it declares, if it does."""
+        fixed = getattr(self.description.coSimulation, "fixedInternalStepSize", None)
+        experiment = self.description.defaultExperiment
+        own = fixed or (experiment and experiment.stepSize)
+        return float(own) if own and float(own) > 0 else None
+
+    @property
+    def any_step(self) -> bool:
+        """Return whether it makes communication steps of any length."""
+        able = bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
+        return able or self.version == 1  # of which FMPy does not read it
 
     @contextmanager
     def instance(self) -> Iterator[Any]:

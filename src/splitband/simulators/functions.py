@@ -6,7 +6,8 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, Self
+from inspect import Signature
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ import scipy
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
-from splitband.simulators.code import check_arguments, code_digest, count_arguments
+from splitband.simulators.code import arguments, check_arguments, code_digest, count_arguments
 from splitband.simulators.parameters import (
     INITIAL,
     Adjustable,
@@ -39,6 +40,8 @@ class UserCode(Adjustable):
 
     survives = True  # but for compiled code that crashes
     _opened_by: Callable[[Given], Any] | None = None
+    _set_apart: ClassVar[tuple[str, ...]] = ()
+    """Prefixes of parameters that are no arguments of the functions."""
 
     @property
     @abstractmethod
@@ -61,10 +64,21 @@ class UserCode(Adjustable):
         return any(count_arguments(each) == names.index("p") for each, names in self._functions)
 
     def _check(self) -> None:
-        """Raise ValueError for a wrong start, or arguments in another order."""
+        """Raise ValueError for a wrong start, arguments in another order, unused parameters."""
         check_start(self.start)
         for function, names in self._functions:
             check_arguments(function, *names)
+        unused = [name for name in self.known.given if not name.startswith(self._set_apart)]
+        taken = [count_arguments(each) > names.index("p") for each, names in self._functions]
+        if unused and not any(taken):
+            function, names = self._functions[0]
+            name = getattr(function, "__name__", "") or type(function).__name__
+            given = [each.replace(annotation=each.empty) for each in arguments(function).values()]
+            raise InputError(
+                "parameters must be used by the function, or be left out: "
+                f"{name}{Signature(given)} must be {name}({', '.join(names)}), with "
+                f"p.{unused[0]} in it"
+            )
 
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed fields, which other processes recreate as before."""
@@ -179,6 +193,7 @@ class Ode(UserCode):
     0.1
     """
 
+    _set_apart = (INITIAL,)
     rhs: Callable[..., Any]
     x0: npt.ArrayLike
     observe: Callable[..., npt.ArrayLike] | None = None

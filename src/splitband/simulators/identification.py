@@ -169,6 +169,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     }  # fmt: skip
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
     remarks += [remark for remark, holds in more.items() if holds]
+    remarks += simulator.remarks
     agreed = len(agreeing), len(ranked)
     doubt = _doubt(shooting, unknowns, window, deadline)
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut, doubt=doubt)

@@ -9,6 +9,7 @@ import contextlib
 import os
 import runpy
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
@@ -41,9 +42,9 @@ class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
     `timeout`: seconds to wait; `reads`: other files that the output depends on; `cache`: see `run`;
-    `outputs`, `inputs`, `start`, `held`: see `Fmu` and `Function`; `driven`: whether it takes the
-    record's inputs, set for an FMU by `matched`; `files`: those of the modules that it had imported
-    after its last run.
+    `outputs`, `inputs`, `start`, `held`, `step`: see `Fmu` and `Function`; `driven`: whether it
+    takes the record's inputs, set for an FMU by `matched`; `files`: those of the modules that it
+    had imported after its last run.
     """
 
     path: str
@@ -56,6 +57,7 @@ class Isolated:
     driven: bool = False
     start: Start | None = None
     held: bool = False
+    step: float | None = None
     files: Sequence[str] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
@@ -93,7 +95,7 @@ class Isolated:
         try:
             head = result_of(workers.submit(lead_group))
             task = workers.submit(_simulated, self, time, u)
-            values, self.files = result_of(task, self.timeout)
+            values, self.files, said = result_of(task, self.timeout)
         except TimeoutError:
             raise SimulatorTimeoutError(f"within {self.timeout:g} s") from None
         except ProcessExpired as error:
@@ -106,6 +108,8 @@ class Isolated:
             if head is not None:  # with the processes that it has started
                 end_group(head)
             workers.shutdown()
+        for each in said:
+            warnings.warn(each, stacklevel=2)
         return values
 
     def fingerprint(self) -> str:
@@ -119,7 +123,8 @@ class Isolated:
             return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
         # Without values of parameters, as that of an `Fmu`.
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held} []"
+        step = "" if self.step is None else f" {self.step}"
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held}{step} []"
 
 
 def _how(code: int) -> str:
@@ -131,12 +136,14 @@ def _how(code: int) -> str:
 
 def _simulated(
     task: Isolated, time: Array, u: Array | None = None
-) -> tuple[npt.NDArray[Any], Sequence[str]]:
-    """Return the output, and the files of the user's modules that were imported for it."""
+) -> tuple[npt.NDArray[Any], Sequence[str], Sequence[str]]:
+    """Return the output, the files of the user's modules that were imported for it, warnings."""
     with contextlib.suppress(OSError):  # a program without a console has neither
         os.dup2(_STDERR, _STDOUT)
     try:
-        values = np.asarray(simulate(task, time, u))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("default")
+            values = np.asarray(simulate(task, time, u))
         values = values.astype(float) if values.dtype == object else values
     except KeyboardInterrupt:  # the user's, not the simulator's
         raise
@@ -146,13 +153,14 @@ def _simulated(
     finally:
         if sys.stdout is not None:
             sys.stdout.flush()
-    return values, loaded_files()
+    return values, loaded_files(), [*dict.fromkeys(str(each.message) for each in caught)]
 
 
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
     """Run the simulator in this process."""
     if task.function is None:
-        with Fmu(task.path, task.outputs or None, inputs=task.inputs, held=task.held) as fmu:
+        how: dict[str, Any] = {"inputs": task.inputs, "held": task.held, "step": task.step}
+        with Fmu(task.path, task.outputs or None, **how) as fmu:
             return fmu.simulate(time, u)
     function = named_in(task.path, task.function)
     if not callable(function):
@@ -177,6 +185,7 @@ def adjustable_from(  # noqa: PLR0913
     inputs: Sequence[str] | None = None,
     start: Start | None = None,
     held: bool = False,
+    step: float | None = None,
 ) -> Adjustable:
     """Return a simulator with these parameters, which runs in this process.
 
@@ -192,9 +201,10 @@ def adjustable_from(  # noqa: PLR0913
     outputs, inputs : Variables of an FMU.
     start : Of the simulator; None for its own.
     held : Whether inputs are held until the next sample; False for what an `Ode` says itself.
+    step : Communication step of an FMU.
     """
     if not name:
-        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held)
+        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held, step)
     file = str(Path(file).resolve())
     _defined(file, name, content_digest([file]))  # which imports what it needs
     key = f"{content_digest([file, *loaded_files()])} {name}"

@@ -46,6 +46,7 @@ def open_simulator(  # noqa: PLR0913
     inputs: Sequence[str] | None = None,
     start: Start | str | None = None,
     held: bool = False,
+    step: float | None = None,
     parameters: str | Mapping[str, Any] | None = None,
     timeout: float | None = None,
     cache: str | Path | None = None,
@@ -64,6 +65,7 @@ def open_simulator(  # noqa: PLR0913
     start : Its time in s at the record's first sample, or "record" for its time stamp there.
     held : Whether a differential equation or an FMU holds its inputs until the next sample, see
         `Ode` and `Fmu`; False is what an `Ode` of the file says itself.
+    step : Communication step of an FMU in s, see `Fmu`.
     parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
     timeout : Seconds after which a run is given up; None for no limit.
     cache : Folder that keeps its outputs.
@@ -87,12 +89,13 @@ def open_simulator(  # noqa: PLR0913
     fmu, exists = file.lower().endswith(".fmu"), Path(file).is_file()
     for what, given, taken in (
         ("inputs (--simulator-inputs)", inputs, fmu),
+        ("step (--simulator-step)", step, fmu),
         ("start (--simulator-start)", start, fmu or function),
         ("held (--held)", held or None, fmu or function),
         ("parameters", parameters, fmu or function),
     ):
         if given is not None and not taken:
-            others = "" if what.startswith("inputs") else " or FILE.py:FUNCTION"
+            others = "" if taken is fmu else " or FILE.py:FUNCTION"
             raise InputError(
                 f"{what} must be left out but for a simulator that is an .fmu{others}, got "
                 f"{name or 'none'}"
@@ -119,7 +122,7 @@ def open_simulator(  # noqa: PLR0913
         )
     if parameters is not None:
         given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return adjustable_from(file, function, given, columns, inputs, begin, held)
+        return adjustable_from(file, function, given, columns, inputs, begin, held, step)
     for each in reads:
         if not Path(each).is_file():
             raise FileNotFoundError(f"reads (--simulator-reads) must be a file, got {each}")
@@ -129,7 +132,7 @@ def open_simulator(  # noqa: PLR0913
     made = Isolated(
         file, function or None, () if function else tuple(columns), timeout, tuple(reads),
         None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
-        begin if function else begin or 0.0, held,
+        begin if function else begin or 0.0, held, step,
     )  # fmt: skip
     # Not before it is matched does an FMU say whether inputs drive it.
     return made.matched(record.columns, record.inputs)

@@ -190,6 +190,7 @@ class Adjustable(WithRepr, ABC):
     difference : Finite-difference step, as a share of a parameter's range.
     advances : Whether `advance`, see `Ode`, goes on from a state as one long run does.
     survives : Whether no run can end the process that it runs in.
+    remarks : What is to be said of the runs after `precise`.
     """
 
     parameters: Given | None
@@ -198,6 +199,7 @@ class Adjustable(WithRepr, ABC):
     difference = 1e-6
     advances = False
     survives = False
+    remarks: Sequence[str] = ()
 
     @cached_property
     def known(self) -> Parameters:
