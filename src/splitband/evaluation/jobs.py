@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
@@ -36,7 +37,7 @@ from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
-from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.runtime.workers import Queue, Workers, ended_from_outside
 from splitband.simulators.base import identity
 from splitband.simulators.code import code_digest
 
@@ -62,6 +63,7 @@ class Job:
     trains: bool = True  # False to forecast with `start` as it is
     needed: bool = False  # whether it starts even after the deadline, so that there is a result
     seconds: float = 0.0  # that it is expected to take
+    limit: float = math.inf  # seconds from its start after which its fits end with what they have
 
     @property
     def method(self) -> str:
@@ -135,7 +137,7 @@ def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
     if deadline.over and job.trains and not job.needed:
         return job.late()
     keep(known)
-    with within(deadline):
+    with within(min(deadline, Deadline.after(job.limit))):
         return job.run()
 
 
@@ -208,12 +210,15 @@ class Runner:
         self.cores, self.folder = cores, folder
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
+        self._queue = Queue[Job, Fit](self.executor, cores)
+        self._found: list[tuple[Job, Fit]] = []  # by an earlier command, or too late
         self._starting: list[Future[None]] = []
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.drop()
         if self._own is not None:
             self._own.shutdown()
 
@@ -232,42 +237,50 @@ class Runner:
         """Return whether workers still load or compile what they were started with."""
         return not all(each.done() for each in self._starting)
 
-    def run(
-        self,
-        jobs: Sequence[Job],
-        deadline: Deadline,
-        forecasting: float = 0.0,
-        meanwhile: Callable[[], None] = lambda: None,
-    ) -> Iterator[tuple[Job, Fit]]:
-        """Yield each job with its fit, as it is done; at the end those that came too late.
+    def begin(
+        self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0, first: bool = False
+    ) -> None:
+        """Begin jobs, of which `ended` yields the fits.
 
         `forecasting`: seconds that the forecasts of a job may take after its training.
-        `meanwhile`: what this process does once the workers have their jobs.
+        `first`: whether they start before others that wait for a core.
         """
         todo = []
         for job in jobs:
             found = self._kept(job)
-            if found is not None:
-                yield job, found
-            elif deadline.over and job.trains and not job.needed:
-                yield job, job.late()
-            else:
+            if found is None and deadline.over and job.trains and not job.needed:
+                found = job.late()
+            if found is None:
                 todo.append(job)
-        patience = Deadline(deadline.at + max(GRACE, 2 * forecasting))
-        for job, future in run_jobs(
-            partial(_run, {**KEPT}, deadline), [*todo], self.executor, patience, meanwhile
-        ):
-            todo.remove(job)
-            error = future.exception()
-            if error is None:
-                fit = self._put(job, future.result())
-            elif said := ended_from_outside(error):
-                fit = Fit(job.method, job.seed, failure=said)
             else:
-                raise error
+                self._found.append((job, found))
+        patience = Deadline(deadline.at + max(GRACE, 2 * forecasting))
+        self._queue.begin(partial(_run, {**KEPT}, deadline), todo, patience, first)
+
+    def ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
+        """Yield every job that was begun with its fit, as it ends, until all of these have."""
+        left = {*jobs}
+        while left:
+            job, fit = self._found.pop(0) if self._found else self._next()
+            left.discard(job)
             yield job, fit
-        for job in todo:
-            yield job, job.late()
+
+    def _next(self) -> tuple[Job, Fit]:
+        """Wait for the next job, and return it with its fit."""
+        job, future = next(self._queue.ended())
+        if future.cancelled() or not future.done():
+            return job, job.late()
+        error = future.exception()
+        if error is None:
+            return job, self._put(job, future.result())
+        if said := ended_from_outside(error):
+            return job, Fit(job.method, job.seed, failure=said)
+        raise error
+
+    def drop(self) -> None:
+        """Cancel all jobs that have begun."""
+        self._found = []
+        self._queue.drop()
 
     def _path(self, job: Job) -> Path | None:
         """Return the file of a job; None where it is not kept."""

@@ -13,10 +13,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.context import SpawnContext
+from multiprocessing.reduction import ForkingPickler
 from multiprocessing.synchronize import RLock
-from typing import ParamSpec, TypeVar, final
+from typing import Any, Generic, ParamSpec, TypeVar, final
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -63,8 +65,14 @@ class Workers(Executor):
             given = self._folder.name, dict(os.environ)
             self._pool = ProcessPool(self._count, 0, _begin, given, self._context)
             start_resource_tracker()
-        with interrupts_blocked():
-            future: Future[Result] = self._pool.schedule(fn, args, kwargs)
+        future: Future[Result] = Future()
+        try:
+            packed = bytes(ForkingPickler.dumps((fn, args, kwargs)))
+        except Exception as error:
+            future.set_exception(NotSentError(str(error)))
+        else:
+            with interrupts_blocked():
+                future = self._pool.schedule(_unpacked, (packed,))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -105,6 +113,15 @@ def _begin(folder: str, environment: Mapping[str, str]) -> None:
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
 
+def _unpacked(packed: bytes) -> Any:
+    """Do a job in a worker process, where what it consists of has to be found again."""
+    try:
+        fn, args, kwargs = ForkingPickler.loads(packed)
+    except Exception as error:
+        raise NotSentError(str(error)) from error
+    return fn(*args, **kwargs)
+
+
 def _end_with_parent(folder: str) -> None:
     """End this process when its parent has been killed, as its result is of no use."""
     parent = multiprocessing.parent_process()
@@ -125,47 +142,115 @@ def result_of(future: Future[Result], seconds: float | None = None) -> Result:
     return future.result(0)
 
 
-def run_jobs(
-    work: Callable[[Job], Result],
-    jobs: Sequence[Job],
-    executor: Executor | None = None,
-    patience: Deadline = NEVER,
-    meanwhile: Callable[[], None] = lambda: None,
-) -> Iterator[tuple[Job, Future[Result]]]:
-    """Yield each job with its result, as it is done.
+class NotSentError(Exception):
+    """Report that a job cannot be sent to another process, as its classes are not in a module."""
 
-    A job of which `patience` comes before the end is cancelled, and not yielded.
 
-    Parameters
-    ----------
-    work : A module-level function, or a partial of one: other processes have to import it.
-    jobs : In the order in which they start.
-    executor : Where they run; None for this process, one after the other.
-    patience : Deadline after which nobody waits for a result.
-    meanwhile : What this process does once an executor has all jobs.
+@dataclass(eq=False)
+class _Begun(Generic[Job, Result]):
+    """Hold a job of a queue; `future` is None while it waits for a core."""
+
+    work: Callable[[Job], Result]
+    job: Job
+    patience: Deadline
+    future: Future[Result] | None = None
+
+    @property
+    def over(self) -> bool:
+        """Return whether it is done, or nobody waits for it any longer."""
+        return self.patience.over or (self.future is not None and self.future.done())
+
+    def ended(self) -> Future[Result]:
+        """Return the result, cancelled if there is none; what cannot be sent is done here."""
+        future = self.future or Future()
+        if not future.cancel() and future.done() and isinstance(future.exception(), NotSentError):
+            return self.here()
+        return future
+
+    def here(self) -> Future[Result]:
+        """Return the result of running it in this process."""
+        future: Future[Result] = Future()
+        try:
+            future.set_result(_on_one_thread(self.work, self.job))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@final
+class Queue(Generic[Job, Result]):
+    """Jobs on an executor or, one after the other as they are asked for, in this process.
+
+    `executor`: None for this process; `cores`: jobs that it is given at a time, but for those that
+    come first.
     """
-    if executor is None:
-        meanwhile()
-        for job in jobs:
-            future: Future[Result] = Future()
-            try:
-                future.set_result(_on_one_thread(work, job))
-            except Exception as error:
-                future.set_exception(error)
-            yield job, future
-        return
-    waiting: dict[Future[Result], Job] = {}
+
+    def __init__(self, executor: Executor | None = None, cores: float = math.inf) -> None:
+        self._executor, self._cores = executor, cores
+        self._begun: list[_Begun[Job, Result]] = []
+
+    def begin(
+        self,
+        work: Callable[[Job], Result],
+        jobs: Sequence[Job],
+        patience: Deadline = NEVER,
+        first: bool = False,
+    ) -> None:
+        """Begin jobs.
+
+        Parameters
+        ----------
+        work : A module-level function, or a partial of one: other processes have to import it.
+        jobs : In the order in which they start.
+        patience : Deadline after which nobody waits for a result; in a `Workers`, a job is ended.
+        first : Whether they start before others that wait for a core.
+        """
+        begun = [_Begun(work, job, patience) for job in jobs]
+        self._begun = [*begun, *self._begun] if first else [*self._begun, *begun]
+        self._submit(begun if first else [])
+
+    def ended(self) -> Iterator[tuple[Job, Future[Result]]]:
+        """Yield each job with its result, as it ends; one that was not waited for is not done."""
+        while self._begun:
+            if self._executor is None:
+                first = self._begun.pop(0)
+                yield first.job, first.here()
+                continue
+            self._submit()
+            soonest = min(each.patience for each in self._begun)
+            futures = [each.future for each in self._begun if each.future is not None]
+            wait(futures, min(TICK, max(soonest.left, 0.0)), FIRST_COMPLETED)
+            for each in [each for each in self._begun if each.over]:
+                self._begun.remove(each)
+                yield each.job, each.ended()
+
+    def drop(self) -> None:
+        """Cancel all jobs."""
+        for each in self._begun:
+            each.ended()
+        self._begun = []
+
+    def _submit(self, at_once: Sequence[_Begun[Job, Result]] = ()) -> None:
+        """Give jobs to the executor: some at once, others while it has a free core."""
+        if self._executor is None:
+            return
+        running = sum(each.future is not None for each in self._begun)
+        for each in self._begun:
+            if each.future is None and (running < self._cores or each in at_once):
+                each.future = self._executor.submit(_on_one_thread, each.work, each.job)
+                running += 1
+
+
+def run_jobs(
+    work: Callable[[Job], Result], jobs: Sequence[Job], executor: Executor | None = None
+) -> Iterator[tuple[Job, Future[Result]]]:
+    """Yield each of the jobs with its result, as it is done; see `Queue`."""
+    queue = Queue[Job, Result](executor)
     try:
-        for job in jobs:
-            waiting[executor.submit(_on_one_thread, work, job)] = job
-        meanwhile()
-        while waiting and not patience.over:
-            done, _ = wait(waiting, min(TICK, max(patience.left, 0.0)), FIRST_COMPLETED)
-            for future in done:
-                yield waiting.pop(future), future
+        queue.begin(work, jobs)
+        yield from queue.ended()
     finally:
-        for future in waiting:
-            future.cancel()
+        queue.drop()
 
 
 def ended_from_outside(error: BaseException) -> str:
