@@ -238,12 +238,16 @@ class Runner:
         return not all(each.done() for each in self._starting)
 
     def begin(
-        self, jobs: Sequence[Job], deadline: Deadline, forecasting: float = 0.0, first: bool = False
+        self,
+        jobs: Sequence[Job],
+        deadline: Deadline,
+        patience: Deadline | None = None,
+        first: bool = False,
     ) -> None:
-        """Begin jobs, of which `ended` yields the fits.
+        """Begin jobs, of which `ended` yields the fits; see `Queue.begin`.
 
-        `forecasting`: seconds that the forecasts of a job may take after its training.
-        `first`: whether they start before others that wait for a core.
+        They have to end at their `deadline`, and are ended when `patience` is over, by default
+        `GRACE` later.
         """
         todo = []
         for job in jobs:
@@ -254,7 +258,7 @@ class Runner:
                 todo.append(job)
             else:
                 self._found.append((job, found))
-        patience = Deadline(deadline.at + max(GRACE, 2 * forecasting))
+        patience = patience or deadline.earlier(-GRACE)
         self._queue.begin(partial(_run, {**KEPT}, deadline), todo, patience, first)
 
     def ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:

@@ -18,7 +18,7 @@ from splitband.evaluation.clock import (
     Clock,
 )
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import LATE, Job, Runner, held_out_job, prepare
+from splitband.evaluation.jobs import GRACE, LATE, Job, Runner, held_out_job, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
 from splitband.forecasters.backtest import HELD_OUT_SHARE, BacktestSpec, Fit, Origin
@@ -482,7 +482,7 @@ class Run:
         fits: dict[Job, Fit] = {}
         try:
             self._report(f"{doing}, 0 of {len(jobs)} trainings")
-            self._runner.begin(jobs, until, self._forecasting())
+            self._runner.begin(jobs, until, self._patience(until))
             for job, fit in self._ended(jobs):
                 fits[job] = fit
                 self.clock.trained += fit.seconds
@@ -514,10 +514,16 @@ class Run:
         jobs = search.finals()
         again = [job for job in jobs if self.plan.refit and job.method == jobs[0].method]
         every = [job.seconds for job in [*jobs, *again]]
-        if self.plan.refit:
+        if self.plan.refit and self.finals:
             every += [fit.seconds for fit in self.finals.get(self.trial.recommended, [])]
         longest = max(every, default=0.0)
         return max(longest, sum(every) / self._runner.cores) + self._forecasting()
+
+    def _patience(self, until: Deadline) -> Deadline:
+        """Return when trainings are ended that have not forecast yet; of the first, at the end."""
+        took = self._forecasting()
+        least = until.earlier(-max(GRACE, 2 * took))
+        return least if took else max(least, self.clock.deadline)
 
     def _forecasting(self) -> float:
         """Return the seconds that the forecasts of a final training take, by those of the trial.
