@@ -210,7 +210,7 @@ class Runner:
         self.cores, self.folder = cores, folder
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
-        self._queue = Queue[Job, Fit](self.executor, cores)
+        self._queue = Queue[Job, Fit](self.executor, 2 * cores)  # none waits for this process
         self._found: list[tuple[Job, Fit]] = []  # by an earlier command, or too late
         self._starting: list[Future[None]] = []
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 from splitband.data import Record, require_records
@@ -83,7 +83,7 @@ class Plan:
     refit: bool = False
     high: Bands = field(default_factory=Bands)
 
-    @property
+    @cached_property
     def training(self) -> Record:
         """Return the training part of the record."""
         return self.record[: self.train]

@@ -481,8 +481,8 @@ class Run:
         """Return the fits of jobs, in their order."""
         fits: dict[Job, Fit] = {}
         try:
-            self._report(f"{doing}, 0 of {len(jobs)} trainings")
             self._runner.begin(jobs, until, self._patience(until))
+            self._report(f"{doing}, 0 of {len(jobs)} trainings")
             for job, fit in self._ended(jobs):
                 fits[job] = fit
                 self.clock.trained += fit.seconds
