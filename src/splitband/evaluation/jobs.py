@@ -138,7 +138,11 @@ def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
         return job.late()
     keep(known)
     with within(min(deadline, Deadline.after(job.limit))):
-        return job.run()
+        fit = job.run()
+    if fit.model is not None and job.trains:  # the process that asked has the records
+        fitted = fit.model.require_fitted()
+        fit.model.fitted = replace(fitted, record=fitted.record[:2], others=())
+    return fit
 
 
 def compile_kernels(
@@ -211,6 +215,7 @@ class Runner:
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
         self._queue = Queue[Job, Fit](self.executor, 2 * cores)  # none waits for this process
+        self._parts: dict[tuple[int, int], tuple[Record, Record]] = {}
         self._found: list[tuple[Job, Fit]] = []  # by an earlier command, or too late
         self._starting: list[Future[None]] = []
 
@@ -276,10 +281,22 @@ class Runner:
             return job, job.late()
         error = future.exception()
         if error is None:
-            return job, self._put(job, future.result())
+            fit = future.result()
+            if fit.model is not None and job.trains:
+                self._put_records(job, fit.model, max(at.fitted for at in fit.forecasts))
+            return job, self._put(job, fit)
         if said := ended_from_outside(error):
             return job, Fit(job.method, job.seed, failure=said)
         raise error
+
+    def _put_records(self, job: Job, model: Forecaster, samples: int) -> None:
+        """Put back the records that a model was fitted to, each of them once for all models."""
+        record = job.spec.record
+        if (key := (id(record), samples)) not in self._parts:
+            self._parts[key] = record, record[:samples]  # while it is kept, nothing has its id
+        others = tuple(job.spec.others)
+        fitted = replace(model.require_fitted(), record=self._parts[key][1], others=others)
+        model.fitted = fitted
 
     def drop(self) -> None:
         """Cancel all jobs that have begun."""
@@ -305,14 +322,8 @@ class Runner:
             said = unpacked(path.read_bytes())
             model = said["model"]
             # A saved model holds the end of its training record only, and no simulator.
-            whole = replace(
-                model.require_fitted(),
-                record=job.spec.record[: said["samples"]],
-                begin=0,
-                others=tuple(job.spec.others),
-                whole=True,
-            )
-            model.fitted = whole
+            model.fitted = replace(model.require_fitted(), begin=0, whole=True)
+            self._put_records(job, model, said["samples"])
             with_simulators_of(model, job.forecaster)
             forecasts = {Origin(*at): each for at, each in said["forecasts"]}
             return Fit(

@@ -151,6 +151,7 @@ class Run:
         self.finals: dict[str, list[Fit]] = {}
         self.failed: dict[str, str] = {}
         self._final_jobs: dict[str, list[Job]] = {}
+        self._trial: Trial | None = None  # of the trials so far
         self._quick: list[Job] = []  # of methods without networks, which have not ended
         self._partly: dict[str, str] = {}  # why finals are fits to three quarters
         self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
@@ -159,7 +160,9 @@ class Run:
     @property
     def trial(self) -> Trial:
         """Return the results on held-out samples so far."""
-        return self._judged({})
+        if self._trial is None:
+            self._trial = self._judged({})
+        return self._trial
 
     @property
     def model(self) -> Forecaster:
@@ -255,7 +258,7 @@ class Run:
             if not job.trains:
                 self._partly[name] = _of_three_quarters(job.forecaster)
         else:
-            self.trials[name] = [fit]
+            self.trials[name], self._trial = [fit], None
             method = next(f for f in self._ready if f.name == name)
             job = Job(method, self.plan.spec(method))
             if method._at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
@@ -315,7 +318,7 @@ class Run:
                 jobs[0] = replace(jobs[0], needed=True)
             until = Deadline.after((clock.left - reserve) / search.cost_factor)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
-            self.trials |= search.trials
+            self.trials, self._trial = self.trials | search.trials, None
             if not clock.interrupted:
                 self._report(f"round {search.round}", new_table=True)
             if until.over or clock.interrupted:

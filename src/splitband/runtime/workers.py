@@ -14,14 +14,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from io import BytesIO
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.context import SpawnContext
 from multiprocessing.reduction import ForkingPickler
 from multiprocessing.synchronize import RLock
 from typing import Any, Generic, ParamSpec, TypeVar, final
 
+import numpy as np
 from pebble import ProcessExpired, ProcessPool
 
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline
 from splitband.runtime.system import interrupts_blocked, start_resource_tracker
 from splitband.runtime.threads import one_thread
@@ -29,6 +32,8 @@ from splitband.runtime.threads import one_thread
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Parameters = ParamSpec("Parameters")
+LARGE = 2**20
+"""Bytes of an array that is sent to worker processes by a file. Bounds time and memory."""
 TICK = 1.0
 """Longest wait in s for the end of a job, after which Ctrl-C and deadlines are noticed."""
 
@@ -48,6 +53,7 @@ class Workers(Executor):
         self._context = _Spawn()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._pool: ProcessPool | None = None
+        self._files: dict[int, tuple[Array, str]] = {}
 
     def submit(
         self,
@@ -67,13 +73,20 @@ class Workers(Executor):
             start_resource_tracker()
         future: Future[Result] = Future()
         try:
-            packed = bytes(ForkingPickler.dumps((fn, args, kwargs)))
+            packed = self._packed((fn, args, kwargs))
         except Exception as error:
             future.set_exception(NotSentError(str(error)))
         else:
             with interrupts_blocked():
                 future = self._pool.schedule(_unpacked, (packed,))
         return future
+
+    def _packed(self, job: Any) -> bytes:
+        """Return a job as it is sent; of large arrays that never change the file is."""
+        assert self._folder is not None
+        packed = BytesIO()
+        _Pickler(packed, self._folder.name, self._files).dump(job)
+        return packed.getvalue()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes; those with a job are ended in the middle of it."""
@@ -111,6 +124,29 @@ def _begin(folder: str, environment: Mapping[str, str]) -> None:
     os.environ.update(dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+
+
+class _Pickler(ForkingPickler):
+    """Writes large arrays that never change, such as those of records, to a file, each one once."""
+
+    def __init__(self, packed: BytesIO, folder: str, files: dict[int, tuple[Array, str]]) -> None:
+        super().__init__(packed)
+        self._folder, self._files = folder, files
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return how a value is sent: a large array by its file, another value as usual."""
+        if type(value) is not np.ndarray or value.nbytes < LARGE or value.flags.writeable:
+            return NotImplemented
+        if id(value) not in self._files:  # which no other has while the array is kept
+            path = os.path.join(self._folder, f"{len(self._files)}.npy")
+            np.save(path, value)
+            self._files[id(value)] = value, path
+        return _mapped, (self._files[id(value)][1],)
+
+
+def _mapped(path: str) -> Array:
+    """Return the array of a file, of which all processes share the memory."""
+    return np.asarray(np.load(path, mmap_mode="r"))
 
 
 def _unpacked(packed: bytes) -> Any:
