@@ -78,14 +78,13 @@ class Display:
         """Write the whole result of the baselines, or the best model so far."""
         if self._facts is None:
             return
-        began, loading = state.clock.used, state.clock.writing
+        loading = state.clock.writing
         try:
             if whole:
                 self._written = True
                 facts = self._facts | {"unfinished": state.doing}
                 results.save(state.comparison(), self._out, facts)
-                # The last one has more methods in it, and loads what runs the model.
-                state.clock.writing = loading + state.clock.used - began
+                state.clock.writing += loading  # the last one loads what runs the model
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there
