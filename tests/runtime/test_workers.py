@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -90,7 +89,10 @@ def test_a_job_whose_process_ends_or_hangs_takes_no_other_with_it(
         assert found[3].exception() is None
         queue, done = Queue[int, str](workers), list[int]()
         queue.begin(leave, [2, 0], Once(done))
-        ended = dict(job for job in queue.ended() if done.append(job[0]) is None)
+        ended = dict[int, Future[str]]()
+        for job, future in queue.ended():
+            ended[job] = future
+            done.append(job)
         assert ended[0].result()
         assert ended[2].cancelled()  # and its process is ended
     assert not [path.name for path in tmp_path.iterdir() if not path.name.startswith("pymp-")]
@@ -107,6 +109,30 @@ def test_a_process_that_begins_while_the_others_are_ended_complains_of_nothing(
         waiting.cancel()
         eventually(lambda: bool({*multiprocessing.active_children()} - before))
     assert capfd.readouterr().err == ""
+
+
+def described(job: tuple[np.ndarray, np.ndarray]) -> tuple[bool, bool, float]:
+    """Whether a process has the two arrays as files, and their sum."""
+    first, second = (isinstance(each.base, np.memmap) for each in job)
+    return first, second, float(sum(map(np.sum, job)))
+
+
+def test_a_large_array_that_never_changes_is_sent_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    fixed, free = np.ones(200_000), np.ones(200_000)
+    fixed.setflags(write=False)
+    with Workers(1) as workers:
+        found = [workers.submit(described, (fixed, free)) for _ in range(2)]
+        assert [each.result() for each in found] == [(True, False, 400_000)] * 2
+        assert len([*tmp_path.glob("splitband-*/*.npy")]) == 1
+
+
+def test_a_job_that_another_process_cannot_import_is_done_here() -> None:
+    with Workers(1) as workers:
+        ((_, future),) = run_jobs(lambda job: os.getpid() + job, [1], workers)
+    assert future.result() == os.getpid() + 1
 
 
 def alive(pid: int) -> bool:

@@ -63,7 +63,7 @@ class Workers(Executor):
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
         """Submit a job; `Future.cancel` also ends one that runs."""
-        if self._pool is None:
+        if self._pool is None or self._folder is None:
             # Made with the processes, which remove it if this one is killed.
             self._folder = tempfile.TemporaryDirectory(
                 prefix="splitband-", ignore_cleanup_errors=True
@@ -72,21 +72,15 @@ class Workers(Executor):
             self._pool = ProcessPool(self._count, 0, _begin, given, self._context)
             start_resource_tracker()
         future: Future[Result] = Future()
+        folder = self._folder.name
         try:
-            packed = self._packed((fn, args, kwargs))
+            _Pickler(packed := BytesIO(), folder, self._files).dump((fn, args, kwargs))
         except Exception as error:
             future.set_exception(NotSentError(str(error)))
         else:
             with interrupts_blocked():
-                future = self._pool.schedule(_unpacked, (packed,))
+                future = self._pool.schedule(_unpacked, (packed.getvalue(),))
         return future
-
-    def _packed(self, job: Any) -> bytes:
-        """Return a job as it is sent; of large arrays that never change the file is."""
-        assert self._folder is not None
-        packed = BytesIO()
-        _Pickler(packed, self._folder.name, self._files).dump(job)
-        return packed.getvalue()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes; those with a job are ended in the middle of it."""
@@ -183,29 +177,28 @@ class NotSentError(Exception):
 
 
 @dataclass(eq=False)
-class _Begun(Generic[Job, Result]):
+class _Begun:
     """Hold a job of a queue; `future` is None while it waits for a core."""
 
-    work: Callable[[Job], Result]
-    job: Job
+    work: Callable[[Any], Any]
+    job: Any
     patience: Deadline
-    future: Future[Result] | None = None
+    future: Future[Any] | None = None
 
     @property
     def over(self) -> bool:
         """Return whether it is done, or nobody waits for it any longer."""
         return self.patience.over or (self.future is not None and self.future.done())
 
-    def ended(self) -> Future[Result]:
-        """Return the result, cancelled if there is none; what cannot be sent is done here."""
+    def result(self) -> Future[Any]:
+        """Return the result; where there is none yet, the job is cancelled."""
         future = self.future or Future()
-        if not future.cancel() and future.done() and isinstance(future.exception(), NotSentError):
-            return self.here()
+        future.cancel()
         return future
 
-    def here(self) -> Future[Result]:
+    def here(self) -> Future[Any]:
         """Return the result of running it in this process."""
-        future: Future[Result] = Future()
+        future: Future[Any] = Future()
         try:
             future.set_result(_on_one_thread(self.work, self.job))
         except Exception as error:
@@ -217,13 +210,12 @@ class _Begun(Generic[Job, Result]):
 class Queue(Generic[Job, Result]):
     """Jobs on an executor or, one after the other as they are asked for, in this process.
 
-    `executor`: None for this process; `cores`: jobs that it is given at a time, but for those that
-    come first.
+    `executor`: None for this process; `cores`: number of jobs that it is given at a time.
     """
 
     def __init__(self, executor: Executor | None = None, cores: float = math.inf) -> None:
         self._executor, self._cores = executor, cores
-        self._begun: list[_Begun[Job, Result]] = []
+        self._begun: list[_Begun] = []
 
     def begin(
         self,
@@ -243,38 +235,42 @@ class Queue(Generic[Job, Result]):
         """
         begun = [_Begun(work, job, patience) for job in jobs]
         self._begun = [*begun, *self._begun] if first else [*self._begun, *begun]
-        self._submit(begun if first else [])
+        if self._executor is not None:
+            self._submit(self._executor)
 
     def ended(self) -> Iterator[tuple[Job, Future[Result]]]:
-        """Yield each job with its result, as it ends; one that was not waited for is not done."""
+        """Yield each job with its result, as it ends; where patience ended, it is not done."""
         while self._begun:
             if self._executor is None:
-                first = self._begun.pop(0)
-                yield first.job, first.here()
+                job = self._begun.pop(0)
+                yield job.job, job.here()
                 continue
-            self._submit()
+            self._submit(self._executor)
             soonest = min(each.patience for each in self._begun)
             futures = [each.future for each in self._begun if each.future is not None]
             wait(futures, min(TICK, max(soonest.left, 0.0)), FIRST_COMPLETED)
             for each in [each for each in self._begun if each.over]:
                 self._begun.remove(each)
-                yield each.job, each.ended()
+                yield each.job, each.here() if _not_sent(each.result()) else each.result()
 
     def drop(self) -> None:
         """Cancel all jobs."""
         for each in self._begun:
-            each.ended()
+            each.result()
         self._begun = []
 
-    def _submit(self, at_once: Sequence[_Begun[Job, Result]] = ()) -> None:
-        """Give jobs to the executor: some at once, others while it has a free core."""
-        if self._executor is None:
-            return
+    def _submit(self, executor: Executor) -> None:
+        """Give jobs to the executor, while it has not enough of them."""
         running = sum(each.future is not None for each in self._begun)
         for each in self._begun:
-            if each.future is None and (running < self._cores or each in at_once):
-                each.future = self._executor.submit(_on_one_thread, each.work, each.job)
+            if each.future is None and running < self._cores:
+                each.future = executor.submit(_on_one_thread, each.work, each.job)
                 running += 1
+
+
+def _not_sent(future: Future[Any]) -> bool:
+    done = future.done() and not future.cancelled()
+    return done and isinstance(future.exception(), NotSentError)
 
 
 def run_jobs(
