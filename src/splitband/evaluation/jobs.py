@@ -214,7 +214,7 @@ class Runner:
         self.cores, self.folder = cores, folder
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
-        self._queue = Queue[Job, Fit](self.executor, 2 * cores)  # none waits for this process
+        self._queue = Queue[Job, Fit](self.executor, cores + 1)  # none waits for this process
         self._parts: dict[tuple[int, int], tuple[Record, Record]] = {}
         self._found: list[tuple[Job, Fit]] = []  # by an earlier command, or too late
         self._starting: list[Future[None]] = []
