@@ -31,7 +31,8 @@ def run(asked: Job, folder: Path, deadline: Deadline = NEVER) -> tuple[Fit, bool
     """The fit of a job, and whether it was found."""
     with Runner(folder=folder) as runner:
         found = runner._kept(asked) is not None
-        ((_, fit),) = runner.run([asked], deadline)
+        runner.begin([asked], deadline)
+        ((_, fit),) = runner.ended([asked])
         return fit, found
 
 

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -20,7 +19,7 @@ import threadpoolctl
 import torch
 
 from splitband.runtime.deadlines import Deadline
-from splitband.runtime.workers import Workers, ended_from_outside, result_of, run_jobs
+from splitband.runtime.workers import Queue, Workers, ended_from_outside, result_of, run_jobs
 
 # What the scripts below import instead of torch, which every process would take seconds to load.
 NO_TORCH = "def set_num_threads(count): pass\n\n\ndef get_num_threads(): return 1\n"
@@ -46,22 +45,6 @@ def test_every_job_comes_with_its_result_or_its_error(executor: Executor | None)
     assert {job: future.result() for job, future in found.items() if job > 0} == {1: 1, 2: 4}
     with pytest.raises(ValueError, match="must not be negative, got -3"):
         found[-3].result()
-
-
-def test_this_process_does_other_work_while_workers_have_jobs() -> None:
-    begun, done = threading.Event(), threading.Event()
-
-    def waiting(_: int) -> bool:
-        begun.set()
-        return done.wait(300)
-
-    def meanwhile() -> None:
-        assert begun.wait(300)
-        done.set()
-
-    with ThreadPoolExecutor(1) as executor:
-        ((_, future),) = run_jobs(waiting, [0], executor, meanwhile=meanwhile)
-    assert future.result()
 
 
 def test_a_wait_for_a_result_ends_with_its_time() -> None:
@@ -104,10 +87,14 @@ def test_a_job_whose_process_ends_or_hangs_takes_no_other_with_it(
         assert Path(found[0].result()).parent.parent == tmp_path
         assert "ended from outside" in ended_from_outside(found[1].exception() or ValueError())
         assert found[3].exception() is None
-        done: list[int] = []
-        for job, _ in run_jobs(leave, [2, 0], workers, Once(done)):
+        queue, done = Queue[int, str](workers), list[int]()
+        queue.begin(leave, [2, 0], Once(done))
+        ended = dict[int, Future[str]]()
+        for job, future in queue.ended():
+            ended[job] = future
             done.append(job)
-        assert done == [0]  # the other one is ended
+        assert ended[0].result()
+        assert ended[2].cancelled()  # and its process is ended
     assert not [path.name for path in tmp_path.iterdir() if not path.name.startswith("pymp-")]
 
 
@@ -122,6 +109,30 @@ def test_a_process_that_begins_while_the_others_are_ended_complains_of_nothing(
         waiting.cancel()
         eventually(lambda: bool({*multiprocessing.active_children()} - before))
     assert capfd.readouterr().err == ""
+
+
+def described(job: tuple[np.ndarray, np.ndarray]) -> tuple[bool, bool, float]:
+    """Whether a process has the two arrays as files, and their sum."""
+    first, second = (isinstance(each.base, np.memmap) for each in job)
+    return first, second, float(sum(map(np.sum, job)))
+
+
+def test_a_large_array_that_never_changes_is_sent_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    fixed, free = np.ones(200_000), np.ones(200_000)
+    fixed.setflags(write=False)
+    with Workers(1) as workers:
+        found = [workers.submit(described, (fixed, free)) for _ in range(2)]
+        assert [each.result() for each in found] == [(True, False, 400_000)] * 2
+        assert len([*tmp_path.glob("splitband-*/*.npy")]) == 1
+
+
+def test_a_job_that_another_process_cannot_import_is_done_here() -> None:
+    with Workers(1) as workers:
+        ((_, future),) = run_jobs(lambda job: os.getpid() + job, [1], workers)
+    assert future.result() == os.getpid() + 1
 
 
 def alive(pid: int) -> bool:

@@ -69,21 +69,22 @@ class Display:
             self._live.refresh()
         elif state.new_table:
             showing.console.print(str(state))
-        if state.new_table and state.clock.left:
-            self._write(state)
+        # The whole result once, which takes its time, after workers were given their trainings.
+        whole = bool(state.finals) and not (state.new_table or self._written)
+        if (state.new_table or whole) and state.clock.left:
+            self._write(state, whole)
 
-    def _write(self, state: Run) -> None:
+    def _write(self, state: Run, whole: bool) -> None:
         """Write the whole result of the baselines, or the best model so far."""
         if self._facts is None:
             return
-        began, loading = state.clock.used, state.clock.writing
+        loading = state.clock.writing
         try:
-            if state.finals and not self._written:
+            if whole:
                 self._written = True
                 facts = self._facts | {"unfinished": state.doing}
                 results.save(state.comparison(), self._out, facts)
-                # The last one has more methods in it, and loads what runs the model.
-                state.clock.writing = loading + state.clock.used - began
+                state.clock.writing += loading  # the last one loads what runs the model
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there

@@ -8,9 +8,9 @@ from typing import Annotated
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
 from splitband.metrics import leaves_range
-from splitband.report.results import csv_of
+from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import is_stream, output_folder, write_text
+from splitband.runtime.files import is_stream, output_folder
 
 
 @options.with_groups
@@ -68,7 +68,7 @@ def simulate(
         )
     if not is_stream(out):
         output_folder(out.parent, "--out")
-    write_text(out, csv_of(found.to_frame()))
+    write_csv(out, found.to_frame())
     showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
     for reason in found.warnings:
         showing.warn(reason)

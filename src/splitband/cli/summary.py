@@ -10,11 +10,11 @@ import pandas as pd
 import typer
 
 from splitband.cli import showing
-from splitband.report.results import csv_of
+from splitband.report.results import write_csv
 from splitband.report.table import OVER_ALL, Column, Table, Unit
 from splitband.report.tables import COLUMNS
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import CHECKPOINTS, to_json, write_text
+from splitband.runtime.files import CHECKPOINTS, write_json
 from splitband.runtime.outputs import FACTS, FORMAT
 
 _TIME = "time (s)"
@@ -52,7 +52,10 @@ def summary(
     columns = [Column(h, units[h], values[h, line], line, ranked=False) for h, line in keys]
     showing.table(Table("", columns, said, "folder: recommended", lines="record, output"))
     if out is not None:
-        write_text(out, csv_of(pd.DataFrame(rows)) if out.suffix == ".csv" else to_json(rows))
+        if out.suffix == ".csv":
+            write_csv(out, pd.DataFrame(rows))
+        else:
+            write_json(out, rows)
     showing.as_json(rows)
 
 

@@ -14,6 +14,10 @@ MOST_OF_TIME_LEFT = 0.5
 """Largest share of the time left for what is done once before the best go on: fits of simulators,
 and further choices of training settings. Bounds the time."""
 
+BASELINE_SHARE, MOST_OF_BASELINE = 0.1, 10.0
+"""Share of the time of a command in which a fit without networks has to end with what it has, and
+most seconds of it. Bounds the time."""
+
 
 @dataclass(eq=False)
 class Clock:

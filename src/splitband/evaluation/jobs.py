@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
@@ -36,7 +37,7 @@ from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
-from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.runtime.workers import Queue, Workers, ended_from_outside
 from splitband.simulators.base import identity
 from splitband.simulators.code import code_digest
 
@@ -62,6 +63,7 @@ class Job:
     trains: bool = True  # False to forecast with `start` as it is
     needed: bool = False  # whether it starts even after the deadline, so that there is a result
     seconds: float = 0.0  # that it is expected to take
+    limit: float = math.inf  # seconds from its start after which its fits end with what they have
 
     @property
     def method(self) -> str:
@@ -135,8 +137,12 @@ def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
     if deadline.over and job.trains and not job.needed:
         return job.late()
     keep(known)
-    with within(deadline):
-        return job.run()
+    with within(min(deadline, Deadline.after(job.limit))):
+        fit = job.run()
+    if fit.model is not None and job.trains:  # the process that asked has the records
+        fitted = fit.model.require_fitted()
+        fit.model.fitted = replace(fitted, record=fitted.record[:2], others=())
+    return fit
 
 
 def compile_kernels(
@@ -208,12 +214,16 @@ class Runner:
         self.cores, self.folder = cores, folder
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
+        self._queue = Queue[Job, Fit](self.executor, cores + 1)  # none waits for this process
+        self._parts: dict[tuple[int, int], tuple[Record, Record]] = {}
+        self._found: list[tuple[Job, Fit]] = []  # by an earlier command, or too late
         self._starting: list[Future[None]] = []
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.drop()
         if self._own is not None:
             self._own.shutdown()
 
@@ -232,42 +242,66 @@ class Runner:
         """Return whether workers still load or compile what they were started with."""
         return not all(each.done() for each in self._starting)
 
-    def run(
+    def begin(
         self,
         jobs: Sequence[Job],
         deadline: Deadline,
-        forecasting: float = 0.0,
-        meanwhile: Callable[[], None] = lambda: None,
-    ) -> Iterator[tuple[Job, Fit]]:
-        """Yield each job with its fit, as it is done; at the end those that came too late.
+        patience: Deadline | None = None,
+        first: bool = False,
+    ) -> None:
+        """Begin jobs, of which `ended` yields the fits; see `Queue.begin`.
 
-        `forecasting`: seconds that the forecasts of a job may take after its training.
-        `meanwhile`: what this process does once the workers have their jobs.
+        They have to end at their `deadline`, and are ended when `patience` is over, by default
+        `GRACE` later.
         """
         todo = []
         for job in jobs:
             found = self._kept(job)
-            if found is not None:
-                yield job, found
-            elif deadline.over and job.trains and not job.needed:
-                yield job, job.late()
-            else:
+            if found is None and deadline.over and job.trains and not job.needed:
+                found = job.late()
+            if found is None:
                 todo.append(job)
-        patience = Deadline(deadline.at + max(GRACE, 2 * forecasting))
-        for job, future in run_jobs(
-            partial(_run, {**KEPT}, deadline), [*todo], self.executor, patience, meanwhile
-        ):
-            todo.remove(job)
-            error = future.exception()
-            if error is None:
-                fit = self._put(job, future.result())
-            elif said := ended_from_outside(error):
-                fit = Fit(job.method, job.seed, failure=said)
             else:
-                raise error
+                self._found.append((job, found))
+        patience = patience or deadline.earlier(-GRACE)
+        self._queue.begin(partial(_run, {**KEPT}, deadline), todo, patience, first)
+
+    def ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
+        """Yield every job that was begun with its fit, as it ends, until all of these have."""
+        left = {*jobs}
+        while left:
+            job, fit = self._found.pop(0) if self._found else self._next()
+            left.discard(job)
             yield job, fit
-        for job in todo:
-            yield job, job.late()
+
+    def _next(self) -> tuple[Job, Fit]:
+        """Wait for the next job, and return it with its fit."""
+        job, future = next(self._queue.ended())
+        if future.cancelled() or not future.done():
+            return job, job.late()
+        error = future.exception()
+        if error is None:
+            fit = future.result()
+            if fit.model is not None and job.trains:
+                self._put_records(job, fit.model, max(at.fitted for at in fit.forecasts))
+            return job, self._put(job, fit)
+        if said := ended_from_outside(error):
+            return job, Fit(job.method, job.seed, failure=said)
+        raise error
+
+    def _put_records(self, job: Job, model: Forecaster, samples: int) -> None:
+        """Put back the records that a model was fitted to, each of them once for all models."""
+        record = job.spec.record
+        if (key := (id(record), samples)) not in self._parts:
+            self._parts[key] = record, record[:samples]  # while it is kept, nothing has its id
+        others = tuple(job.spec.others)
+        fitted = replace(model.require_fitted(), record=self._parts[key][1], others=others)
+        model.fitted = fitted
+
+    def drop(self) -> None:
+        """Cancel all jobs that have begun."""
+        self._found = []
+        self._queue.drop()
 
     def _path(self, job: Job) -> Path | None:
         """Return the file of a job; None where it is not kept."""
@@ -288,14 +322,8 @@ class Runner:
             said = unpacked(path.read_bytes())
             model = said["model"]
             # A saved model holds the end of its training record only, and no simulator.
-            whole = replace(
-                model.require_fitted(),
-                record=job.spec.record[: said["samples"]],
-                begin=0,
-                others=tuple(job.spec.others),
-                whole=True,
-            )
-            model.fitted = whole
+            model.fitted = replace(model.require_fitted(), begin=0, whole=True)
+            self._put_records(job, model, said["samples"])
             with_simulators_of(model, job.forecaster)
             forecasts = {Origin(*at): each for at, each in said["forecasts"]}
             return Fit(

@@ -84,10 +84,15 @@ class Plan:
     refit: bool = False
     high: Bands = field(default_factory=Bands)
 
-    @property
+    @cached_property
     def training(self) -> Record:
         """Return the training part of the record."""
         return self.record[: self.train]
+
+    @cached_property
+    def held_out(self) -> Record:
+        """Return the record of which the last quarter is held out, for all trials."""
+        return replace(self.training, y_true=None)
 
     @property
     def names(self) -> list[str]:
@@ -125,9 +130,8 @@ class Plan:
 
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
-        record = replace(self.training, y_true=None)
-        origins = held_out_origins(forecaster, record)
-        return BacktestSpec(record, origins, self.train + self.horizon, self.others)
+        origins = held_out_origins(forecaster, self.held_out)
+        return BacktestSpec(self.held_out, origins, self.train + self.horizon, self.others)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
 from splitband.evaluation.checks import check_ahead
-from splitband.evaluation.clock import MOST_OF_TIME_LEFT, Clock
+from splitband.evaluation.clock import (
+    BASELINE_SHARE,
+    MOST_OF_BASELINE,
+    MOST_OF_TIME_LEFT,
+    Clock,
+)
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import LATE, Job, Runner, held_out_job, prepare
+from splitband.evaluation.jobs import GRACE, LATE, Job, Runner, held_out_job, prepare
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
-from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
+from splitband.forecasters.backtest import HELD_OUT_SHARE, BacktestSpec, Fit, Origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.names import BASES, built
@@ -119,7 +125,7 @@ def finished(
     except KeyboardInterrupt:
         if not found.trials:
             raise
-        found.clock.interrupted = True
+        found.interrupt()
     found.complete()
     return found
 
@@ -145,13 +151,18 @@ class Run:
         self.finals: dict[str, list[Fit]] = {}
         self.failed: dict[str, str] = {}
         self._final_jobs: dict[str, list[Job]] = {}
+        self._trial: Trial | None = None  # of the trials so far
+        self._quick: list[Job] = []  # of methods without networks, which have not ended
+        self._partly: dict[str, str] = {}  # why finals are fits to three quarters
         self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
         self._search: Search | None = None
 
     @property
     def trial(self) -> Trial:
         """Return the results on held-out samples so far."""
-        return judged(self.plan.training, self.trials, {}, self.failed)
+        if self._trial is None:
+            self._trial = self._judged({})
+        return self._trial
 
     @property
     def model(self) -> Forecaster:
@@ -183,10 +194,16 @@ class Run:
         """Return the comparison of the final fits so far."""
         attempts = () if self._search is None else tuple(self._search.attempts)
         found = Comparison(self.plan, self.fits(), None, attempts, self.clock)
-        trial = judged(
-            self.plan.training, self.trials, found.fits, self.failed, frozenset(found.left_out)
-        )
-        return replace(found, trial=trial)
+        return replace(found, trial=self._judged(found.fits, frozenset(found.left_out)))
+
+    def _judged(
+        self, final: Mapping[str, Sequence[Fit]], left_out: frozenset[str] = frozenset()
+    ) -> Trial:
+        """Return the results on held-out samples, in the order of the methods, not of the jobs."""
+        names = self.plan.names
+        trials = {name: self.trials[name] for name in names if name in self.trials}
+        failed = {name: self.failed[name] for name in names if name in self.failed}
+        return judged(self.plan.training, trials, final, failed, left_out)
 
     def result(self) -> Comparison:
         """Return the comparison at the end, with the refit if one is asked for."""
@@ -196,28 +213,84 @@ class Run:
         return replace(found, refit=self._refitted(found.recommended, found.require_trial()))
 
     def run_quick(self) -> None:
-        """Fit the methods without networks: first those that fit no simulator, either."""
+        """Fit the methods without networks; workers go on with it while they train networks."""
         quick = [f for f in self._ready if not f.random]
-        at_once, slow = (
-            [f for f in quick if f._fits_simulator == slowly] for slowly in (False, True)
-        )
-        for forecaster in at_once:
-            self._fit_held_out(forecaster)
+        at_once = [f for f in quick if f._at_once]
+        prepared = [f for f in self._ready if f.random or f._fits_simulator]
+        self._try([f for f in quick if f not in [*at_once, *prepared]])
         # Workers load torch while the first table is shown and written.
         self._runner.start([f for f in self._ready if f.random])
+        self._try(at_once)
         if len(at_once) < len(self._ready):
             self._report("baselines", new_table=True)
         until = self._half()
-        prepared = [f for f in self._ready if f not in at_once]
         for forecaster in prepared:
             spec = self.plan.held_out_spec(forecaster)
             for samples in sorted({origin.fitted for origin in spec.origins}):
                 records = [spec.record[:samples], *spec.others]
                 prepare([forecaster], records, self._runner, until)
-        for forecaster in slow:
-            self._fit_held_out(forecaster)
-        if slow and len(quick) < len(self._ready):
-            self._report("baselines", new_table=True)
+        self._try([f for f in prepared if not f.random])
+        if self._runner.executor is None:
+            self._await_quick()
+
+    def _try(self, forecasters: Sequence[Forecaster]) -> None:
+        """Begin the fits of methods without networks to three quarters of the training part."""
+        for forecaster in forecasters:
+            self._begin(replace(held_out_job(self.plan, forecaster), needed=True))
+
+    def _begin(self, job: Job) -> None:
+        """Begin a job of a method without networks; one that takes no time is done here."""
+        if job.forecaster._at_once:
+            with one_thread():
+                self._take(job, job.run())
+            return
+        job = replace(job, limit=self._limit(job.forecaster))
+        self._quick.append(job)
+        self._runner.begin([job], self._half(), first=True)
+
+    def _take(self, job: Job, fit: Fit) -> None:
+        """Take a fit of a method without networks; after the trial, the final fit begins."""
+        name = job.method
+        if fit.model is None:
+            self.failed[name] = fit.failure
+        elif name in self.trials:
+            self.finals[name] = [fit]
+            if not job.trains:
+                self._partly[name] = _of_three_quarters(job.forecaster)
+        else:
+            self.trials[name], self._trial = [fit], None
+            method = next(f for f in self._ready if f.name == name)
+            job = Job(method, self.plan.spec(method))
+            if method._at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
+                records = [self.plan.training, *self.plan.others]
+                prepare([method], records, self._runner, self._half())
+            else:
+                job = replace(job, start=fit.model, trains=False)
+            self._begin(job)
+
+    def _await_quick(self, trials_alone: bool = False) -> None:
+        """Wait for the methods without networks: for all their fits, or for the trials alone."""
+        while jobs := [j for j in self._quick if not (trials_alone and j.method in self.trials)]:
+            for _ in self._ended(jobs):
+                pass
+
+    def _ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
+        """Yield jobs with their fits, as they end; methods without networks are taken meanwhile."""
+        for job, fit in self._runner.ended(jobs):
+            if job not in self._quick:
+                yield job, fit
+                continue
+            self._quick.remove(job)
+            tried = job.method in self.trials
+            self._take(job, fit)
+            left = any(other.method not in self.trials for other in self._quick)
+            if not (tried or left) and any(f.random for f in self._ready):
+                self._report("baselines", new_table=True)
+
+    def interrupt(self) -> None:
+        """End all jobs, after Ctrl-C."""
+        self.clock.interrupted, self._quick = True, []
+        self._runner.drop()
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
@@ -244,16 +317,15 @@ class Run:
             if not self.trials and search.round == 1:
                 jobs[0] = replace(jobs[0], needed=True)
             until = Deadline.after((clock.left - reserve) / search.cost_factor)
-            search.tell(
-                self._trained(jobs, until, f"round {search.round}", self._fit_quick_methods)
-            )
-            self.trials |= search.trials
-            if search.round == 1 and self.plan.extended and (most is None or most > 1):
-                self._extend(search)
+            search.tell(self._trained(jobs, until, f"round {search.round}"))
+            self.trials, self._trial = self.trials | search.trials, None
             if not clock.interrupted:
                 self._report(f"round {search.round}", new_table=True)
             if until.over or clock.interrupted:
                 break
+            if search.round == 1 and self.plan.extended and most != 1:
+                self._await_quick(trials_alone=True)
+                self._extend(search)
         self.failed |= search.failed
         clock.settled = search.converged
 
@@ -271,9 +343,7 @@ class Run:
 
     def run_finals(self) -> None:
         """Train the networks on the whole training part, the best one first."""
-        if self._search is None:
-            return
-        jobs = self._search.finals()
+        jobs = [] if self._search is None else self._search.finals()
         for forecaster in {job.method: job.forecaster for job in jobs}.values():
             records = [self.plan.training, *self.plan.others]
             prepare([forecaster], records, self._runner, self.clock.deadline)
@@ -290,18 +360,18 @@ class Run:
                 self.finals[job.method] = [replace(first, notes=(*first.notes, said)), *others]
             elif fit.model is None:
                 self.failed[job.method] = fit.failure
+        self._await_quick()
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
-        partly = dict[str, str]()
         for name, held in self.trials.items():
             method = next(f for f in self._ready if f.name == name)
-            # After Ctrl-C, nothing that may take long begins.
-            if not method.random and not (method._fits_simulator and self.clock.interrupted):
-                self._fit_whole(method)
-            if self._awaits_final(name) or (method.random and name not in self.finals):
-                partly[name] = self._predict_by_trials(method, held)
-        self.clock.notes += by_reason(partly)
+            failed = not method.random and self.failed.get(name, LATE) != LATE
+            if name not in self.finals and not failed:
+                self._predict_by_trials(method, held)
+        self.clock.notes += by_reason(
+            {name: self._partly[name] for name in self.plan.names if name in self._partly}
+        )
         for name in [*self.failed]:
             if name in self.finals:
                 del self.failed[name]
@@ -360,7 +430,7 @@ class Run:
         ]
         ready = next(f for f in self._ready if f.name == name)
         if not ready.random:
-            jobs = [Job(ready, spec, needed=True)]
+            jobs = [Job(ready, spec, needed=True, limit=self._limit(ready))]
         fits = self._trained(jobs, self.clock.deadline, "refit")
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
@@ -393,79 +463,37 @@ class Run:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None
 
-    def _fit_held_out(self, forecaster: Forecaster) -> None:
-        """Fit a quick method to three quarters of the training part, in this process."""
-        fit = self._at_once(held_out_job(self.plan, forecaster))
-        if fit.model is not None:
-            self.trials[forecaster.name] = [fit]
-        else:
-            self.failed[forecaster.name] = fit.failure
-
-    def _fit_quick_methods(self) -> None:
-        """Fit the quick methods to the whole training part, while workers train networks."""
-        for forecaster in sorted(self._ready, key=lambda f: f._fits_simulator):
-            if not forecaster.random and self._awaits_final(forecaster.name):
-                records = [self.plan.training, *self.plan.others]
-                prepare([forecaster], records, self._runner, self._half())
-                self._fit_whole(forecaster)
-
-    def _fit_whole(self, forecaster: Forecaster) -> None:
-        """Fit a method to the whole training part, in this process, once."""
-        name = forecaster.name
-        if self._awaits_final(name):
-            fit = self._at_once(Job(forecaster, self.plan.spec(forecaster)))
-            if fit.model is not None:
-                self.finals[name] = [fit]
-            else:
-                self.failed[name] = fit.failure
-
-    def _awaits_final(self, name: str) -> bool:
-        """Return whether a method has no final fit yet, and none that failed."""
-        done = name in self.finals or self.failed.get(name, LATE) != LATE
-        return name in self.trials and not done
-
-    def _at_once(self, job: Job) -> Fit:
-        # A deadline would change a quick fit for no gain.
-        until = self._half() if job.forecaster._fits_simulator else Deadline()
-        with one_thread(), within(until):
-            return job.run()
-
-    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> str:
-        """Predict with models that were fitted to three quarters of the training part; say why."""
+    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> None:
+        """Predict with models that were fitted to three quarters of the training part."""
         name, spec = method.name, self.plan.spec(held[0].fitted)
         best = self._search is not None and name == next(iter(self._search.trials), None)
         models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
         jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
         # In this process: workers may have been ended with a job that was late.
         good = [fit for job in jobs if (fit := job.run()).model is not None]
-        if not good:
-            return ""
-        self.finals[name] = good
-        why = self.failed.pop(name, LATE)
-        return (
-            f"could not be {'trained on' if method.random else 'fitted to'} the whole training "
-            f"part {'in time' if why == LATE else f'({why})'}; results are of three quarters of it"
-        )
+        if good:
+            self.finals[name] = good
+            self._partly[name] = _of_three_quarters(method, self.failed.pop(name, LATE))
 
     def _trained(
         self,
         jobs: Sequence[Job],
         until: Deadline,
         doing: str,
-        meanwhile: Callable[[], None] = lambda: None,
     ) -> list[Fit]:
         """Return the fits of jobs, in their order."""
         fits: dict[Job, Fit] = {}
         try:
+            self._runner.begin(jobs, until, self._patience(until))
             self._report(f"{doing}, 0 of {len(jobs)} trainings")
-            for job, fit in self._runner.run(jobs, until, self._forecasting(), meanwhile):
+            for job, fit in self._ended(jobs):
                 fits[job] = fit
                 self.clock.trained += fit.seconds
                 self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
         except KeyboardInterrupt:
             if not self.trials and not any(fit.model is not None for fit in fits.values()):
                 raise
-            self.clock.interrupted = True
+            self.interrupt()
         return [fits.get(job) or job.late() for job in jobs]
 
     def _report(self, doing: str, new_table: bool = False) -> None:
@@ -474,16 +502,31 @@ class Run:
             self._watch(self)
 
     def _half(self) -> Deadline:
-        """Return the deadline of what comes before the networks: simulators' fits may be slow."""
-        return Deadline.after(MOST_OF_TIME_LEFT * self.clock.left)
+        """Return the deadline of what does not train networks, where others do."""
+        share = MOST_OF_TIME_LEFT if any(f.random for f in self._ready) else 1.0
+        return Deadline.after(share * self.clock.left)
+
+    def _limit(self, forecaster: Forecaster) -> float:
+        """Return the seconds of a fit without networks; results by --rounds do not depend on it."""
+        if self.clock.limit is None or forecaster._fits_simulator:
+            return math.inf
+        return min(BASELINE_SHARE * self.clock.limit, MOST_OF_BASELINE)
 
     def _reserve(self, search: Search) -> float:
         """Return the seconds that the final trainings of what is best so far will take."""
         jobs = search.finals()
         again = [job for job in jobs if self.plan.refit and job.method == jobs[0].method]
         every = [job.seconds for job in [*jobs, *again]]
+        if self.plan.refit and self.finals:
+            every += [fit.seconds for fit in self.finals.get(self.trial.recommended, [])]
         longest = max(every, default=0.0)
         return max(longest, sum(every) / self._runner.cores) + self._forecasting()
+
+    def _patience(self, until: Deadline) -> Deadline:
+        """Return when trainings are ended that have not forecast yet; of the first, at the end."""
+        took = self._forecasting()
+        least = until.earlier(-max(GRACE, 2 * took))
+        return least if took else max(least, self.clock.deadline)
 
     def _forecasting(self) -> float:
         """Return the seconds that the forecasts of a final training take, by those of the trial.
@@ -501,6 +544,14 @@ class Run:
         samples = 2 * len(plan.record) + sum(map(len, plan.tests))
         # The least one, as the first forecasts of a process also load or compile what they need.
         return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
+
+
+def _of_three_quarters(method: Forecaster, why: str = LATE) -> str:
+    """Return in words why results are of a fit to three quarters of the training part."""
+    return (
+        f"could not be {'trained on' if method.random else 'fitted to'} the whole training "
+        f"part {'in time' if why == LATE else f'({why})'}; results are of three quarters of it"
+    )
 
 
 def fit(  # noqa: PLR0913

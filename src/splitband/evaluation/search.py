@@ -152,6 +152,9 @@ class Search:
         score = math.inf if fit.model is None else held_out_score(self._record, [fit])
         candidate.fits.append(fit)
         candidate.scores.append(score if math.isfinite(score) else math.inf)
+        for i, other in enumerate(candidate.fits):
+            if i != candidate.best:  # of a long record, forecasts take most of the memory
+                candidate.fits[i] = replace(other, forecasts={}, unfiltered={})
         trained = candidate.network if fit.model is None else fit.fitted
         said = candidate.method, trained._training_in_words(), candidate.seed
         shown = None if fit.model is None else (1 + WORTH_TRAINING) * score

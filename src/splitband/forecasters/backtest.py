@@ -21,7 +21,7 @@ from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import DeadlineError, current, now
+from splitband.runtime.deadlines import Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training import Checkpoint, Progress
@@ -173,22 +173,24 @@ def backtest(
     `seed`, `start`, `progress` and `checkpoint` are those of `Forecaster.fit`.
     """
     began, found = now(), Fit(forecaster.name, seed)
+    left = len({origin.fitted for origin in spec.origins})
     for samples, of_fit in groupby(spec.origins, key=lambda origin: origin.fitted):
         try:
-            fitted = forecaster.clone().fit(
-                spec.record[:samples],
-                *spec.others,
-                seed=seed,
-                start=start,
-                progress=progress,
-                checkpoint=checkpoint,
-            )
+            with within(Deadline.after(current().left / left)):  # each fit has its share
+                fitted = forecaster.clone().fit(
+                    spec.record[:samples],
+                    *spec.others,
+                    seed=seed,
+                    start=start,
+                    progress=progress,
+                    checkpoint=checkpoint,
+                )
         except DeadlineError:
             if found.model is None:
                 raise
             found = replace(found, cut=True)
             break
-        found = _with_forecasts(found, fitted, spec, [*of_fit])
+        found, left = _with_forecasts(found, fitted, spec, [*of_fit]), left - 1
         if current().over and len(found.forecasts) < len(spec.origins):
             found = replace(found, cut=True)
             break

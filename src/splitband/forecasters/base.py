@@ -96,6 +96,8 @@ class Forecaster(WithRepr, ABC):
     settings: Settings | None = None
     _fits_simulator: ClassVar[bool] = False
     """Whether its fit runs a simulator many times, which may take minutes."""
+    _at_once: ClassVar[bool] = False
+    """Whether fit and forecasts together take no time, about a second for a million samples."""
     _words: ClassVar[str] = ""
     """Description that all instances of the class share; see `in_words`."""
     _slow_part: ClassVar[str] = ""

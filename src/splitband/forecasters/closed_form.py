@@ -39,6 +39,7 @@ class Mean(Forecaster):
 
     affine = True
     name = "mean"
+    _at_once = True
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Compute the mean of all records."""
@@ -66,6 +67,7 @@ class Persistence(Forecaster):
 
     affine = True
     name = "persistence"
+    _at_once = True
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the last sample; raises ValueError where a channel has not been measured yet."""

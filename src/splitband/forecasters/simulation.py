@@ -405,6 +405,7 @@ class Simulation(SimulatorForecaster):
     name : By default "simulator".
     """
 
+    _at_once = True
     _slow_part = "simulator"
     _words = "simulator"
 

@@ -31,7 +31,7 @@ from splitband.report.predicted import Predicted, predicted
 from splitband.report.table import Table
 from splitband.report.tables import columns, tried
 from splitband.runtime.deadlines import now
-from splitband.runtime.files import write_text
+from splitband.runtime.files import replacing
 from splitband.runtime.outputs import MODEL_FOLDER, TEST_PREDICTIONS, staged, write_facts
 
 
@@ -51,11 +51,14 @@ def save(
         every, tests = predicted(comparison), len(comparison.tests)
         tables = {TEST_PREDICTIONS.format(i + 1): [every[i]] for i in range(tests)}
         for name, shown in {**tables, "predictions.csv": every[tests:]}.items():
-            write_text(new / name, csv_of(samples(shown, comparison.recommended)))
+            write_csv(new / name, samples(shown, comparison.recommended))
+        # Of a long record it takes longest, and longer with the methods that are still to come.
+        coming = len(comparison.plan.methods) - len(comparison.require_trial().failed)
+        more = (now() - began) * max(coming / len(comparison.fits) - 1, 0)
         page = _page()
         page.of_comparison(comparison, new / PAGE, usage)
         comparison.model.save(new / MODEL_FOLDER)
-        comparison.clock.writing = now() - began
+        comparison.clock.writing = now() - began + more
         found = results(comparison) | {"time": comparison.clock.as_json()}
         write_facts(new, (facts or {}) | found)
 
@@ -155,9 +158,10 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
     return pd.DataFrame(table)
 
 
-def csv_of(table: pd.DataFrame) -> str:
-    """Return a table as CSV; its lines end alike on every system."""
-    return table.to_csv(index=False, lineterminator="\n")
+def write_csv(path: Path, table: pd.DataFrame) -> None:
+    """Write a table as CSV; its lines end alike on every system."""
+    with replacing(path) as new:
+        table.to_csv(new, index=False, lineterminator="\n", compression=None)
 
 
 def save_check(
@@ -201,7 +205,7 @@ def save_forecast(
     """
     page = _page()
     with staged(folder) as new:
-        write_text(new / "forecast.csv", csv_of(result.prediction.to_frame()))
+        write_csv(new / "forecast.csv", result.prediction.to_frame())
         page.of_forecast(result, new / PAGE, usage)
         result.model.save(new / MODEL_FOLDER)
         found = forecast_facts(result) | {"time": result.clock.as_json()}

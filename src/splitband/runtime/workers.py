@@ -13,13 +13,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from io import BytesIO
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.context import SpawnContext
+from multiprocessing.reduction import ForkingPickler
 from multiprocessing.synchronize import RLock
-from typing import ParamSpec, TypeVar, final
+from typing import Any, Generic, ParamSpec, TypeVar, final
 
+import numpy as np
 from pebble import ProcessExpired, ProcessPool
 
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline
 from splitband.runtime.system import interrupts_blocked, start_resource_tracker
 from splitband.runtime.threads import one_thread
@@ -27,6 +32,8 @@ from splitband.runtime.threads import one_thread
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Parameters = ParamSpec("Parameters")
+LARGE = 2**20
+"""Bytes of an array that is sent to worker processes by a file. Bounds time and memory."""
 TICK = 1.0
 """Longest wait in s for the end of a job, after which Ctrl-C and deadlines are noticed."""
 
@@ -46,6 +53,7 @@ class Workers(Executor):
         self._context = _Spawn()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._pool: ProcessPool | None = None
+        self._files: dict[int, tuple[Array, str]] = {}
 
     def submit(
         self,
@@ -55,7 +63,7 @@ class Workers(Executor):
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
         """Submit a job; `Future.cancel` also ends one that runs."""
-        if self._pool is None:
+        if self._pool is None or self._folder is None:
             # Made with the processes, which remove it if this one is killed.
             self._folder = tempfile.TemporaryDirectory(
                 prefix="splitband-", ignore_cleanup_errors=True
@@ -63,8 +71,15 @@ class Workers(Executor):
             given = self._folder.name, dict(os.environ)
             self._pool = ProcessPool(self._count, 0, _begin, given, self._context)
             start_resource_tracker()
-        with interrupts_blocked():
-            future: Future[Result] = self._pool.schedule(fn, args, kwargs)
+        future: Future[Result] = Future()
+        folder = self._folder.name
+        try:
+            _Pickler(packed := BytesIO(), folder, self._files).dump((fn, args, kwargs))
+        except Exception as error:
+            future.set_exception(NotSentError(str(error)))
+        else:
+            with interrupts_blocked():
+                future = self._pool.schedule(_unpacked, (packed.getvalue(),))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -105,6 +120,38 @@ def _begin(folder: str, environment: Mapping[str, str]) -> None:
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
 
+class _Pickler(ForkingPickler):
+    """Writes large arrays that never change, such as those of records, to a file, each one once."""
+
+    def __init__(self, packed: BytesIO, folder: str, files: dict[int, tuple[Array, str]]) -> None:
+        super().__init__(packed)
+        self._folder, self._files = folder, files
+
+    def reducer_override(self, value: Any) -> Any:
+        """Return how a value is sent: a large array by its file, another value as usual."""
+        if type(value) is not np.ndarray or value.nbytes < LARGE or value.flags.writeable:
+            return NotImplemented
+        if id(value) not in self._files:  # which no other has while the array is kept
+            path = os.path.join(self._folder, f"{len(self._files)}.npy")
+            np.save(path, value)
+            self._files[id(value)] = value, path
+        return _mapped, (self._files[id(value)][1],)
+
+
+def _mapped(path: str) -> Array:
+    """Return the array of a file, of which all processes share the memory."""
+    return np.asarray(np.load(path, mmap_mode="r"))
+
+
+def _unpacked(packed: bytes) -> Any:
+    """Do a job in a worker process, where what it consists of has to be found again."""
+    try:
+        fn, args, kwargs = ForkingPickler.loads(packed)
+    except Exception as error:
+        raise NotSentError(str(error)) from error
+    return fn(*args, **kwargs)
+
+
 def _end_with_parent(folder: str) -> None:
     """End this process when its parent has been killed, as its result is of no use."""
     parent = multiprocessing.parent_process()
@@ -125,47 +172,117 @@ def result_of(future: Future[Result], seconds: float | None = None) -> Result:
     return future.result(0)
 
 
-def run_jobs(
-    work: Callable[[Job], Result],
-    jobs: Sequence[Job],
-    executor: Executor | None = None,
-    patience: Deadline = NEVER,
-    meanwhile: Callable[[], None] = lambda: None,
-) -> Iterator[tuple[Job, Future[Result]]]:
-    """Yield each job with its result, as it is done.
+class NotSentError(Exception):
+    """Report that a job cannot be sent to another process, as its classes are not in a module."""
 
-    A job of which `patience` comes before the end is cancelled, and not yielded.
 
-    Parameters
-    ----------
-    work : A module-level function, or a partial of one: other processes have to import it.
-    jobs : In the order in which they start.
-    executor : Where they run; None for this process, one after the other.
-    patience : Deadline after which nobody waits for a result.
-    meanwhile : What this process does once an executor has all jobs.
+@dataclass(eq=False)
+class _Begun:
+    """Hold a job of a queue; `future` is None while it waits for a core."""
+
+    work: Callable[[Any], Any]
+    job: Any
+    patience: Deadline
+    future: Future[Any] | None = None
+
+    @property
+    def over(self) -> bool:
+        """Return whether it is done, or nobody waits for it any longer."""
+        return self.patience.over or (self.future is not None and self.future.done())
+
+    def result(self) -> Future[Any]:
+        """Return the result; where there is none yet, the job is cancelled."""
+        future = self.future or Future()
+        future.cancel()
+        return future
+
+    def here(self) -> Future[Any]:
+        """Return the result of running it in this process."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(_on_one_thread(self.work, self.job))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@final
+class Queue(Generic[Job, Result]):
+    """Jobs on an executor or, one after the other as they are asked for, in this process.
+
+    `executor`: None for this process; `cores`: number of jobs that it is given at a time.
     """
-    if executor is None:
-        meanwhile()
-        for job in jobs:
-            future: Future[Result] = Future()
-            try:
-                future.set_result(_on_one_thread(work, job))
-            except Exception as error:
-                future.set_exception(error)
-            yield job, future
-        return
-    waiting: dict[Future[Result], Job] = {}
+
+    def __init__(self, executor: Executor | None = None, cores: float = math.inf) -> None:
+        self._executor, self._cores = executor, cores
+        self._begun: list[_Begun] = []
+
+    def begin(
+        self,
+        work: Callable[[Job], Result],
+        jobs: Sequence[Job],
+        patience: Deadline = NEVER,
+        first: bool = False,
+    ) -> None:
+        """Begin jobs.
+
+        Parameters
+        ----------
+        work : A module-level function, or a partial of one: other processes have to import it.
+        jobs : In the order in which they start.
+        patience : Deadline after which nobody waits for a result; in a `Workers`, a job is ended.
+        first : Whether they start before others that wait for a core.
+        """
+        begun = [_Begun(work, job, patience) for job in jobs]
+        self._begun = [*begun, *self._begun] if first else [*self._begun, *begun]
+        if self._executor is not None:
+            self._submit(self._executor)
+
+    def ended(self) -> Iterator[tuple[Job, Future[Result]]]:
+        """Yield each job with its result, as it ends; where patience ended, it is not done."""
+        while self._begun:
+            if self._executor is None:
+                job = self._begun.pop(0)
+                yield job.job, job.here()
+                continue
+            self._submit(self._executor)
+            soonest = min(each.patience for each in self._begun)
+            futures = [each.future for each in self._begun if each.future is not None]
+            wait(futures, min(TICK, max(soonest.left, 0.0)), FIRST_COMPLETED)
+            for each in [each for each in self._begun if each.over]:
+                self._begun.remove(each)
+                yield each.job, each.here() if _not_sent(each.result()) else each.result()
+
+    def drop(self) -> None:
+        """Cancel all jobs."""
+        for each in self._begun:
+            each.result()
+        self._begun = []
+
+    def _submit(self, executor: Executor) -> None:
+        """Give jobs to the executor, while it has not enough of them."""
+        running = sum(each.future is not None for each in self._begun)
+        for each in self._begun:
+            if each.future is None and running < self._cores:
+                each.future = executor.submit(_on_one_thread, each.work, each.job)
+                running += 1
+
+
+def _not_sent(future: Future[Any]) -> bool:
+    done = future.done() and not future.cancelled()
+    return done and isinstance(future.exception(), NotSentError)
+
+
+def run_jobs(
+    work: Callable[[Job], Result], jobs: Sequence[Job], executor: Executor | None = None
+) -> Iterator[tuple[Job, Future[Result]]]:
+    """Yield each of the jobs with its result, as it is done; see `Queue`."""
+    queue = Queue[Job, Result](executor)
     try:
-        for job in jobs:
-            waiting[executor.submit(_on_one_thread, work, job)] = job
-        meanwhile()
-        while waiting and not patience.over:
-            done, _ = wait(waiting, min(TICK, max(patience.left, 0.0)), FIRST_COMPLETED)
-            for future in done:
-                yield waiting.pop(future), future
+        queue.begin(work, jobs)
+        yield from queue.ended()
     finally:
-        for future in waiting:
-            future.cancel()
+        queue.drop()
 
 
 def ended_from_outside(error: BaseException) -> str:

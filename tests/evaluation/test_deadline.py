@@ -1,0 +1,150 @@
+"""The time of a comparison is kept whatever is fitted, and networks do not wait for baselines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+from typing import Any
+
+import numpy as np
+import pytest
+
+import splitband as sb
+from splitband import ForecastContext, Forecaster
+from splitband.evaluation import candidates
+from splitband.evaluation.clock import MOST_OF_BASELINE, Clock
+from splitband.evaluation.jobs import LATE
+from splitband.evaluation.plan import plan
+from splitband.evaluation.run import Run, compare, run
+from splitband.runtime.deadlines import current
+from tests.records import SETUP, TRAIN, record
+from tests.support import slowed
+
+RECORD = record(nu=1)
+SMALL: dict[str, Any] = {"settings": {"warmup": 10}, "sizes": SETUP.sizes}
+RELEASED = Event()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_rounds() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(candidates, "FIRST_ROUND", 4)
+        patch.setattr(candidates, "FIRST_STEPS", 3)
+        yield
+
+
+class Baseline(Forecaster):
+    """A baseline of a user, which forecasts zeros."""
+
+    def extrapolate(self, known: ForecastContext) -> np.ndarray:
+        return np.zeros((known.steps, known.y.shape[1]))
+
+
+class Endless(Baseline):
+    """Its fit looks at no clock, and ends when the test does."""
+
+    name = "endless"
+
+    def learn(self, records: object, **_: object) -> None:
+        RELEASED.wait()
+
+
+class Asleep(Baseline):
+    """Its fit looks at no clock, and takes far longer than any test."""
+
+    name = "asleep"
+
+    def learn(self, records: object, **_: object) -> None:
+        time.sleep(600)
+
+
+class Patient(Baseline):
+    """Its fit goes on until its deadline, but for a number of steps at most."""
+
+    name = "patient"
+    most = 10_000
+
+    def learn(self, records: object, **_: object) -> None:
+        self.steps = 0
+        while self.steps < self.most and not current().over:
+            self.steps += 1
+
+
+def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:
+    seen = dict[str, set[str]]()
+
+    def watch(state: Run) -> None:
+        if state.new_table:
+            seen.setdefault(state.doing, {*state.trials})
+
+    with ThreadPoolExecutor(2) as executor:
+        try:
+            result = compare(
+                RECORD, TRAIN, [Endless(), "mean", "gru"], cores=2, executor=executor,
+                watch=watch, budget=6.0, **SMALL,
+            )  # fmt: skip
+        finally:
+            RELEASED.set()
+    assert seen["baselines"] == {"mean"}
+    assert seen["round 1"] == {"mean", "gru"}
+    assert {*result.fits} == {"mean", "gru"}
+    assert result.trial is not None
+    assert result.trial.failed == {"endless": LATE}
+    assert "time" in result.table["note"]["endless"]
+    assert result.clock.used < 30
+
+
+def test_a_process_is_ended_with_the_baseline_that_it_fits() -> None:
+    result = compare(RECORD, TRAIN, [Asleep(), "mean"], cores=2, budget=4.0)
+    assert {*result.fits} == {"mean"}
+    assert result.trial is not None
+    assert result.trial.failed == {"asleep": LATE}
+    assert result.clock.used < 40
+
+
+def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each look at the clock takes a second."""
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, [Patient(), "mean", "gru"], budget=1e6, **SMALL)
+    result = run(planned, clock=Clock(1000.0, clock.at))
+    assert {*result.fits} == {"patient", "mean", "gru"}
+    assert vars(result.fits["patient"][0].fitted)["steps"] <= MOST_OF_BASELINE
+    assert result.attempts
+    assert not any("patient" in note for note in result.clock.notes)
+
+
+def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splitband.evaluation.run.MOST_OF_BASELINE", 1e6)
+    monkeypatch.setattr("splitband.evaluation.run.BASELINE_SHARE", 0.9)
+    clock = slowed(monkeypatch, 1.0)
+    planned = plan(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL)
+    result = run(planned, clock=Clock(300.0, clock.at))
+    assert len(result.fits["patient"][0].fitted.require_fitted().record) < TRAIN
+    (note,) = result.clock.notes
+    assert note.startswith("patient: could not be fitted to the whole training part in time")
+
+
+def test_counted_rounds_limit_no_baseline_and_wait_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Forecaster | str] = [Patient(), "harmonic", "mean", "gru"]
+    one = compare(RECORD, TRAIN, asked, rounds=2, **SMALL)
+    with ThreadPoolExecutor(2) as executor:
+        other = compare(RECORD, TRAIN, asked, rounds=2, cores=2, executor=executor, **SMALL)
+    for result in (one, other):
+        assert vars(result.fits["patient"][0].fitted)["steps"] == Patient.most
+    assert [*one.fits] == [*other.fits]
+    assert one.attempts == other.attempts
+    assert one.trial is not None
+    assert other.trial is not None
+    assert [*one.trial.scores.items()] == [*other.trial.scores.items()]
+
+
+def test_a_method_that_other_processes_cannot_import_is_fitted_here() -> None:
+    class Own(Baseline):
+        name = "own"
+
+    result = compare(RECORD, TRAIN, [Own(), sb.Mean()], cores=2)
+    assert {*result.fits} == {"own", "mean"}
