@@ -50,7 +50,7 @@ _ARX_PAST = 30
 """Past samples of each signal in the ARX model that tests earlier lags. Checked by
 `benchmarks.sensitivity`."""
 _ARX_ROWS = 8000
-"""Most samples of a record in it. Bounds the time."""
+"""Samples of a record in it, at even distances in longer ones. Bounds time and memory."""
 _CHANCE = 1e-6
 """Probability that regressors without effect are significant. Checked by
 `benchmarks.sensitivity`."""
@@ -297,12 +297,12 @@ def _acts_before(
         begin = max(past, int(later.max(initial=0)))
         if len(y) <= begin + 1:
             continue
-        index = np.arange(begin, len(y))[:, None]
+        index = np.arange(begin, len(y), max((len(y) - begin) // _ARX_ROWS, 1))[:, None]
         beside = [u[index - np.arange(past + 1), i] for i in range(nu) if i != input_]
         measured = [y[index - np.arange(1, past + 1), i] for i in range(y.shape[1])]
         own = [u[index - later, input_], u[index - tested, input_]]
-        row = np.hstack([*beside, *measured, np.ones((len(index), 1)), *own, y[begin:, [output]]])
-        rows.append(row[~np.isnan(row).any(axis=1)][:_ARX_ROWS])
+        row = np.hstack([*beside, *measured, np.ones((len(index), 1)), *own, y[index, output]])
+        rows.append(row[~np.isnan(row).any(axis=1)])
     if not rows:
         return False
     data, others = np.concatenate(rows), -1 - len(tested)

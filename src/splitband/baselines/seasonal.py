@@ -40,6 +40,10 @@ ENOUGH_PAIRS = 0.25
 """Fewest pairs of measured samples at a lag, as a share of the largest number at any lag. A lag
 with fewer pairs is left out, as they may agree by chance. By eye."""
 
+_COMPARED, _FEWEST_LAGS, _MOST_LAGS = 20_000_000, 8, 200
+"""Values that are compared with the last period, over all lags, and lags that are tried as periods.
+Bounds the time."""
+
 
 def nearest(time: float) -> int:
     """Return the nearest whole number; halves round up, so that times a sample apart stay so."""
@@ -155,7 +159,8 @@ def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
 
 def last_period(y: Array) -> Array:
     """Return the last period of `y` `(time, ny)`, `(lag, ny)`, for the best lag."""
-    by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y))}
+    most = int(np.clip(_COMPARED // y.size, _FEWEST_LAGS, _MOST_LAGS))
+    by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y, most))}
     # A period and its multiples fit equally well up to rounding. The shortest one is taken.
     negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
     errors = {lag: np.log(error + negligible).sum() for lag, (_, error) in by_lag.items()}
@@ -163,7 +168,7 @@ def last_period(y: Array) -> Array:
     return next(period for lag, (period, _) in by_lag.items() if errors[lag] <= good_enough)
 
 
-def self_similar_lags(y: Array, most: int = 200) -> list[int]:
+def self_similar_lags(y: Array, most: int = _MOST_LAGS) -> list[int]:
     """Return the lags of local minima of the mean of (y_n - y_{n+lag})^2, the lowest first.
 
     Lags of up to half the length of `y` are considered.
