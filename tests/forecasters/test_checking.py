@@ -161,7 +161,7 @@ def test_inputs_that_act_are_judged_beside_integrated_noise(kind: str) -> None:
         walk, u = walk_and_inputs(kind, seed, 1000)
         for pole in (0.95, 1.0):
             x = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], u[:, 0])
-            y = x + 0.02 * x.std() * walk
+            y = x + 0.3 * np.diff(x).std() * walk
             tests = [
                 residual_tests((y - m)[:, None], u[:, :1], "y", "u", m[:, None])[0]
                 for m in (x, 0.5 * x)
