@@ -141,6 +141,11 @@ class ResidualTests:
         """Return whether no test rejects the model."""
         return self.outcome != "rejected"
 
+    @property
+    def doubtful(self) -> bool:
+        """Return whether the model is rejected, or its inputs may be unrelated to the output."""
+        return not self.accepted or (self.unrelated and not self.white)
+
     def verdict(self) -> str:
         """Return the result of the tests with its reason, in a sentence or two."""
         level = f" at {100 * CONFIDENCE:.0f} %" if self.dependent else ""
