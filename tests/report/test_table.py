@@ -144,7 +144,7 @@ def test_an_interval_that_held_too_few_or_too_many_samples_says_so_beside_its_sh
         ((_, facts),) = words.headline(found)
         assert facts[-1].replace("\xa0", " ").startswith("inside the 90 % interval: ")
         assert facts[-1].endswith(said)
-        assert said in page_text(found, tmp_path)
+        assert " ".join(said.split()) in page_text(found, tmp_path)
         (stored,) = [c for c in results.results(found)["table"] if c["heading"] == "in interval"]
         assert stored["marks"][best] == mark
         warned = "interval held only" in " ".join(words.warnings(found))
