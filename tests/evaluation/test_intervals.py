@@ -240,3 +240,29 @@ def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:
         compare(with_gaps(y), TRAIN, ["mean"], **SETUP.options).require_trial().intervals["mean"]
     )
     assert interval.most[0] == pytest.approx(apart * np.nanstd(y[:TRAIN]))
+
+
+def test_an_interval_is_narrow_or_wide_where_chance_does_not_explain_what_it_holds() -> None:
+    """Of 100 independent samples one standard deviation is 3 % of them, of 1,000 it is 1 %."""
+    interval = Interval((1.0,), (0.0,), (None,))
+    for inside, samples, expected in (
+        (0.52, 20, "narrow"), (0.85, 1000, "narrow"), (0.85, 40, ""), (0.88, 100_000, ""),
+        (0.9, 1000, ""), (0.99, 1000, "wide"), (1.0, 1000, "wide"), (1.0, 20, ""),
+    ):  # fmt: skip
+        size = np.where(np.arange(samples) < inside * samples, 0.5, 2.0)
+        size -= 0.1 * np.random.default_rng(0).uniform(size=samples)
+        left = np.random.default_rng(1).permutation(size)[:, None]
+        assert interval.misfits(left) == (expected,), (inside, samples)
+        assert interval.misfits(np.insert(left, 5, np.nan, axis=0)) == (expected,)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9, 0.99])
+def test_few_intervals_that_fit_are_called_narrow_or_wide(pole: float) -> None:
+    """Nor are those whose errors are alike for long: these count as few."""
+    noise = np.random.default_rng(2).standard_normal((300, 1500))
+    left = scipy.signal.lfilter([1.0], [1.0, -pole], noise)[:, 500:] * np.sqrt(1 - pole**2)
+    interval = Interval((float(NORMAL),) * 300, (0.0,) * 300, (None,) * 300)
+    found = interval.misfits(left.T)
+    assert found.count("narrow") + found.count("wide") <= 0.12 * len(found)
+    half = replace(interval, first=(0.4 * NORMAL,) * 300).misfits(left.T)
+    assert half.count("narrow") >= 0.6 * len(found)

@@ -120,6 +120,56 @@ def test_colored_signals_that_have_nothing_in_common_are_not_taken_to_depend() -
     assert not any(test.white for test in tests)
 
 
+def walk_and_inputs(kind: str, seed: int, samples: int = 400) -> tuple[Array, Array]:
+    """A random walk, and two inputs that are drawn independently of it."""
+    rng = np.random.default_rng(seed)
+    u = np.stack([residuals.INPUTS[kind](rng)[:samples] for _ in range(2)], axis=1)
+    return np.cumsum(rng.standard_normal(samples)), u
+
+
+@pytest.mark.parametrize("kind", ["white noise", "smooth noise"])
+def test_a_spurious_regression_of_a_random_walk_says_that_the_inputs_may_be_unrelated(
+    kind: str,
+) -> None:
+    """Levels that wander seem to depend on each other (Granger and Newbold, 1974)."""
+    rejected = of_levels = 0
+    for seed in range(100):
+        y, u = walk_and_inputs(kind, seed)
+        wandering = np.column_stack([np.cumsum(u, axis=0), np.ones(len(y))])
+        model = wandering @ np.linalg.lstsq(wandering, y, rcond=None)[0]
+        (test,) = residual_tests((y - model)[:, None], u, "y", "uv", model[:, None])
+        of_levels += test.p < 0.005
+        rejected += not test.accepted
+        assert test.unrelated == ("may be unrelated to y" in test.verdict())
+    assert rejected <= 2
+    assert of_levels > 15
+
+
+def test_a_linear_model_of_a_random_walk_is_not_said_to_miss_an_effect() -> None:
+    y, u = walk_and_inputs("white noise", 0, 800)
+    record = sb.Record(y, 0.1, u=u, inputs=("a", "b"))
+    found = sb.Linear().fit(record[:500]).check_residuals(record[300:])
+    assert found.tests[0].p < 0.005  # levels would reject it
+    assert found.outcome == "not rejected"
+    assert "The inputs may be unrelated to y, which wanders like a random walk" in str(found)
+
+
+@pytest.mark.parametrize("kind", ["white noise", "smooth noise", "20 steps"])
+def test_inputs_that_act_are_judged_beside_integrated_noise(kind: str) -> None:
+    """The right model is not rejected, half its gain is; and so for an integrator."""
+    for seed in range(10):
+        walk, u = walk_and_inputs(kind, seed, 1000)
+        for pole in (0.95, 1.0):
+            x = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], u[:, 0])
+            y = x + 0.3 * np.diff(x).std() * walk
+            tests = [
+                residual_tests((y - m)[:, None], u[:, :1], "y", "u", m[:, None])[0]
+                for m in (x, 0.5 * x)
+            ]
+            assert [test.accepted for test in tests] == [True, False], (seed, pole)
+            assert not any(test.unrelated for test in tests)
+
+
 def test_the_ljung_box_statistic_is_that_of_its_definition() -> None:
     e = np.random.default_rng(2).standard_normal(300)
     x = e - e.mean()

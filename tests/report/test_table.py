@@ -120,12 +120,35 @@ def test_what_casts_doubt_stands_before_the_plots(seeds: Comparison, tmp_path: P
     doubtful = replace(seeds, fits=fits, trial=trial)
     said = " ".join(words.warnings(doubtful))
     assert said.startswith("The recommended model is unstable")
-    assert "No method predicts this record better than its mean." in said
+    assert "No method predicts this record better than the mean of the predicted samples" in said
     assert "as wide as the record itself" in said
     assert "GRU (gru): no result: it diverged." in said
     page = page_text(doubtful, tmp_path)
     assert page.index("as wide as the record") < page.index("Measured and predicted")
     assert "no result: it diverged" in page
+
+
+def test_an_interval_that_held_too_few_or_too_many_samples_says_so_beside_its_share(
+    seeds: Comparison, tmp_path: Path
+) -> None:
+    best, trial = seeds.recommended, seeds.require_trial()
+    held = trial.held_out[best]
+    for scale, mark in ((0.05, "narrow"), (30.0, "wide")):
+        scaled = replace(held, errors=tuple(scale * e for e in held.errors))
+        scaled = replace(scaled, bounded=np.zeros_like(held.bounded))
+        changed = replace(trial, held_out={**trial.held_out, best: scaled})
+        found = replace(seeds, trial=changed)
+        said = column(found, "in interval").entry(best)
+        assert said.endswith(f"% ({mark})")
+        assert said in printed(found)
+        ((_, facts),) = words.headline(found)
+        assert facts[-1].replace("\xa0", " ").startswith("inside the 90 % interval: ")
+        assert facts[-1].endswith(said)
+        assert " ".join(said.split()) in page_text(found, tmp_path)
+        (stored,) = [c for c in results.results(found)["table"] if c["heading"] == "in interval"]
+        assert stored["marks"][best] == mark
+        warned = "interval held only" in " ".join(words.warnings(found))
+        assert warned == (mark == "narrow")
 
 
 def test_each_channel_has_errors_of_its_own(scales: Comparison, tmp_path: Path) -> None:

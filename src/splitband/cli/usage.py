@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import typer
+from typer.exceptions import TyperException
 
 from splitband.cli.options import (
     FileOptions,
@@ -36,6 +38,10 @@ _BLANK = "simulator_inputs", "time_column"
 _DEFAULTS = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
 WIDTH = 80
 """Characters in a line of a command."""
+NEAR = 0.8
+"""Least similarity of an unknown option and one that it may mean, 0 to 1 (difflib). By eye."""
+_OF_RECORDS = "record", "history", "future_inputs", "test", "more"
+"""Options that take the file of a record."""
 STEPS = 100
 """Samples ahead in the examples."""
 
@@ -48,6 +54,57 @@ def command_of(context: typer.Context) -> dict[str, Any]:
 def arguments(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of options as JSON can hold them."""
     return {name: str(v) if isinstance(v, Path) else v for name, v in values.items()}
+
+
+def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
+    """Return the complete commands that the refused words of a command may mean.
+
+    An unknown option may mean one that is spelled like it, or the argument of its name. A file that
+    is one too many may belong to the record option that is required, or else to any other.
+    """
+    params, words = context.command.params, [*given]
+    options = {name: p for p in params if p.param_type_name == "option" for name in p.opts}
+    places = [f"--{p.name}".replace("_", "-") for p in params if p not in options.values()]
+    parsed = _parsed(context, words)
+    while isinstance(parsed, TyperException):
+        name = getattr(parsed, "option_name", "")
+        meant = get_close_matches(name, options, 1, NEAR)
+        found = [i for i, word in enumerate(words) if word.partition("=")[0] == name]
+        if name in options or not found or not (meant or name in places):
+            return []
+        at = found[0]
+        value = words[at].removeprefix(name)
+        words[at : at + 1] = [*filter(None, [value[1:]])] if name in places else [meant[0] + value]
+        parsed = _parsed(context, words)
+    values, extra = parsed
+    missing = [p for p in params if p.required and values.get(p.name) is None]
+    if len(extra) > 1 or not (extra or words != given):
+        return []
+    begin = context.command_path
+    if not extra:
+        return [] if missing else [" ".join([begin, *map(quoted, words)])]
+    free = {name: p for name, p in options.items() if p.name in _OF_RECORDS and p not in missing}
+    if missing:
+        free = {name: p for name, p in options.items() if p.name in _OF_RECORDS and [p] == missing}
+    elif not Path(extra[0]).exists():
+        return []
+    words.reverse()
+    words.remove(extra[0])  # the last one
+    words.reverse()
+    return [
+        " ".join([begin, *map(quoted, [*words, name, extra[0]])])
+        for name, p in free.items()
+        if p.multiple or values.get(p.name) is None
+    ]
+
+
+def _parsed(context: typer.Context, words: list[str]) -> Any:
+    """Return the values of options and arguments and what is left over, or why there are none."""
+    try:
+        values, extra, _ = context.command.make_parser(context).parse_args([*words])
+    except TyperException as error:
+        return error
+    return values, extra
 
 
 def usage(

@@ -19,9 +19,11 @@ from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.checking import tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.intervals import Misfit
 from splitband.forecasters.prediction import Prediction, median_of
 from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -172,13 +174,19 @@ class Comparison:
 
         NaN without a forecast.
         """
-        errors = self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead
+        errors = self._errors_ahead(name)
         return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
         """Return `covers` for each channel."""
-        errors = self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead
-        return self.require_trial().intervals[name].coverages(errors)
+        return self.require_trial().intervals[name].coverages(self._errors_ahead(name))
+
+    def misfits(self, name: str) -> tuple[Misfit, ...]:
+        """Return whether a method's interval is too narrow or too wide, for each channel."""
+        return self.require_trial().intervals[name].misfits(self._errors_ahead(name))
+
+    def _errors_ahead(self, name: str) -> Array:
+        return np.asarray(self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead)
 
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
         """Test the residuals of a method on samples that nothing was fitted to.

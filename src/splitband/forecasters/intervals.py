@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -26,11 +27,19 @@ Power laws were chosen among laws of growth on 44 development records (docs/resu
 FEWEST = 2.0
 """Smallest number of independent errors that is assumed; with 1, Student's quantile would be
 twice as large. By eye."""
+CHANCE, SLACK = 1.645, 0.03
+"""An interval is narrow or wide where its coverage is off by more than so many standard deviations
+of a binomial share, which one right interval in 20 is to either side, and by more than `SLACK`,
+below which it matters little: by eye."""
 PARTS, BOUNDED = 4, 1.1
 """A signal that does not wander is bounded: its variance is at most `BOUNDED` times the mean
 variance of its `PARTS` parts. One that wanders varies more as a whole than in a part. By eye; the
 limit for bounded channels makes intervals narrower on development records
 (docs/results/rules.md)."""
+
+
+Misfit = Literal["", "narrow", "wide"]
+"""How an interval does not fit errors; empty where it may."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +89,23 @@ class Interval:
         """Return the coverage of each channel."""
         inside = abs(errors) <= self.half_widths(len(errors))
         return tuple(map(_share, inside.T, errors.T))
+
+    def misfits(self, errors: Array) -> tuple[Misfit, ...]:
+        """Return whether the interval is too narrow or too wide for errors, for each channel.
+
+        Correlated errors count as fewer: their number over the autocorrelation time of their sizes.
+        """
+        sizes = abs(errors) / self.half_widths(len(errors))
+        found = list[Misfit]()
+        for size, coverage in zip(sizes.T, self.coverages(errors), strict=True):
+            known = ~np.isnan(size)
+            spread = size - size[known].mean() if known.any() else size
+            varies = bool(spread[known].any())
+            independent = known.sum() / _autocorrelation_time([spread]) if varies else FEWEST
+            deviation = np.sqrt(self.share * (1 - self.share) / max(independent, FEWEST))
+            least, over = max(CHANCE * deviation, SLACK), coverage - self.share
+            found.append("wide" if over > least else "narrow" if over < -least else "")
+        return tuple(found)
 
 
 def _share(inside: Flags, errors: Array) -> float:

@@ -10,6 +10,10 @@ do past inputs help to predict the residuals, beyond their own past? Under the h
 may be anything, a single step or a few sinusoids, as the regression is conditional on them. Powers
 of the simulated output are tested with them, as in the RESET test of J. B. Ramsey (1969): a static
 nonlinearity that the model misses need not be correlated with the inputs.
+
+Signals that wander like a random walk seem to depend on each other where they have nothing in
+common, and so does what a model of them leaves: the spurious regression of C. W. J. Granger and
+P. Newbold (1974). Where the output wanders, the inputs must also help to predict its changes.
 """
 
 from __future__ import annotations
@@ -38,6 +42,14 @@ MAX_ORDER = 20
 MAX_LAG, LAG_MEANS = 100, 12
 """Past inputs in the regression: up to this lag in samples, or a tenth of the record if that is
 less, as means over so many intervals whose lengths grow with the lag. By eye."""
+UNIT_ROOT = -4.1
+"""Statistic of Dickey and Fuller from which on a signal may wander: below it lies one random walk
+in 1,000, by J. G. MacKinnon (1994)."""
+RELATED = 0.001
+"""p-value below which inputs help to predict the changes of a signal that wanders."""
+SAMPLES_PER_LAG = 100
+"""Samples for each lag of the autoregressive model of changes: with twice as many lags, twice as
+many of 1,600 unrelated walks with 350 samples pass for related (`RELATED`: 9 and 4)."""
 POWERS, POWER_LAG, POWER_MEANS = (2, 3), 30, 4
 """The same for the powers of the simulated output. By eye."""
 SMALL_COMPONENT = 1e-3
@@ -86,6 +98,7 @@ class ResidualTests:
     p : The p-value of the F test of all inputs together.
     size : RMS of the residuals as a share of the output's standard deviation; None for an output
         that is constant.
+    unrelated : Whether the output wanders, and the inputs do not help to predict its changes.
     """
 
     output: str
@@ -93,6 +106,7 @@ class ResidualTests:
     inputs: tuple[Correlation, ...]
     p: float = 1.0
     size: float | None = None
+    unrelated: bool = False
 
     @property
     def white(self) -> bool:
@@ -105,7 +119,7 @@ class ResidualTests:
 
         Where all inputs together are significant and none beside the others, all are returned.
         """
-        if self.p >= SIGNIFICANT:
+        if self.p >= SIGNIFICANT or self.unrelated:
             return []
         return self._alone or [each.of for each in self.inputs]
 
@@ -127,6 +141,11 @@ class ResidualTests:
         """Return whether no test rejects the model."""
         return self.outcome != "rejected"
 
+    @property
+    def doubtful(self) -> bool:
+        """Return whether the model is rejected, or its inputs may be unrelated to the output."""
+        return not self.accepted or (self.unrelated and not self.white)
+
     def verdict(self) -> str:
         """Return the result of the tests with its reason, in a sentence or two."""
         level = f" at {100 * CONFIDENCE:.0f} %" if self.dependent else ""
@@ -139,6 +158,12 @@ class ResidualTests:
         if self.white:
             independent = "do not depend on the inputs and " if self.inputs else ""
             return f"{the} residuals of {self.output} {independent}are white noise."
+        if self.unrelated:
+            return (
+                f"{the} inputs may be unrelated to {self.output}, which wanders like a random "
+                "walk: they do not help to predict its changes. An effect in the model may be "
+                "chance."
+            )
         independent = "do not depend on the inputs, but " if self.inputs else ""
         return (
             f"{the} residuals of {self.output} {independent}are not white noise. "
@@ -183,7 +208,8 @@ def residual_tests(
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
         driven = {name: x for name, x in pairs if np.ptp(x[-len(e) - MAX_LAG :]) > 0}
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
-        found.append(ResidualTests(column, _whiteness(e), tested, p, _size(e, y)))
+        unrelated = bool(driven) and _unrelated(e + y, driven)
+        found.append(ResidualTests(column, _whiteness(e), tested, p, _size(e, y), unrelated))
     return tuple(found)
 
 
@@ -207,12 +233,8 @@ def _dependence(
 ) -> tuple[float, tuple[Correlation, ...]]:
     """Return the p-value of the test of all inputs, and the tests of each of them."""
     x, samples = _centred(e)
-    past, rows = _own_past(x, ~np.isnan(e))
-    y, longest = x[rows], min(MAX_LAG, len(x) // 10)
-    most = max(len(y) // (4 * len(inputs)), 1)
-    of_inputs = [
-        _components(_lag_means(u, len(x), longest, LAG_MEANS)[rows], most) for u in inputs.values()
-    ]
+    past, rows = _own_past(x, ~np.isnan(e), MAX_ORDER)
+    y, of_inputs = x[rows], _past_inputs(inputs, rows, min(MAX_LAG, len(x) // 10))
     powers = _components(_powers(simulated)[rows], len(y) // 8)
     test = _NestedTest(y, past, [*of_inputs, powers])
     if math.sqrt(y @ y) <= EXACT * float(np.linalg.norm(_centred(e + simulated)[0])):
@@ -227,6 +249,33 @@ def _dependence(
         r = _correlation(white, scipy.signal.lfilter(a, [1.0], u - u.mean())[-len(x) :])
         tests.append(_correlated(name, r, samples, p))
     return chances[0], tuple(tests)
+
+
+def _unrelated(y: Array, inputs: Mapping[str, Array]) -> bool:
+    """Return whether a signal wanders, and past inputs do not help to predict its changes."""
+    if not _wanders(y):
+        return False
+    changes = np.diff(y, prepend=np.nan)
+    x, samples = _centred(changes)
+    past, rows = _own_past(x, ~np.isnan(changes), max(samples // SAMPLES_PER_LAG, 1))
+    groups = _past_inputs(inputs, rows, min(MAX_LAG, len(x) // 3))
+    return _NestedTest(x[rows], past, groups).p([]) >= RELATED
+
+
+def _wanders(y: Array) -> bool:
+    """Return whether a signal may have a unit root: the test of S. E. Said and D. A. Dickey (1984).
+
+    The number of its lags is by G. W. Schwert (1989).
+    """
+    x, samples = _centred(y)
+    past, rows = _own_past(x, ~np.isnan(y), 1 + int(4 * (samples / 100) ** 0.25))
+    constant = np.ones((len(past), 1))
+    regressors = np.hstack([past[:, :1], np.diff(past, axis=1), constant])
+    change, inverse = x[rows] - past[:, 0], np.linalg.pinv(regressors)
+    estimate = inverse @ change
+    left = float(np.linalg.norm(change - regressors @ estimate))
+    error = left * float(np.linalg.norm(inverse[0])) / math.sqrt(max(len(change) - len(inverse), 1))
+    return bool(estimate[0] > UNIT_ROOT * error)
 
 
 class _NestedTest:
@@ -266,13 +315,24 @@ class _NestedTest:
         return _span(every, COLLINEAR)
 
 
-def _own_past(x: Array, known: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _past_inputs(
+    inputs: Mapping[str, Array], rows: npt.NDArray[np.bool_], longest: int
+) -> list[Array]:
+    """Return the regressors of each input's past up to the `longest` lag."""
+    most = max(int(rows.sum()) // (4 * len(inputs)), 1)
+    means = (_lag_means(u, len(rows), longest, LAG_MEANS) for u in inputs.values())
+    return [_components(of_input[rows], most) for of_input in means]
+
+
+def _own_past(
+    x: Array, known: npt.NDArray[np.bool_], order: int
+) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the past of a signal, `(rows, order)`, and the rows where it is measured.
 
     Gaps limit the order: half of the measured samples remain at least.
     """
     rows, past = known, list[Array]()
-    for k in range(1, min(MAX_ORDER, len(x) // 10) + 1):
+    for k in range(1, min(order, MAX_ORDER, len(x) // 10) + 1):
         fewer = rows & np.append(np.zeros(k, dtype=bool), known[:-k])
         if 2 * fewer.sum() < known.sum():
             break

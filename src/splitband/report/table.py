@@ -63,6 +63,7 @@ class Column:
     ranked: bool = True  # whether the lowest number (of percents, the highest) is the best one
     measure: str = ""  # the unit of the output, as given in its name, such as "m"
     note: str = ""  # what the heading means; empty if it needs no explanation
+    marks: Mapping[str, str] = field(default_factory=dict)  # by row: a word beside the number
 
     @property
     def title(self) -> str:
@@ -96,7 +97,8 @@ class Column:
         if value is None or value != value:  # noqa: PLR0124  NaN
             return number(None)
         if self.unit == "share":
-            return percent(value)
+            mark = self.marks.get(row)
+            return percent(value) + (f" ({mark})" if mark else "")
         if self.unit in ("percent", "seconds"):
             return tenths(value)
         text = aligned(value, self._decimals)
@@ -118,6 +120,7 @@ class Column:
             **({"measure": self.measure} if self.measure and self.unit == "record" else {}),
             "values": {name: v for name, v in self.values.items() if math.isfinite(v)},
             **({"spreads": dict(self.spreads)} if self.spreads else {}),
+            **({"marks": dict(self.marks)} if self.marks else {}),
         }
 
 

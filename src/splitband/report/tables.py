@@ -204,11 +204,12 @@ class Numbers(NamedTuple):
     record: Record | None = None
     test: str = ""  # name of the test record
     spreads: Mapping[str, Any] = MappingProxyType({})
+    marks: Mapping[str, Sequence[str]] = MappingProxyType({})
 
 
 def _columns(heading: str, numbers: Numbers) -> list[Column]:
     """Return the columns of these numbers, which have a unit each."""
-    values, record, test, spreads = numbers
+    values, record, test, spreads, marks = numbers
     unit, note, _ = COLUMNS[heading]
     if record is None:
         ranked = unit == "deviation"
@@ -220,7 +221,7 @@ def _columns(heading: str, numbers: Numbers) -> list[Column]:
     channels = enumerate(zip(record.columns, record.units, strict=True))
     return [
         Column(heading, unit, of(i, values), name if record.ny > 1 else "", test, of(i, spreads),
-               unit != "share", measure, note)
+               unit != "share", measure, note, {n: m[i] for n, m in marks.items() if m[i]})
         for i, (name, measure) in channels
     ]  # fmt: skip
 
@@ -255,7 +256,8 @@ def _intervals(comparison: Comparison) -> list[Numbers]:
     if comparison.trial is None or not comparison.predictions:
         return []
     held = {name: comparison.coverages(name) for name in comparison.fits}
-    return [Numbers(held, comparison.record)]
+    marks = {name: comparison.misfits(name) for name in comparison.fits}
+    return [Numbers(held, comparison.record, marks=marks)]
 
 
 def _trainings(comparison: Comparison) -> list[Numbers]:
@@ -292,7 +294,7 @@ COLUMNS = {
     ),
     "in interval": Quantity(
         "share", "share of the measured samples after the training part in the interval; "
-        f"{percent(COVERAGE)} is ideal", _intervals,
+        f"{percent(COVERAGE)} is ideal; narrow or wide: by more than chance", _intervals,
     ),
     "test RMSE": Quantity(
         "record", "root mean squared error of the simulation of this test record",

@@ -18,14 +18,12 @@ from splitband.forecasters.base import titled
 from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import HYBRIDS
-from splitband.forecasters.residuals import Outcome
+from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
 from splitband.report.predicted import run_of
 from splitband.report.tables import columns, labels_of, leaving_range
 
-POOR = 0.15
-"""Largest shortfall of an interval's coverage that causes no warning. By eye."""
 MIN_HELD_OUT = 20
 """Least number of held-out samples that causes no warning. By eye."""
 
@@ -61,7 +59,7 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
         said = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
         if fit.channel in held and side == "forecast":
             share = percent(comparison.require_trial().intervals[best].share)
-            said.append(f"{held[fit.channel].entry(best)} of them in the {share} interval")
+            said.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
         found.append((f"{fit.channel}, {of}" if fit.channel else of, said))
     return found
 
@@ -129,13 +127,13 @@ def without_result(comparison: Comparison) -> list[str]:
     return [name for name in names if name not in comparison.fits]
 
 
-def verdicts(comparison: Comparison) -> dict[str, Outcome]:
-    """Return what the residual tests say of the recommended method, each with its outcome."""
+def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
+    """Return what the residual tests say of the recommended method, each with its test."""
     where = "the samples after the training part"
     if comparison.medians[comparison.recommended].tests:
         where = f"test record {comparison.tests[0].name or 1}"
     tests = comparison.residual_tests()
-    return {f"{test.verdict()} (Tested on {where}.)": test.outcome for test in tests}
+    return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
 
 
 def warnings(comparison: Comparison) -> list[str]:
@@ -144,7 +142,7 @@ def warnings(comparison: Comparison) -> list[str]:
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
-        *(said for said, outcome in verdicts(comparison).items() if outcome == "rejected"),
+        *(said for said, test in verdicts(comparison).items() if test.doubtful),
         *_left_range(comparison),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
@@ -168,7 +166,8 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
     if all(max(c.values.values()) < 0 for c in worse):
         what = "No method predicts"
     named = " and ".join(filter(None, (f"{c.channel} {c.record}".strip() for c in worse)))
-    return [f"{what} {named or 'this record'} better than its mean."]
+    said = f"{what} {named or 'this record'} better than the mean of the predicted samples"
+    return [f"{said} (fit 0 %), which is not known beforehand."]
 
 
 def _unstable(comparison: Comparison) -> list[str]:
@@ -224,9 +223,9 @@ def _missed_interval(comparison: Comparison) -> list[str]:
     best = comparison.recommended
     share = comparison.require_trial().intervals[best].share
     missed = [
-        c.entry(best) + (f" ({c.channel})" if c.channel else "")
+        percent(c.values[best]) + (f" ({c.channel})" if c.channel else "")
         for c in columns(comparison, "in interval")
-        if c.values[best] < share - POOR
+        if c.marks.get(best) == "narrow"
     ]
     if not missed:
         return []
