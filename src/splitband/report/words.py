@@ -143,7 +143,11 @@ def warnings(comparison: Comparison) -> list[str]:
         *_seen(comparison),
         *_worse_than_mean(comparison),
         *(f"All methods: {said}." for said in _unmoved(comparison)),
-        *(said for said, test in verdicts(comparison).items() if test.doubtful),
+        *(
+            said
+            for said, test in verdicts(comparison).items()
+            if test.unrelated or not test.accepted
+        ),
         *_left_range(comparison),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
