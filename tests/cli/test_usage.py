@@ -108,14 +108,13 @@ SIMULATE = "simulate model --steps 5 --future-inputs 'b c.csv' --out ahead.csv"
 @pytest.mark.parametrize(
     ("line", "meant"),
     [
-        ("check model 'b c.csv'", ["check model --record 'b c.csv'"]),
-        ("check 'b c.csv' --recrod 'b c.csv'", []),  # whose argument is no model
-        ("check model --recrod='b c.csv'", ["check model '--record=b c.csv'"]),
-        ("check --model-dir model --record 'b c.csv'", ["check model --record 'b c.csv'"]),
-        (f"{FIT} 'b c.csv'", [f"{FIT} --more 'b c.csv'"]),
-        (f"{FIT} --colums y", [f"{FIT} --columns y"]),
-        (f"{SIMULATE} a.csv", [f"{SIMULATE} --history a.csv"]),
-        ("export model --out rig.c", ["export model rig.c"]),
+        ("check model 'b c.csv'", "check model --record 'b c.csv'"),
+        ("check model --recrod='b c.csv'", "check model '--record=b c.csv'"),
+        ("check --model-dir model --record 'b c.csv'", "check model --record 'b c.csv'"),
+        (f"{FIT} 'b c.csv'", f"{FIT} --more 'b c.csv'"),
+        (f"{FIT} --colums y", f"{FIT} --columns y"),
+        (f"{SIMULATE} a.csv", f"{SIMULATE} --history a.csv"),
+        ("export model --out rig.c", "export model rig.c"),
         (f"{FIT} nothing.csv", None),
         (f"{FIT} --order", None),
         (f"{FIT} a.csv 'b c.csv'", None),
@@ -126,7 +125,7 @@ SIMULATE = "simulate model --steps 5 --future-inputs 'b c.csv' --out ahead.csv"
 )
 def test_the_corrected_command_that_an_error_shows_runs(
     line: str,
-    meant: list[str] | None,
+    meant: str | None,
     plant: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -137,8 +136,8 @@ def test_the_corrected_command_that_an_error_shows_runs(
     assert said.count("\n") == 1
     assert ("Did you mean: " in said) == (meant is not None)
     shown = said.strip().partition("Did you mean: splitband ")[2]
-    for command in meant or []:
-        assert shown == command
+    if meant:
+        assert shown == meant
         assert main(shlex.split(shown)) == 0
 
 

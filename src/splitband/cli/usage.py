@@ -69,10 +69,9 @@ def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
     while isinstance(parsed, TyperException):
         name = getattr(parsed, "option_name", "")
         meant = get_close_matches(name, options, 1, NEAR)
-        found = [i for i, word in enumerate(words) if word.partition("=")[0] == name]
-        if name in options or not found or not (meant or name in places):
+        at = next((i for i, word in enumerate(words) if word.partition("=")[0] == name), None)
+        if name in options or at is None or not (meant or name in places):
             return []
-        at = found[0]
         value = words[at].removeprefix(name)
         words[at : at + 1] = [*filter(None, [value[1:]])] if name in places else [meant[0] + value]
         parsed = _parsed(context, words)
@@ -80,22 +79,18 @@ def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
     missing = [p for p in params if p.required and values.get(p.name) is None]
     if len(extra) > 1 or not (extra or words != given):
         return []
-    begin = context.command_path
-    if not extra:
-        return [] if missing else [" ".join([begin, *map(quoted, words)])]
-    free = {name: p for name, p in options.items() if p.name in _OF_RECORDS and p not in missing}
-    if missing:
-        free = {name: p for name, p in options.items() if p.name in _OF_RECORDS and [p] == missing}
-    elif not Path(extra[0]).exists():
+    found: list[list[str]] = [] if missing else [words]
+    if extra:
+        del words[len(words) - 1 - words[::-1].index(extra[0])]
+        of_records = {name: p for name, p in options.items() if p.name in _OF_RECORDS}
+        found = [
+            [*words, name, *extra]
+            for name, p in of_records.items()
+            if missing in ([], [p]) and (p.multiple or values.get(p.name) is None)
+        ]
+    if extra and not (missing or Path(extra[0]).exists()):
         return []
-    words.reverse()
-    words.remove(extra[0])  # the last one
-    words.reverse()
-    return [
-        " ".join([begin, *map(quoted, [*words, name, extra[0]])])
-        for name, p in free.items()
-        if p.multiple or values.get(p.name) is None
-    ]
+    return [" ".join([context.command_path, *map(quoted, each)]) for each in found]
 
 
 def _parsed(context: typer.Context, words: list[str]) -> Any:

@@ -142,7 +142,11 @@ def warnings(comparison: Comparison) -> list[str]:
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
-        *(said for said, test in verdicts(comparison).items() if test.doubtful),
+        *(
+            said
+            for said, test in verdicts(comparison).items()
+            if test.unrelated or not test.accepted
+        ),
         *_left_range(comparison),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
