@@ -16,7 +16,9 @@ class Spring(Fmi2Slave):
         self.x, self.v = 1.0, 0.0
         self.register_variable(Real("x", causality=Fmi2Causality.output))
     def do_step(self, time, step):
-        self.v, self.x = self.v - step * 2 * self.x, self.x + step * (self.v - step * 2 * self.x)
+        for _ in range(20):  # steps of its own, so that the communication step hardly matters
+            self.v -= step / 20 * 2 * self.x
+            self.x += step / 20 * self.v
         return True"""
 with TemporaryDirectory() as folder:
     path = Path(*sys.argv[1:] or [folder, "Spring.fmu"])

@@ -338,6 +338,7 @@ def test_a_record_without_a_measured_sample_is_refused() -> None:
             model.fit(empty)
     u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 20)
     y = np.column_stack([scipy.signal.lfilter([0, 1 - a], [1, -a], u) for a in (0.9, 0.95)])
-    turns = np.where(np.arange(800)[:, None] % 2 == [0, 1], y, np.nan)  # never at the same time
+    noisy = y + 0.01 * np.random.default_rng(1).standard_normal(y.shape)
+    turns = np.where(np.arange(800)[:, None] % 2 == [0, 1], noisy, np.nan)  # never at one time
     found = sb.Linear().fit(sb.Record.with_gaps(turns, 0.1, u=u)[:600]).predict(200)
     assert sb.fit_percent(y[600:], found.y).min() > 95

@@ -71,7 +71,7 @@ late. Checked by `benchmarks.sensitivity`."""
 
 _ROWS = 10
 """Block rows of the subspace models that compare delays. Bounds the time."""
-_EXACT = 1e-7
+_EXACT = 1e-6
 """RMS error, in standard deviations, below which models fit alike. Rounding."""
 _DELAY_ORDERS = (1, 2, 4)
 """Orders of the models that compare delays. Bounds the time."""
@@ -238,7 +238,7 @@ def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     nu, costs = len(runs[0].u), []
     for order in _DELAY_ORDERS:
         a, c = found.matrices(order)
-        at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 3)
+        at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 6)
         left = float(np.log(np.maximum(at.scale, _EXACT)).sum())
         costs.append(left + order * (1 + nu) * np.log(samples) / (2 * samples))
     return min(costs)
