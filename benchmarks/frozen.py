@@ -1,0 +1,108 @@
+"""What a commit computes, to the bit, against what another one computes on this machine.
+
+    python -m benchmarks.frozen COMMIT [--records "drill string" demo] [--rounds 2]
+
+Both commits run `splitband compare --rounds 2 --seed 0` on the same records, each with its own
+source (COMMIT from a worktree that is removed afterwards). Compared are the errors of every method,
+the predictions as written, and the recommended model as it is exported to C. A change that should
+alter no number is one after which each line says "equal"; the others name what differs and by how
+much. Rounding differs between processors, so that nothing is stored.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from benchmarks.commands import RECORDS
+
+ROOT = Path(__file__).parents[1]
+COMPARED: dict[str, Callable[[Path], list[str]]] = {
+    **{name: lambda _, name=name: [name] for name in (  # type: ignore[misc]
+        "double-mass-spring", "double-torsion", "van-der-pol"
+    )},
+    **{name: RECORDS[name] for name in (
+        "tanks", "tank, 400 samples", "tank, 4,000 samples", "five inputs, two outputs",
+        "200 samples, no inputs", "drill string", "crane", "pendulum",
+    )},
+}  # fmt: skip
+"""Records of all kinds of plans, the demo beside them."""
+
+
+@contextmanager
+def source_of(commit: str) -> Iterator[Path]:
+    """Check a commit out for as long as the context lasts."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "source"
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "--quiet", "--detach", str(path), commit], check=True)
+        try:
+            yield path
+        finally:
+            subprocess.run([*git, "remove", "--force", str(path)], check=True)
+
+
+def computed(source: Path, words: list[str], folder: Path) -> dict[str, Any]:
+    """Run a command with the package of `source`; return its errors and digests of its files."""
+    environment = {**os.environ, "PYTHONPATH": str(source / "src")}
+    out = folder / "out"
+    run = [sys.executable, "-m", "splitband", "--quiet"]
+    subprocess.run([*run, *words, "--out", str(out)], check=True, env=environment, cwd=folder)
+    found = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    facts: dict[str, Any] = {
+        f"{name}: {kind}": error
+        for name, of in found["methods"].items()
+        for kind, error in of.get("median_of_seeds", {"failed": of.get("failed")}).items()
+    }
+    facts["recommended"] = found["recommended"]
+    export = [*run, "export", str(out / "model"), "--out", "model.c"]
+    done = subprocess.run(export, check=False, capture_output=True, env=environment, cwd=folder)
+    paths = [*sorted(out.glob("*.csv")), *([folder / "model.c"] if done.returncode == 0 else [])]
+    return facts | {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+
+
+def differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+    """Return in words what is not the same in both."""
+    found = []
+    for name in dict.fromkeys([*old, *new]):
+        a, b = old.get(name, "none"), new.get(name, "none")
+        if a != b:
+            digest = isinstance(a, str) and len(a) == 64
+            found.append(f"{name} differs" if digest else f"{name}: {a} was, {b} is")
+    return found
+
+
+def main() -> None:
+    """Print a line for each record."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("commit")
+    parser.add_argument("--records", nargs="*", default=[*COMPARED, "demo"])
+    parser.add_argument("--rounds", type=int, default=2)
+    given = parser.parse_args()
+    differ = False
+    with source_of(given.commit) as old:
+        for name in given.records:
+            found = []
+            for source in (old, ROOT):
+                with tempfile.TemporaryDirectory() as at:
+                    words = COMPARED[name](Path(at)) if name in COMPARED else []
+                    command = ["compare", *words] if words else ["demo"]
+                    options = ["--rounds", str(given.rounds), "--seed", "0"] if words else []
+                    found.append(computed(source, [*command, *options], Path(at)))
+            said = differences(*found)
+            differ |= bool(said)
+            print(f"{name}: {'; '.join(said) or f'equal ({len(found[0])} facts)'}", flush=True)
+    sys.exit(differ)
+
+
+if __name__ == "__main__":
+    main()
