@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -148,3 +149,78 @@ def test_a_run_that_is_there_is_not_run_again(
         clock.complete(tmp_path / "runs.jsonl", some, run)
     assert seen == ["a", "b", "a"]
     assert len(clock.read(tmp_path / "runs.jsonl")) == 3
+
+
+@pytest.fixture
+def filter_case(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.filter_case")
+
+
+def test_a_run_of_the_filters_case_is_made_and_not_made_again(
+    filter_case: Any, tmp_path: Path
+) -> None:
+    runs = [r for r in filter_case.rows(1) if r["arm"] in ("L(simulator)", "control")][:2]
+    found = [filter_case.measured(row | {"draw": 100}) for row in runs]
+    # An independent low-pass filter, by SciPy; the whole simulation is known.
+    record, low = filter_case.record_of(found[0]), found[0]["cutoff"]
+    b, a = scipy.signal.butter(1, low, fs=record.sampling_rate)
+    y_sim = record.y_sim[:, 0]
+    filtered, _ = scipy.signal.lfilter(b, a, y_sim, zi=scipy.signal.lfilter_zi(b, a) * y_sim[0])
+    left = (filtered - record.y[:, 0])[1500:]
+    assert found[0]["error"] == pytest.approx(np.sqrt(np.mean(left**2)))
+    assert found[1]["trainings"] == 1
+    assert 0 < found[1]["error"] < found[0]["error"]
+    (tmp_path / "runs.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in found))
+    again = [runs[0] | {"draw": 100}, runs[1]]
+    assert filter_case.missing(tmp_path / "runs.jsonl", again) == [runs[1]]
+
+
+def test_the_control_without_a_network_is_the_low_passed_simulator(filter_case: Any) -> None:
+    torch, models = importlib.import_module("torch"), importlib.import_module("splitband.models")
+    networks, filters = map(importlib.import_module, ("splitband.networks", "splitband.filters"))
+    pair = filters.ComplementaryPair.perfect([0.1, 0.1], [1.0, -0.8], 1.0, "low")
+    cell = networks.GRU(3).sized(1, 0, 5)
+    control, hybrid = filter_case.NotHighPassed(cell, pair), models.Filtered(cell, pair)
+    with torch.no_grad():
+        for weight in cell.parameters():
+            weight.zero_()
+    rng = np.random.default_rng(0)
+    y, y_sim = rng.standard_normal((5, 1)), rng.standard_normal((25, 1))
+    runs = [model.simulate_components(y, 20, None, y_sim) for model in (control, hybrid)]
+    (low, network), (same, high) = (run.values() for run in runs)
+    assert low == pytest.approx(same)
+    assert not network.any()
+    assert high.any()  # that of (c) goes on from the warm-up's high band
+
+
+def test_ratios_of_the_filters_case_are_geometric_means_over_draws(filter_case: Any) -> None:
+    rng, rows, logs = np.random.default_rng(0), list[dict[str, Any]](), list[float]()
+    for draw in range(2000, 2012):
+        own = {arm: rng.normal(size=2) for arm in ("filtered", "residual", "control")}
+        own["filtered"] -= 2.0
+        logs.append(own["filtered"].mean() - own["residual"].mean())
+        row = {"family": "noise above", "cell": "state-space", "calibrated": False, "draw": draw}
+        rows += [
+            row | {"arm": arm, "seed": i, "error": float(np.exp(each)), "deviation": 100.0}
+            for arm, of in own.items()
+            for i, each in enumerate(of)
+        ]
+    unfinished = rows[-1] | {"draw": 2012}  # one seed of two
+    table = filter_case.comparisons([*rows, unfinished])
+    primary = table[table["group"] == "primary"].set_index("other")
+    first = primary.loc["residual"]
+    assert first["ratio"] == pytest.approx(np.exp(np.mean(logs)))
+    assert first["p"] == pytest.approx(scipy.stats.wilcoxon(logs).pvalue)
+    half = scipy.stats.sem(logs) * scipy.stats.t.ppf(0.975, 11)
+    assert np.log(first["high"] / first["low"]) == pytest.approx(2 * half)
+    assert first["n"] == 12
+    assert [*primary["verdict"]] == ["better", "better"]
+    other = table[(table["arm"] == "control") & (table["other"] == "residual")].iloc[0]
+    assert other["verdict"] == "undecided"
+    assert other["p (Holm)"] >= other["p"]
+
+
+def test_p_values_are_corrected_as_holm_did(filter_case: Any) -> None:
+    found = filter_case.holm(filter_case.pd.Series([0.04, 0.01, 0.03, 0.5]))
+    assert [found[i] for i in range(4)] == pytest.approx([0.09, 0.04, 0.09, 0.5])
