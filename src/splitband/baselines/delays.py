@@ -178,7 +178,7 @@ def _compared(
     And whether a model without delays holds out worse, or as well with more poles.
     """
     plain = [units.run(y, u, [0] * len(lags), slice(None)) for y, u in records]
-    cuts = windows(plain, MOST_SAMPLES)
+    cuts = windows(plain, MOST_SAMPLES // 2)
     samples = sum(int(plain[i].measured[:, begin:end].sum()) for i, begin, end in cuts)
     longest, little = max(len(y) for y, _ in records) // 2, np.log(samples) / (2 * samples)
 
