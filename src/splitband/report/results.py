@@ -34,6 +34,9 @@ from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
 from splitband.runtime.outputs import MODEL_FOLDER, TEST_PREDICTIONS, staged, write_facts
 
+MOST_ROWS = 100_000
+"""Samples of a record up to which all of them have rows. Bounds the time of writing."""
+
 
 def save(
     comparison: Comparison,
@@ -140,20 +143,21 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
 
     There is a column for each channel, and one for each channel, method and protocol: the median
     over seeds, empty before the prediction begins. The interval of the recommended method's
-    forecast has columns, too.
+    forecast has columns, too. Of a long record only the samples of the first protocol have rows.
     """
     record = every[0].record
-    table: dict[str, Any] = {time_header(record.columns): record.stamps}
+    rows = min(every[0].steps, len(record)) if len(record) > MOST_ROWS else len(record)
+    table: dict[str, Any] = {time_header(record.columns): record.stamps[-rows:]}
     for i, column in enumerate(record.columns):
-        table[column] = record.y_with_gaps[:, i]
+        table[column] = record.y_with_gaps[-rows:, i]
         for each in every:
             what = "forecast" if each.protocol == "forecast" else "from start"
             for name, p in each.predictions.items():
                 edges = {"lower": p.lower, "upper": p.upper} if name == recommended else {}
                 for said, y in ({what: p.y} | edges).items():
                     if y is not None:
-                        values = np.full(len(record), np.nan)
-                        values[len(record) - len(y) :] = y[:, i]
+                        values = np.full(rows, np.nan)
+                        values[max(rows - len(y), 0) :] = y[-rows:, i]
                         table[f"{column}, {name}, {said}"] = values
     return pd.DataFrame(table)
 
