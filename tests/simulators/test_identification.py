@@ -222,25 +222,6 @@ def test_dry_friction_is_found_with_tolerances_that_its_solver_can_keep() -> Non
     assert "larger tolerances" in lost
 
 
-def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
-    record, calls = measured(noise=0.05), []
-
-    def stop_after_two(done: int, _: int) -> None:
-        calls.append(done)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        identify(oscillator(), record,
-                 effort=Effort(4, folder=tmp_path, progress=stop_after_two))  # fmt: skip
-    rest: list[int] = []
-    found = identify(oscillator(), record, effort=Effort(
-        4, folder=tmp_path, progress=lambda done, _: rest.append(done)))  # fmt: skip
-    assert rest == [3, 4]
-    assert found.values == of_noisy().values
-    assert found.starts[1] > 1
-
-
 def test_a_limit_of_time_ends_it_with_what_has_been_found() -> None:
     with pytest.raises(ValueError, match="the time was over before the first one was done"):
         identify(oscillator(), measured(), effort=Effort(4, seconds=0.0))
