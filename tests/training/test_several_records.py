@@ -1,17 +1,15 @@
 """Several records train one model."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Progress, Record
+from splitband import GRU, Record
 from splitband.evaluation.plan import plan
 from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
-from splitband.training import fit
 from splitband.training.windows import joined, select, windows, windows_in
 from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
 from tests.support import asked, compare, untrained

@@ -82,7 +82,7 @@ class Forecast:
         of_forecast(self, path)
 
 
-def forecast(  # noqa: PLR0913
+def forecast(
     record: Record,
     steps: int,
     methods: Sequence[Forecaster | str] | str | None = None,

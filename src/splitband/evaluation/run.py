@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Watch = Callable[["Run"], None]
 
 
-def compare(  # noqa: PLR0913
+def compare(
     record: Record,
     train: int | None = None,
     methods: Sequence[Forecaster | str] | str | None = None,
@@ -550,7 +550,7 @@ def _of_three_quarters(method: Forecaster, why: str = LATE) -> str:
     )
 
 
-def fit(  # noqa: PLR0913
+def fit(
     plan: Plan,
     *,
     cores: int = 1,
@@ -586,6 +586,4 @@ def fit(  # noqa: PLR0913
         return model
     limit = (clock or Clock(plan.budget)).deadline
     with within(limit):
-        return built(forecaster).fit(
-            plan.training, *plan.others, seed=plan.seed, progress=progress
-        )
+        return built(forecaster).fit(plan.training, *plan.others, seed=plan.seed, progress=progress)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-import torch
-
 from splitband.data import Record
 from splitband.models import Model
 from splitband.runtime.deadlines import Deadline, current
