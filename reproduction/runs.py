@@ -56,8 +56,8 @@ def complete(
     lost. Without an executor they run in this process. `done` is called with each.
     """
     todo = missing(jobs, folder)
-    folder.mkdir(parents=True, exist_ok=True)
     for (job, _), future in run_jobs(_work, [(job, job.record) for job in todo], executor):
+        (folder / job.path).parent.mkdir(parents=True, exist_ok=True)
         write_json_lines(folder / job.path, future.result())
         done(job)
     return len(todo)
