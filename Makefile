@@ -61,7 +61,7 @@ bench: .venv/.ready
 
 fuzz: .venv/.ready
 	$(BIN)/pytest -n auto -m hypothesis --hypothesis-profile explore
-	$(BIN)/python -m tests.cli.fuzzing --inputs 10400 --out docs/benchmarks/fuzz.json
+	$(BIN)/python -m tests.cli.fuzzing --inputs 9360 --out docs/benchmarks/fuzz.json
 
 soak: .venv/.ready
 	$(BIN)/pytest -n auto -m soak

@@ -18,10 +18,13 @@ import splitband as sb
 
 
 def compare(path: Path, out: Path) -> str:
-    """Compare models of a record on one core; an interrupted comparison goes on from `out`."""
+    """Compare models of a record on one core, unless `out` has the result already."""
+    if (out / "results.json").exists():
+        return f"{path.name}: is there"
     record = sb.read(path, inputs=["u"])
-    result = sb.compare(record, cores=1, rounds=1, folder=out / ".splitband-checkpoints")
-    result.save(out)
+    result = sb.compare(record, cores=1, rounds=1)
+    if not result.interrupted:
+        result.save(out)
     return f"{path.name}: {result.recommended}"
 
 

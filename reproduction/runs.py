@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +26,8 @@ from splitband.metrics import rmse
 from splitband.models import Split
 from splitband.models.base import Signals
 from splitband.report.environment import environment
-from splitband.runtime.files import CHECKPOINTS, write_text
+from splitband.runtime.files import write_text
 from splitband.runtime.workers import run_jobs
-from splitband.training import Checkpoint
 
 Array = npt.NDArray[np.float64]
 FORMAT = 1
@@ -59,11 +56,9 @@ def complete(
     lost. Without an executor they run in this process. `done` is called with each.
     """
     todo = missing(jobs, folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    work = partial(_work, folder.absolute())
-    for (job, _), future in run_jobs(work, [(job, job.record) for job in todo], executor):
+    for (job, _), future in run_jobs(_work, [(job, job.record) for job in todo], executor):
+        (folder / job.path).parent.mkdir(parents=True, exist_ok=True)
         write_json_lines(folder / job.path, future.result())
-        shutil.rmtree(folder / _checkpoints(job), ignore_errors=True)
         done(job)
     return len(todo)
 
@@ -178,9 +173,9 @@ def final_losses(facts: dict[str, Any]) -> dict[str, float]:
 def training_seconds(facts: dict[str, Any]) -> float | None:
     """How long a run's training took, or would have taken on a core of its own.
 
-    Of one that waited for its core it is the time that the processor worked on it. None for one
-    that went on from a checkpoint, of which the time before is not known. Older files do not say
-    whether they waited (`load_known`).
+    Of one that waited for its core it is the time that the processor worked on it. None for an
+    older one that was interrupted and resumed, of which the time before is not known. Older files
+    do not say whether they waited (`load_known`).
     """
     if "resumed" in facts:
         return None
@@ -199,44 +194,30 @@ def unversioned(facts: dict[str, Any]) -> bool:
     return not commit or "dirty" in commit
 
 
-def _checkpoints(job: Job) -> str:
-    return f"{job.path.with_suffix('')}-{CHECKPOINTS}"
-
-
-def _work(folder: Path, sent: tuple[Job, Record]) -> dict[str, Any]:
+def _work(sent: tuple[Job, Record]) -> dict[str, Any]:
     job, record = sent
     setup = job.setup(record)
-    began, checkpoints, resumed = time.process_time(), None, False
-    if folder.is_dir():  # not on a machine that shares no disk with this one
-        checkpoints = folder / _checkpoints(job)
-        checkpoints.mkdir(parents=True, exist_ok=True)
-        resumed = any(checkpoints.iterdir())
+    began = time.process_time()
     try:
-        done, sliced = run(job, record, setup, checkpoints)
-        seconds = _time(done.report.seconds, time.process_time() - began, resumed)
-        facts = _results(job, done, record) | seconds
+        done, sliced = run(job, record, setup)
+        facts = _results(job, done, record) | {
+            "seconds": round(done.report.seconds, 3),  # of the fit
+            "cpu_seconds": round(time.process_time() - began, 3),  # of the whole job
+        }
         facts |= {} if sliced is None else {"sliced_rmse": sliced}
     except FloatingPointError as error:
         facts = {"diverged": str(error)}
     return _identity(job, record, setup) | facts | {"environment": environment()}
 
 
-def run(
-    job: Job,
-    record: Record,
-    setup: Setup,
-    checkpoints: Path | None = None,
-) -> tuple[Fit, float | None]:
+def run(job: Job, record: Record, setup: Setup) -> tuple[Fit, float | None]:
     """One method on a system, under both protocols; of a split model also `sliced_rmse`."""
     forecaster = job.forecaster(setup)
     forecaster.check(record[: setup.train])
     first = first_origin(record, setup.train, setup.settings.warmup)
     forecast = Origin(setup.train, setup.train)
-    checkpoint = None
-    if checkpoints is not None and forecaster.random:
-        checkpoint = Checkpoint(checkpoints / f"{job.method}-{job.seed}.safetensors")
     spec = BacktestSpec(record, [first, forecast], len(record))
-    done = backtest(forecaster, spec, job.seed, checkpoint=checkpoint)
+    done = backtest(forecaster, spec, job.seed)
     sliced = None
     if job.splits:
         assert isinstance(done.fitted, Network)
@@ -275,15 +256,6 @@ def _results(job: Job, done: Fit, record: Record) -> dict[str, Any]:
         "components": _parts(done.from_start.components) if drawn else {},
         "unfiltered": _parts(done.unfiltered) if drawn else {},
     }
-
-
-def _time(wall: float, processor: float, resumed: bool) -> dict[str, Any]:
-    """Seconds of the fit, and those that the processor worked on the whole job.
-
-    Of a run that went on from a checkpoint both are those since then: it is marked.
-    """
-    facts: dict[str, Any] = {"seconds": round(wall, 3), "cpu_seconds": round(processor, 3)}
-    return facts | {"resumed": True} if resumed else facts
 
 
 def _identity(job: Job, record: Record, setup: Setup) -> dict[str, Any]:

@@ -19,7 +19,7 @@ GONE = {
     "SavedSettings": "Plan",
     "Search": "compare(budget=..., rounds=...)",
     "Setup": "plan",
-    "Work": "run(cores=..., executor=..., folder=...)",
+    "Work": "run(cores=..., executor=...)",
 }
 """What to use in place of names of earlier versions."""
 

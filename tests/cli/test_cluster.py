@@ -50,7 +50,7 @@ def test_workers_find_the_numbers_of_this_machine(address: str, tmp_path: Path) 
 
 def test_a_cluster_that_ends_before_the_command_is_told(address: str) -> None:
     """As Dask says it of a job that has ended four workers."""
-    said = r"the same command goes on .* the workers are gone, got tcp://"
+    said = "--cluster must be there until the end: .* the workers are gone, got tcp://"
     with pytest.raises(ValueError, match=said), workers(None, address):
         raise distributed.KilledWorker("a job", None, 3)
 

@@ -7,7 +7,7 @@ from tests.cli import fuzzing
 
 @pytest.mark.parametrize(
     ("target", "inputs"),
-    [("readers", 50), ("models", 30), ("checkpoints", 20), ("command_line", 15)],
+    [("readers", 50), ("models", 30), ("command_line", 15)],
 )
 def test_damaged_input_ends_in_a_result_or_in_an_error_that_says_why(
     target: str, inputs: int

@@ -15,7 +15,6 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
-from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import LOCK, locked, staged, write_facts
 from tests.cli.support import QUICK, B, assert_fails, call, files, results, written
 
@@ -208,8 +207,7 @@ def test_a_result_that_cannot_be_written_leaves_the_earlier_one_and_names_the_fi
     said = capsys.readouterr().err
     assert f"File too large: out/{name}" in said
     assert said.count("\n") == 1
-    after = files(out)
-    assert {k: v for k, v in after.items() if CHECKPOINTS not in k} == before
+    assert files(out) == before
 
 
 def test_a_model_is_replaced_with_the_result_that_it_belongs_to(
@@ -226,8 +224,7 @@ def test_a_model_is_replaced_with_the_result_that_it_belongs_to(
     with monkeypatch.context() as patch:
         patch.setattr("splitband.runtime.outputs._replace", killed)
         assert main([*shlex.split(other), "--out", "out"]) == 130
-    after = files(out)
-    assert {k: v for k, v in after.items() if CHECKPOINTS not in k} == before
+    assert files(out) == before
     call(other, out)
     assert sb.load(out / "model").name == "persistence"
     assert len([*(out / "model").iterdir()]) == 2

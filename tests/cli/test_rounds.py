@@ -11,7 +11,7 @@ import splitband as sb
 from splitband.cli.live import in_place
 from splitband.evaluation.run import Run
 from splitband.report import results as written
-from splitband.runtime.files import CHECKPOINTS
+from splitband.runtime.outputs import FACTS, LOCK
 from tests.cli.support import assert_fails, call, files, results, watched
 
 pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
@@ -39,7 +39,6 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
     assert "round 1; best so far: " in said
     assert "round 2; best so far: " in said
     assert "unfinished" not in results(tmp_path)
-    assert not (tmp_path / CHECKPOINTS).exists()
 
 
 def test_a_disk_error_in_between_is_a_warning(
@@ -52,7 +51,7 @@ def test_a_disk_error_in_between_is_a_warning(
         raise OSError(28, "No space left on device")
 
     def look(run: Run) -> None:
-        now = {k: v for k, v in files(tmp_path).items() if CHECKPOINTS not in k}
+        now = files(tmp_path)
         if run.doing == "round 1":
             before.update(now)
         elif run.doing == "round 2":
@@ -90,6 +89,30 @@ def test_a_training_like_an_earlier_one_has_its_settings(
         assert files(earlier) == before
 
 
+def test_skip_done_leaves_a_finished_result_alone_and_begins_another_anew(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever it is asked for."""
+    line, path = "compare record.csv --columns a --methods mean --skip-done", tmp_path / FACTS
+    call(line, tmp_path)
+    before, facts = files(tmp_path), results(tmp_path)
+    capsys.readouterr()
+    other = line.replace("mean", "persistence")
+    call(other, tmp_path)
+    said = f"{tmp_path} has a finished comparison of record: left alone\n"
+    assert capsys.readouterr().out == said
+    call(f"{other} --json", tmp_path)
+    assert json.loads(capsys.readouterr().out) == facts
+    assert files(tmp_path) == before
+    for mark in ({"unfinished": "round 1"}, {"interrupted": True}, {"format": 1}):
+        path.write_text(json.dumps(facts | mark), encoding="utf-8")
+        call(other, tmp_path)
+        assert results(tmp_path)["recommended"] == "persistence"
+    path.write_bytes(b"damaged")
+    call(other, tmp_path)
+    assert results(tmp_path)["recommended"] == "persistence"
+
+
 def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
     tmp_path: Path,
     workspace: Path,
@@ -100,7 +123,8 @@ def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
     line = f"compare {workspace}/record.csv --jobs 1 --methods"
     call(f"{line} mean,harmonic --columns a", Path("pump"))
     call(f"{line} mean --columns a,b --test {workspace}/history.csv", Path("arm"))
-    Path("begun", CHECKPOINTS).mkdir(parents=True)
+    Path("begun").mkdir()
+    Path("begun", LOCK).touch()
     capsys.readouterr()
     call("summary pump arm begun --out all.csv")
     said = capsys.readouterr().out

@@ -29,7 +29,6 @@ from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
 from splitband.models import Signals, Split
-from splitband.training import Checkpoint
 
 Array = npt.NDArray[np.float64]
 
@@ -165,34 +164,30 @@ class Killed(BaseException):
     """What nothing catches."""
 
 
-def test_an_rnn_run_that_was_killed_ends_with_the_same_bits(
+def test_runs_that_were_stopped_go_on_after_the_finished_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     column = replace(HYBRID["v"], train=60, rnn_window=50)
     record = van_der_pol(120)
     short = replace(SYSTEMS["v"], column=column, record=lambda _: record)
     monkeypatch.setitem(SYSTEMS, "v", short)
-    job = Job("v", "filtered-rnn", epochs=4)
+    jobs = [Job("v", "filtered-rnn", seed=seed, epochs=2) for seed in range(2)]
 
-    offer, epochs = Checkpoint.offer, list[str]()
+    def kill(job: Job) -> None:
+        raise Killed
 
-    def kill_in_second(self: Checkpoint, key: str, *state: Any) -> None:
-        epochs.append(key)
-        if len(epochs) == 2:
-            raise Killed
-        offer(self, key, *state)
-
-    complete([job], tmp_path / "whole")
-    monkeypatch.setattr(Checkpoint, "offer", kill_in_second)
+    complete(jobs, tmp_path / "whole")
     with pytest.raises(Killed):
-        complete([job], tmp_path / "killed")
-    assert not (tmp_path / "killed" / job.path).exists()
-    complete([job], tmp_path / "killed")
-    assert len(epochs) == 2 + 3  # the epoch in which it died has no checkpoint
-    whole, went_on = (load(job, tmp_path / name) for name in ("whole", "killed"))
-    assert went_on["resumed"] is True
-    for name in ("total_rmse", "forecast_rmse", "losses", "from_start", "components"):
-        assert went_on[name] == whole[name]
+        complete(jobs, tmp_path / "killed", done=kill)
+    first, second = (tmp_path / "killed" / job.path for job in jobs)
+    written = first.read_bytes()
+    assert not second.exists()
+    assert complete(jobs, tmp_path / "killed") == 1
+    assert first.read_bytes() == written
+    for job in jobs:
+        whole, went_on = (load(job, tmp_path / name) for name in ("whole", "killed"))
+        for name in ("total_rmse", "forecast_rmse", "losses", "from_start", "components"):
+            assert went_on[name] == whole[name]
 
 
 @pytest.mark.usefixtures("public_data")

@@ -139,9 +139,6 @@ def test_a_fit_of_code_that_cannot_be_told_is_not_kept(tmp_path: Path) -> None:
         ode = sb.Ode(rhs, [1.0], parameters={"k": (0.1, 10.0)})
         assert ode.digest() is None
         KEPT.clear()
-        effort = sb.simulators.Effort(2, folder=tmp_path / "starts")
-        sb.identify(ode, RECORD, effort=effort)
-        assert not (tmp_path / "starts").exists()
         for _ in range(2):
             sb.GreyBox(ode, starts=1).fit(RECORD)
         assert len(KEPT) == 2

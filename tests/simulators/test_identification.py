@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -220,25 +219,6 @@ def test_dry_friction_is_found_with_tolerances_that_its_solver_can_keep() -> Non
     lost = str(identify(replace(ode, tolerances=(1e-8, 1e-10)), record, effort=FEW))
     assert "2 of 4 starting points could not be simulated" in lost
     assert "larger tolerances" in lost
-
-
-def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
-    record, calls = measured(noise=0.05), []
-
-    def stop_after_two(done: int, _: int) -> None:
-        calls.append(done)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        identify(oscillator(), record,
-                 effort=Effort(4, folder=tmp_path, progress=stop_after_two))  # fmt: skip
-    rest: list[int] = []
-    found = identify(oscillator(), record, effort=Effort(
-        4, folder=tmp_path, progress=lambda done, _: rest.append(done)))  # fmt: skip
-    assert rest == [3, 4]
-    assert found.values == of_noisy().values
-    assert found.starts[1] > 1
 
 
 def test_a_limit_of_time_ends_it_with_what_has_been_found() -> None:

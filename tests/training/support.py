@@ -13,12 +13,20 @@ from torch import Tensor
 
 from splitband import GRU, Record, Settings
 from splitband.models import Model, Recurrent, Signals, Task
-from splitband.training import fit
+from splitband.training import History, fit
 from splitband.training.optimizers import Adam
-from tests.records import QUICK, SETUP
+from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import untrained
 
 Array = npt.NDArray[np.float64]
+
+RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)
+
+
+def trained(settings: Settings = RECIPE) -> tuple[Model, History]:
+    """A split model of the usual record, and its training."""
+    model = untrained("split-gru-conditioned", record()[:TRAIN], SETUP, 3)
+    return model, fit(model, record()[:TRAIN], settings, 3)
 
 
 def parameters(model: Model) -> Tensor:

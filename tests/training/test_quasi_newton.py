@@ -1,7 +1,6 @@
 """The end of a training by L-BFGS."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +11,11 @@ from torch import Tensor, nn
 from splitband import Record, Settings, Single, StateSpace
 from splitband.runtime.deadlines import Deadline
 from splitband.training import fit, quasi_newton
-from splitband.training.checkpoints import Checkpoint
 from splitband.training.quasi_newton import QuasiNewton, end_to_end
 from tests.records import SETUP, TRAIN, holed, record, standing_in
 from tests.streams import Leaky
 from tests.support import slowed, untrained
-from tests.training.test_checkpoints import RECIPE, Killed, assert_same, trained
+from tests.training.support import RECIPE, parameters, trained
 
 FINISHED = replace(RECIPE, epochs=1, quasi_newton=50)
 
@@ -101,36 +99,11 @@ def test_of_a_long_record_some_windows_are_left_out_evenly() -> None:
 
 def test_it_gets_further_than_as_many_epochs() -> None:
     """By the mean square of the whole, not of some windows; at the end, not on average."""
-    _, by_adam, _ = trained(settings=replace(RECIPE, epochs=4))
-    _, finished, _ = trained(settings=replace(FINISHED, epochs=1, quasi_newton=60))
+    _, by_adam = trained(replace(RECIPE, epochs=4))
+    _, finished = trained(replace(FINISHED, epochs=1, quasi_newton=60))
     for name, losses in finished.losses.items():
         assert len(losses) <= 4
         assert losses[-1] < 0.9 * by_adam.losses[name][-1]
-
-
-@pytest.mark.parametrize(
-    ("converged", "die_after"),
-    # Of each network an epoch and three rounds; or two rounds in either precision, none of which
-    # makes enough progress.
-    [*((None, after) for after in (2, 7)), *((1.0, after) for after in (2, 4, 5, 9))],
-)
-def test_a_training_that_was_cut_off_ends_with_the_same_bits(
-    converged: float | None, die_after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("splitband.training.checkpoints.MOST_OVERHEAD", 1e9)
-    if converged is not None:
-        monkeypatch.setattr(quasi_newton, "CONVERGED", converged)
-    recipe = replace(FINISHED, quasi_newton=50 if converged is None else 200)
-    whole, history, seen = trained(settings=recipe)
-    assert len(seen) == (8 if converged is None else 10)
-    file = tmp_path / "training.safetensors"
-    with pytest.raises(Killed):
-        trained(Checkpoint(file), die_after, settings=recipe)
-    model, resumed, again = trained(Checkpoint(file), settings=recipe)
-    assert_same(model, whole)
-    assert resumed.losses == history.losses
-    assert len(again) == len(seen) - (die_after - 1)
-    assert {weight.dtype for weight in model.parameters()} == {torch.float32}
 
 
 def test_where_rounding_ends_the_descent_in_float32_it_goes_on_in_float64() -> None:
@@ -178,7 +151,7 @@ def test_what_was_not_measured_counts_for_nothing() -> None:
         model = untrained("gru", training, SETUP, 3)
         fit(model, training, FINISHED)
         models.append(model)
-    assert_same(*models)
+    assert torch.equal(parameters(models[0]), parameters(models[1]))
 
 
 def test_a_round_that_a_deadline_cuts_keeps_the_best_weights(

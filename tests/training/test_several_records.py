@@ -1,18 +1,15 @@
 """Several records train one model."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Progress, Record
+from splitband import GRU, Record
 from splitband.evaluation.plan import plan
 from splitband.forecasters.backtest import Origin
 from splitband.models import Recurrent
-from splitband.training import fit
-from splitband.training.checkpoints import Checkpoint
 from splitband.training.windows import joined, select, windows, windows_in
 from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
 from tests.support import asked, compare, untrained
@@ -66,19 +63,6 @@ def test_a_network_without_a_simulator_trains_on_records_with_and_without_one() 
     assert torch.equal(
         parameters(fitted([a, replace(a, y_sim=None, beyond=None)])), parameters(fitted([a, a]))
     )
-
-
-def test_a_checkpoint_knows_all_records_and_their_gaps(tmp_path: Path) -> None:
-    a, b, c = (record(seed=seed)[:TRAIN] for seed in range(3))
-    measured = np.ones((TRAIN, 1), dtype=np.bool_)
-    measured[-1] = False  # which no warm-up sees
-    masked = replace(a, measured=measured)
-    plain = replace(QUICK, normalize=False)
-    checkpoint = Checkpoint(tmp_path / "training.safetensors")
-    for records, epochs in (([a], 1), ([a], 0), ([masked], 1), ([a, b], 1), ([a, c], 1)):
-        seen: list[Progress] = []
-        fit(untrained("gru", a, SETUP, 0), records, plain, 0, seen.append, checkpoint)
-        assert len(seen) == epochs
 
 
 @pytest.mark.parametrize("method", ["gru", "split-gru", "filtered-gru-conditioned"])

@@ -174,9 +174,7 @@ def main(arguments: Sequence[str] | None = None, began: float | None = None) -> 
     except EXPECTED as error:
         return _complain(in_words(error))
     if status == INTERRUPTED:
-        _complain(
-            "stopped; no file is half written, and the same command goes on from what is finished"
-        )
+        _complain("stopped; no file is half written")
     return status if isinstance(status, int) else 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +21,7 @@ from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.tables import of_comparison
-from splitband.runtime.files import CHECKPOINTS
-from splitband.runtime.outputs import MODEL_FOLDER
+from splitband.runtime.outputs import MODEL_FOLDER, finished_comparison
 
 
 @options.with_groups
@@ -33,6 +31,7 @@ def compare(
     jobs: options.Jobs = None,
     out: options.Out = Path("out"),
     cluster: options.Cluster = None,
+    skip_done: options.SkipDone = False,
 ) -> None:
     """Compare models of a record, and recommend one.
 
@@ -54,6 +53,10 @@ def compare(
     --lr-milestones, --recipe constant-rate and --like replace the search. --calibrate and
     --conditioned add methods.
     """
+    if skip_done and (done := finished_comparison(out)) is not None:
+        showing.console.print(f"{out} has a finished comparison of {done}: left alone")
+        showing.facts_of(out)
+        return
     result = compared(context, planned(asked), out, jobs, cluster)
     if result.interrupted:
         raise typer.Exit(INTERRUPTED)
@@ -69,8 +72,6 @@ def compared(
     plan = replace(result.plan, refit=result.refit is not None)
     used = usage(facts["command"], facts["arguments"], out, plan, result.model)
     results.save(result, out, facts, used)
-    if not result.interrupted:
-        shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     _show(result, out, used)
     return result
 

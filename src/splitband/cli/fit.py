@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -26,7 +25,6 @@ from splitband.forecasters.base import Forecaster
 from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import staged, write_facts
 from splitband.training import Progress
 
@@ -113,7 +111,6 @@ def fit(
     with staged(out) as new:
         saving.save(forecaster, new, facts)
         write_facts(new, facts | outcome | {"environment": environment()})
-    shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
     doubts = filter(None, [forecaster.parameters.get("doubt")])
     described = training_in_words or forecaster.describe()
     for note in dict.fromkeys((*plan.warnings, *report.notes, *doubts, *late)):

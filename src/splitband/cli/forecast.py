@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +16,6 @@ from splitband.report import results, words
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.tables import of_forecast as tried_for
-from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import MODEL_FOLDER
 
 
@@ -71,7 +69,6 @@ def forecast(
     _show(result, out, used)
     if result.interrupted:
         raise typer.Exit(INTERRUPTED)
-    shutil.rmtree(out / CHECKPOINTS, ignore_errors=True)
 
 
 def _show(result: Forecast, out: Path, used: Usage) -> None:

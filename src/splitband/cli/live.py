@@ -22,7 +22,6 @@ from splitband.evaluation.run import Run
 from splitband.report import results
 from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing
-from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.system import available_cores
 
 
@@ -102,16 +101,12 @@ def in_place() -> bool:
 
 @contextmanager
 def running(plan: Plan, out: Path, facts: dict[str, Any] | None = None) -> Iterator[Any]:
-    """Yield the arguments of `run` that show a comparison and keep its finished trainings."""
-    kept = out / CHECKPOINTS
-    found = len([path for path in kept.glob("*.safetensors") if path.name[0] != "."])
-    if found:
-        showing.console.print(f"going on: {found} finished training{'s' if found > 1 else ''} kept")
+    """Yield the arguments of `run` that show a comparison and keep its best model so far."""
     time = Clock(plan.budget, clock.began())
     time.writing = time.used  # loading the libraries of pages takes about as long as these
     display = Display(out, facts, time)
     with display.shown():
-        yield {"folder": kept, "watch": display, "clock": time}
+        yield {"watch": display, "clock": time}
 
 
 @contextmanager
@@ -149,6 +144,6 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
             yield {"cores": max(cores, 1), "executor": client.get_executor(pure=False)}
         except (KilledWorker, ClosedClientError, CancelledError):
             raise InputError(
-                "--cluster must be there until the end (the same command goes on from what is "
-                f"finished), the scheduler or the workers are gone, got {cluster}"
+                "--cluster must be there until the end: the scheduler or the workers are gone, got "
+                f"{cluster}"
             ) from None

@@ -242,6 +242,13 @@ Jobs = Annotated[int | None, _TIME("Trainings at once, one on each core.", "N", 
 Cluster = Annotated[
     str | None, _TIME("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS", False)
 ]
+SkipDone = Annotated[
+    bool,
+    plain(
+        "Leave --out alone if it has a finished comparison, of whatever record and options.",
+        None, True, "--skip-done",
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

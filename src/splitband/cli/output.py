@@ -10,7 +10,6 @@ from typing import Any
 
 from splitband.forecasters import saving
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import CHECKPOINTS
 from splitband.runtime.outputs import (
     DESCRIPTION,
     FACTS,
@@ -49,8 +48,7 @@ def replaced(out: Path) -> list[Path]:
     if not os.path.isdir(out):
         return []
     found = [path for path in out.iterdir() if belongs_to_result(path.name)]
-    inner = [path for name in (MODEL_FOLDER, CHECKPOINTS) for path in (out / name).rglob("*")]
-    return [*found, *inner, *saving.files(out)]
+    return [*found, *(out / MODEL_FOLDER).rglob("*"), *saving.files(out)]
 
 
 def refuse_inputs(out: Path, targets: Iterable[Path], inputs: Mapping[Path, str]) -> None:

@@ -14,8 +14,8 @@ from splitband.report.results import write_csv
 from splitband.report.table import OVER_ALL, Column, Table, Unit
 from splitband.report.tables import COLUMNS
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import CHECKPOINTS, write_json
-from splitband.runtime.outputs import FACTS, FORMAT
+from splitband.runtime.files import write_json
+from splitband.runtime.outputs import FACTS, FORMAT, LOCK, unfinished
 
 _TIME = "time (s)"
 
@@ -65,7 +65,7 @@ def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
     try:
         begun = {"recommended": "", "table": [], "unfinished": "no result yet"}
         facts: dict[str, Any] = begun | {"format": FORMAT}
-        if path.exists() or not (folder / CHECKPOINTS).is_dir():
+        if path.exists() or not (folder / LOCK).exists():
             facts = json.loads(path.read_text(encoding="utf-8"))
         best, written = facts["recommended"], facts.get("format")
         table = facts["table"] if written == FORMAT else []
@@ -79,7 +79,7 @@ def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:
             "with `splitband compare`"
         )
     own = facts.get("record", {}).get("name", "")
-    state = facts.get("unfinished") or ("interrupted" if facts.get("interrupted") else "")
+    state = unfinished(facts)
     over_all = {_TIME: facts["time"]["used_seconds"]} if "time" in facts else {}
     lines: dict[tuple[str, str], dict[str, Any]] = {} if table else {(own, ""): {}}
     for column in table:

@@ -82,14 +82,13 @@ class Forecast:
         of_forecast(self, path)
 
 
-def forecast(  # noqa: PLR0913
+def forecast(
     record: Record,
     steps: int,
     methods: Sequence[Forecaster | str] | str | None = None,
     *,
     cores: int = 1,
     executor: Executor | None = None,
-    folder: str | Path | None = None,
     watch: Watch | None = None,
     **options: Any,
 ) -> Forecast:
@@ -100,7 +99,7 @@ def forecast(  # noqa: PLR0913
     record : The training record, all of it. Its known inputs and its simulator's output must reach
         `steps` samples beyond it (`u_beyond`, `beyond`).
     steps : Number of samples to forecast.
-    methods, cores, executor, folder, watch : See `compare`.
+    methods, cores, executor, watch : See `compare`.
     options : Further arguments of `plan`.
 
     Raises
@@ -117,7 +116,7 @@ def forecast(  # noqa: PLR0913
     """
     whole("steps", steps)
     planned = plan(record, len(record), methods, horizon=steps, **options)
-    return run_forecast(planned, cores=cores, executor=executor, folder=folder, watch=watch)
+    return run_forecast(planned, cores=cores, executor=executor, watch=watch)
 
 
 def run_forecast(
@@ -125,12 +124,11 @@ def run_forecast(
     *,
     cores: int = 1,
     executor: Executor | None = None,
-    folder: str | Path | None = None,
     watch: Watch | None = None,
     clock: Clock | None = None,
 ) -> Forecast:
     """Forecast beyond the record of a plan that trains on all of it; see `run`."""
-    with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
+    with Runner(cores, executor) as runner:
         found = finished(plan, runner, watch, clock).comparison()
     best, u = found.recommended, found.record.u_beyond
     return Forecast(

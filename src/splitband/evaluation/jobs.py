@@ -1,45 +1,30 @@
-"""Run fits as jobs: in this process, in worker processes, or by any executor.
-
-A finished job is a file, by which an interrupted command goes on: asked again for the same, it
-finds the fit. A job that a deadline cut short is not finished.
-"""
+"""Run fits as jobs: in this process, in worker processes, or by any executor."""
 
 from __future__ import annotations
 
 import errno
-import hashlib
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from importlib.metadata import version
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from splitband.data import Record
 from splitband.forecasters.backtest import (
     BacktestSpec,
     Fit,
-    Origin,
     as_it_is,
     backtest,
     for_trial,
 )
 from splitband.forecasters.base import Forecaster, all_parts, cells_of
 from splitband.forecasters.names import NAMES, TRAINED
-from splitband.forecasters.saving import packed, unpacked
-from splitband.forecasters.simulation import simulations, with_simulators_of
 from splitband.networks.cell import label_of
 from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
-from splitband.runtime.errors import InputError
-from splitband.runtime.files import replacing
 from splitband.runtime.workers import Queue, Workers, ended_from_outside
-from splitband.simulators.base import identity
-from splitband.simulators.code import code_digest
 
 if TYPE_CHECKING:
     from splitband.evaluation.plan import Plan
@@ -70,31 +55,6 @@ class Job:
         """Return the name of the method."""
         return self.forecaster.name
 
-    @cached_property
-    def key(self) -> str:
-        """Return a hash of all that the result depends on, the deadline excepted.
-
-        Raises ValueError for a forecaster of the user that cannot be described.
-        """
-        digest = hashlib.sha256(version("splitband").encode())
-        asked = self.spec
-        plain = {
-            "seed": self.seed, "end": asked.end, "warmup": asked.warmup, "initial": asked.initial,
-            "origins": [(each.fitted, each.at) for each in asked.origins], "trains": self.trains,
-            "others": len(asked.others), "tests": len(asked.tests), "new": self.start is None,
-        }  # fmt: skip
-        digest.update(json.dumps(plain, sort_keys=True).encode())
-        own = _classes_of_users(self.forecaster)
-        if (code := code_digest(*own)) is None:
-            raise InputError(f"{self.method} must have code that can be told from another's")
-        digest.update(code.encode())
-        for simulator in (part.simulator for part in simulations(self.forecaster)):
-            digest.update(str(identity(simulator)).encode())
-        records = [asked.record, *asked.others, *asked.tests]
-        for part in [self.forecaster, *([] if self.start is None else [self.start]), *records]:
-            digest.update(packed(part))
-        return digest.hexdigest()
-
     def run(self) -> Fit:
         """Return the fit, or one that says why it failed."""
         began, failure = now(), ""
@@ -115,13 +75,6 @@ class Job:
     def late(self) -> Fit:
         """Return the fit of a job for which there was no time."""
         return Fit(self.method, self.seed, failure=LATE, cut=True)
-
-
-def _classes_of_users(forecaster: Forecaster) -> list[type]:
-    """Return the classes of a forecaster, its parts and its cells that are not of the package."""
-    every = [type(each) for part in all_parts(forecaster)
-             for each in (part, *cells_of(part).values())]  # fmt: skip
-    return [kind for kind in every if kind.__module__.split(".")[0] != "splitband"]
 
 
 def held_out_job(
@@ -202,21 +155,19 @@ def _cells_of(forecasters: Sequence[Forecaster]) -> list[Any]:
 
 
 class Runner:
-    """Run jobs on the cores of this machine, or on an executor; keep what is finished in a folder.
+    """Run jobs on the cores of this machine, or on an executor.
 
     With one core, jobs run in this process. An executor of `concurrent.futures`, such as
     Dask's, stays open; `cores` then says how many jobs it runs side by side.
     """
 
-    def __init__(
-        self, cores: int = 1, executor: Executor | None = None, folder: Path | None = None
-    ) -> None:
-        self.cores, self.folder = cores, folder
+    def __init__(self, cores: int = 1, executor: Executor | None = None) -> None:
+        self.cores = cores
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
         self._queue = Queue[Job, Fit](self.executor, cores + 1)  # none waits for this process
         self._parts: dict[tuple[int, int], tuple[Record, Record]] = {}
-        self._found: list[tuple[Job, Fit]] = []  # by an earlier command, or too late
+        self._late: list[tuple[Job, Fit]] = []
         self._starting: list[Future[None]] = []
 
     def __enter__(self) -> Self:
@@ -256,13 +207,10 @@ class Runner:
         """
         todo = []
         for job in jobs:
-            found = self._kept(job)
-            if found is None and deadline.over and job.trains and not job.needed:
-                found = job.late()
-            if found is None:
-                todo.append(job)
+            if deadline.over and job.trains and not job.needed:
+                self._late.append((job, job.late()))
             else:
-                self._found.append((job, found))
+                todo.append(job)
         patience = patience or deadline.earlier(-GRACE)
         self._queue.begin(partial(_run, {**KEPT}, deadline), todo, patience, first)
 
@@ -270,7 +218,7 @@ class Runner:
         """Yield every job that was begun with its fit, as it ends, until all of these have."""
         left = {*jobs}
         while left:
-            job, fit = self._found.pop(0) if self._found else self._next()
+            job, fit = self._late.pop(0) if self._late else self._next()
             left.discard(job)
             yield job, fit
 
@@ -284,7 +232,7 @@ class Runner:
             fit = future.result()
             if fit.model is not None and job.trains:
                 self._put_records(job, fit.model, max(at.fitted for at in fit.forecasts))
-            return job, self._put(job, fit)
+            return job, fit
         if said := ended_from_outside(error):
             return job, Fit(job.method, job.seed, failure=said)
         raise error
@@ -300,58 +248,8 @@ class Runner:
 
     def drop(self) -> None:
         """Cancel all jobs that have begun."""
-        self._found = []
+        self._late = []
         self._queue.drop()
-
-    def _path(self, job: Job) -> Path | None:
-        """Return the file of a job; None where it is not kept."""
-        own = [part.simulator for part in simulations(job.forecaster)]
-        known = all(each is None or identity(each) is not None for each in own)
-        if self.folder is None or not job.forecaster.random or not known:
-            return None
-        with suppress(ValueError):
-            return self.folder / f"{job.key}.safetensors"
-        return None
-
-    def _kept(self, job: Job) -> Fit | None:
-        """Return the fit of a job that an earlier command has finished."""
-        path = self._path(job)
-        if path is None or not path.is_file():
-            return None
-        with suppress(OSError, ValueError, KeyError):
-            said = unpacked(path.read_bytes())
-            model = said["model"]
-            # A saved model holds the end of its training record only, and no simulator.
-            model.fitted = replace(model.require_fitted(), begin=0, whole=True)
-            self._put_records(job, model, said["samples"])
-            with_simulators_of(model, job.forecaster)
-            forecasts = {Origin(*at): each for at, each in said["forecasts"]}
-            return Fit(
-                job.method, job.seed, model, forecasts, said["tests"], said["unfiltered"],
-                said["seconds"], said["notes"],
-            )  # fmt: skip
-        return None
-
-    def _put(self, job: Job, fit: Fit) -> Fit:
-        """Keep a finished fit in its file, and return it; a full disk only loses the file."""
-        path = None if fit.model is None or fit.cut else self._path(job)
-        if path is None or fit.model is None:
-            return fit
-        said = {
-            "model": fit.model,
-            "samples": len(fit.model.require_fitted().record),
-            "forecasts": [((at.fitted, at.at), each) for at, each in fit.forecasts.items()],
-            "tests": [*fit.tests],
-            "unfiltered": {**fit.unfiltered},
-            "seconds": fit.seconds,
-            "notes": fit.notes,
-        }
-        with suppress(OSError, ValueError):
-            content = packed(said)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(path) as new:
-                new.write_bytes(content)
-        return fit
 
 
 def prepare(
@@ -364,4 +262,4 @@ def prepare(
     for forecaster in forecasters:
         with suppress(Exception), within(deadline):
             for part in all_parts(forecaster):
-                part._prepare(records, runner.executor or 1, runner.folder)
+                part._prepare(records, runner.executor or 1)

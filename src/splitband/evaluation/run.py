@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
@@ -39,14 +38,13 @@ if TYPE_CHECKING:
 Watch = Callable[["Run"], None]
 
 
-def compare(  # noqa: PLR0913
+def compare(
     record: Record,
     train: int | None = None,
     methods: Sequence[Forecaster | str] | str | None = None,
     *,
     cores: int = 1,
     executor: Executor | None = None,
-    folder: str | Path | None = None,
     watch: Watch | None = None,
     **options: Any,
 ) -> Comparison:
@@ -58,7 +56,7 @@ def compare(  # noqa: PLR0913
     Parameters
     ----------
     record, train, methods : See `plan`.
-    cores, executor, folder, watch : See `run`.
+    cores, executor, watch : See `run`.
     options : Further arguments of `plan`, such as budget, seed, tests, settings.
 
     Raises
@@ -76,7 +74,7 @@ def compare(  # noqa: PLR0913
     [100.0, -0.3, -77.9]
     """
     planned = plan(record, train, methods, **options)
-    return run(planned, cores=cores, executor=executor, folder=folder, watch=watch)
+    return run(planned, cores=cores, executor=executor, watch=watch)
 
 
 def run(
@@ -84,7 +82,6 @@ def run(
     *,
     cores: int = 1,
     executor: Executor | None = None,
-    folder: str | Path | None = None,
     watch: Watch | None = None,
     clock: Clock | None = None,
 ) -> Comparison:
@@ -97,7 +94,6 @@ def run(
         keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
     executor : Runs the trainings in place of processes of this machine: any executor of
         `concurrent.futures`, such as Dask's `Client.get_executor()`. It stays open.
-    folder : For finished trainings, by which the same comparison goes on when it is run again.
     watch : Called in this process after each training, with where the comparison stands.
     clock : Time of a command that has already begun; by default the plan's budget from now on.
 
@@ -108,7 +104,7 @@ def run(
         was measured to compare with.
     """
     check_ahead(plan.record, plan.train, plan.horizon)
-    with Runner(cores, executor, None if folder is None else Path(folder)) as runner:
+    with Runner(cores, executor) as runner:
         return finished(plan, runner, watch, clock).result()
 
 
@@ -554,12 +550,11 @@ def _of_three_quarters(method: Forecaster, why: str = LATE) -> str:
     )
 
 
-def fit(  # noqa: PLR0913
+def fit(
     plan: Plan,
     *,
     cores: int = 1,
     executor: Executor | None = None,
-    folder: str | Path | None = None,
     watch: Watch | None = None,
     progress: Callable[[Progress], None] | None = None,
     clock: Clock | None = None,
@@ -569,7 +564,7 @@ def fit(  # noqa: PLR0913
     Parameters
     ----------
     plan : With one method. A search for its settings ends with the training that did best.
-    cores, executor, folder, watch, clock : See `run`.
+    cores, executor, watch, clock : See `run`.
     progress : Called after each epoch of a training whose settings are given.
 
     Raises
@@ -580,24 +575,15 @@ def fit(  # noqa: PLR0913
     if len(plan.methods) != 1:
         raise InputError(f"methods must be one to be fitted, got {', '.join(plan.names)}")
     (forecaster,) = plan.methods
-    kept = None if folder is None else Path(folder)
     if plan.searched:
-        with Runner(cores, executor, kept) as runner:
+        with Runner(cores, executor) as runner:
             done = finished(replace(plan, seeds=1), runner, watch, clock)
         if done.clock.interrupted:
-            raise KeyboardInterrupt  # what is finished is in the folder
+            raise KeyboardInterrupt
         model = done.finals[forecaster.name][0].fitted
         trial = judged(plan.training, done.trials, done.finals, {})
         model.held_out = trial.held_out.get(forecaster.name)
         return model
-    checkpoint = None
-    if kept is not None:
-        from splitband.training import Checkpoint  # noqa: PLC0415  which loads torch
-
-        kept.mkdir(parents=True, exist_ok=True)
-        checkpoint = Checkpoint(kept / "training.safetensors")
     limit = (clock or Clock(plan.budget)).deadline
     with within(limit):
-        return built(forecaster).fit(
-            plan.training, *plan.others, seed=plan.seed, progress=progress, checkpoint=checkpoint
-        )
+        return built(forecaster).fit(plan.training, *plan.others, seed=plan.seed, progress=progress)

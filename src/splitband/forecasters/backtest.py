@@ -24,7 +24,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
-from splitband.training import Checkpoint, Progress
+from splitband.training import Progress
 from splitband.training.settings import SHORTEST_WINDOW, longest_window
 
 HELD_OUT_SHARE = 0.25
@@ -163,14 +163,13 @@ def backtest(
     seed: int = 0,
     start: Forecaster | None = None,
     progress: Callable[[Progress], None] | None = None,
-    checkpoint: Checkpoint | None = None,
 ) -> Fit:
     """Forecast a record from several origins, with copies of a forecaster.
 
     The copies are fitted in the order of the origins. If the deadline of the job comes before the
     last fit, the result holds the forecasts so far; DeadlineError is raised where there are none.
 
-    `seed`, `start`, `progress` and `checkpoint` are those of `Forecaster.fit`.
+    `seed`, `start` and `progress` are those of `Forecaster.fit`.
     """
     began, found = now(), Fit(forecaster.name, seed)
     left = len({origin.fitted for origin in spec.origins})
@@ -183,7 +182,6 @@ def backtest(
                     seed=seed,
                     start=start,
                     progress=progress,
-                    checkpoint=checkpoint,
                 )
         except DeadlineError:
             if found.model is None:

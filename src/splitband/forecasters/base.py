@@ -46,7 +46,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
-from splitband.training import Checkpoint, Progress, Settings
+from splitband.training import Progress, Settings
 
 if TYPE_CHECKING:
     import torch
@@ -66,7 +66,6 @@ class Training(TypedDict):
     seed: int
     start: Forecaster | None
     progress: Callable[[Progress], None] | None
-    checkpoint: Checkpoint | None
 
 
 def titled(name: str, words: str) -> str:
@@ -199,7 +198,6 @@ class Forecaster(WithRepr, ABC):
         seed: int = 0,
         start: Forecaster | None = None,
         progress: Callable[[Progress], None] | None = None,
-        checkpoint: Checkpoint | None = None,
     ) -> Self:
         """Fit to one or several records of the same system, and return the forecaster itself.
 
@@ -214,7 +212,6 @@ class Forecaster(WithRepr, ABC):
             goes on: it begins with its weights, scaling, delays and bands. The records may be
             others, or longer. Methods without a network fit anew.
         progress : Called after each epoch of a training.
-        checkpoint : Where an interrupted training resumes, with results equal to the bit.
 
         Raises
         ------
@@ -235,9 +232,7 @@ class Forecaster(WithRepr, ABC):
             began = time.perf_counter()
             # Closed forms work on small matrices, where the threads of BLAS wait for each other.
             with contextlib.nullcontext() if self.random else one_thread():
-                self.learn(
-                    records, seed=seed, start=start, progress=progress, checkpoint=checkpoint
-                )
+                self.learn(records, seed=seed, start=start, progress=progress)
             # The training of a network has set its own time.
             seconds = self.fitted.report.seconds or time.perf_counter() - began
             self.fitted = self.fitted.reporting(seconds=seconds, parameters=self.parameters)
@@ -587,10 +582,8 @@ class Forecaster(WithRepr, ABC):
         """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
 
-    def _prepare(
-        self, records: Sequence[Record], workers: int | Executor = 1, folder: Path | None = None
-    ) -> Any:
-        """Compute once what the fits of several forecasters share; `folder` keeps what is done."""
+    def _prepare(self, records: Sequence[Record], workers: int | Executor = 1) -> Any:
+        """Compute once what the fits of several forecasters share."""
 
     @property
     def _slow_label(self) -> str:

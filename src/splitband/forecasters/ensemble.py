@@ -155,10 +155,8 @@ class Ensemble(Forecaster):
         return (self.members or self.templates)[0].in_words()
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
-        """Fit the members, each with its own numbered checkpoint file."""
-        seed, start, progress, checkpoint = (
-            how["seed"], how["start"], how["progress"], how["checkpoint"]
-        )  # fmt: skip
+        """Fit the members."""
+        seed, start, progress = how["seed"], how["start"], how["progress"]
         starts = [None] * self.count if start is None else [*getattr(start, "members", ())]
         if len(starts) != self.count:
             raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
@@ -168,7 +166,6 @@ class Ensemble(Forecaster):
                 seed=seed * (max(self.seeds) + 1) + self.seeds[i],
                 start=starts[i],
                 progress=None if progress is None else _shifted(progress, i, self.count),
-                checkpoint=None if checkpoint is None else checkpoint.numbered(i),
             )
             self.members.append(member)
         self._take(self.members, seed)

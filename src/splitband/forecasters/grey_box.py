@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Unpack, final
 from uuid import uuid4
 
@@ -159,9 +158,7 @@ class GreyBox(Forecaster):
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
-        checkpoint = how["checkpoint"]
-        folder = None if checkpoint is None else checkpoint.path.parent
-        self.estimate = self._prepare(records, folder=folder)
+        self.estimate = self._prepare(records)
         simulator = self._matched(records[0])
         experiments = [Experiment.of(record, simulator) for record in records]
         adjusted = Adjusted.of(simulator, self.estimate, experiments)
@@ -170,11 +167,9 @@ class GreyBox(Forecaster):
         self.memory = self._chosen_memory(experiments[0])
         self.fitted = self.require_fitted().reporting(cut=self.estimate.cut)
 
-    def _prepare(
-        self, records: Sequence[Record], workers: int | Executor = 1, folder: Path | None = None
-    ) -> Estimate:
+    def _prepare(self, records: Sequence[Record], workers: int | Executor = 1) -> Estimate:
         """Return the parameters, fitted once for all hybrids, seeds and trials."""
-        effort = Effort(self.starts, self.seconds, workers, folder)
+        effort = Effort(self.starts, self.seconds, workers)
         return estimated(_Fit(self._matched(records[0]), tuple(records), effort))
 
     def _matched(self, record: Record) -> Any:

@@ -268,7 +268,7 @@ class Network(Forecaster):
         elif settings.linear_start:
             begin_as_linear(self.model, seen, settings.normalize, seed)
         self.model.to(self._device)
-        history = training.fit(self.model, seen, settings, seed, how["progress"], how["checkpoint"])
+        history = training.fit(self.model, seen, settings, seed, how["progress"])
         self.model.eval()
         notes = (*self._remarks(seen[0]), *history.notes)
         networks: Iterable[Any] = self.model.modules()

@@ -23,7 +23,6 @@ from splitband.data.timing import same_sampling, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 from splitband.training.settings import default_warmup
 
 if TYPE_CHECKING:
@@ -147,7 +146,6 @@ def median(values: Sequence[Any], least: Callable[..., Any], most: Callable[...,
     return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
 
 
-@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
     """Hold the samples that follow an origin.

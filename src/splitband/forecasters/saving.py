@@ -102,28 +102,6 @@ def save(
         _remove_outdated(folder)
 
 
-def packed(value: Any) -> bytes:
-    """Return a value as the content of one file, for `unpacked`; equal values give equal bytes.
-
-    Raises ValueError for a value that cannot be saved.
-    """
-    tensors: dict[str, Any] = {}
-    said = to_json({"format": FORMAT, "value": described(value, tensors)})
-    return safetensors.numpy.save(tensors, {"said": said})
-
-
-def unpacked(content: bytes) -> Any:
-    """Return the value that `packed` described; raises ValueError for other content."""
-    try:
-        header = int.from_bytes(content[:8], "little")
-        said = json.loads(json.loads(content[8 : 8 + header])["__metadata__"]["said"])
-        if said["format"] != FORMAT:
-            raise InputError(f"it has format {said['format']}")
-        return restored(said["value"], dict(safetensors.numpy.load(content)))
-    except _UNFIT as error:
-        raise InputError(f"the file cannot be read: {error}") from None
-
-
 def files(folder: Path) -> list[Path]:
     """Return the files of the forecaster that a folder holds, and those of interrupted saves."""
     pattern = re.compile(WEIGHTS.format(f"[0-9a-f]{{{_DIGITS}}}").replace(".", r"\."))

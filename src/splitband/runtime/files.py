@@ -14,9 +14,6 @@ from typing import Any
 from splitband.runtime.errors import InputError
 from splitband.runtime.system import STANDARD, move
 
-CHECKPOINTS = ".splitband-checkpoints"
-"""Folder for checkpoints, in that of the results; removed once the results are written."""
-
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:

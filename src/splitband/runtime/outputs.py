@@ -8,7 +8,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -89,6 +89,21 @@ def files_of_result(folder: Path) -> set[str]:
             listed = json.loads((folder / name).read_text(encoding="utf-8"))["files"]
             found |= {each for each in listed if belongs_to_result(each)} | {FACTS}
     return {name for name in found if (folder / name).is_file()}
+
+
+def unfinished(facts: Mapping[str, Any]) -> str:
+    """Return in words how far a result had come that is not finished; empty for a finished one."""
+    return str(facts.get("unfinished") or ("interrupted" if facts.get("interrupted") else ""))
+
+
+def finished_comparison(folder: Path) -> str | None:
+    """Return the record whose finished comparison a folder has; None without one."""
+    try:
+        facts = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+        done = facts["format"] == FORMAT and not unfinished(facts) and facts["recommended"]
+        return str(facts["record"]["name"]) if done else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 def _replace(folder: Path, new: Path) -> None:

@@ -7,14 +7,12 @@ simulation determines parameters even where a long one loses its phase.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +23,6 @@ from splitband.metrics import spread
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
 from splitband.simulators.code import failure
@@ -36,7 +33,7 @@ from splitband.simulators.parameters import (
     labelled,
     uncertainty,
 )
-from splitband.simulators.shooting import BAD, Experiment, Shooting, fit_key, projected
+from splitband.simulators.shooting import BAD, Experiment, Shooting, projected
 
 STARTS = 32
 """Default limit of starting points. Bounds the time."""
@@ -93,14 +90,12 @@ class Effort:
     starts : Most starting points.
     seconds : Time limit, after which the best result so far is used; None for no limit.
     workers : Number of processes that try starts in parallel, or an executor.
-    folder : Folder of finished starts, from which an interrupted fit resumes; created if missing.
     progress : Called with the number of finished starts and of all starts.
     """
 
     starts: int = STARTS
     seconds: float | None = None
     workers: int | Executor = 1
-    folder: Path | None = None
     progress: Callable[[int, int], None] | None = None
 
 
@@ -304,30 +299,17 @@ def starting_points(count: int, dimensions: int) -> Array:
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
     """Try starting points in order until enough of them agree, and return their outcomes."""
     points = starting_points(effort.starts, len(problem.names))
-    key = fit_key(problem.simulator, problem.experiments, len(points))
-
-    def file(number: int) -> Path | None:
-        if effort.folder is None or key is None:
-            return None
-        return effort.folder / f"start-{key[:16]}-{number}.json"
-
     done: dict[int, StartOutcome] = {}
     work, workers = partial(_try, problem, points, deadline), effort.workers
     for first in range(0, len(points), ENOUGH):
         batch = [*range(first, min(first + ENOUGH, len(points)))]
-        done |= {i: kept for i in batch if (kept := _kept(file(i))) is not None}
         if done and deadline.over:
             break
-        left = [i for i in batch if i not in done]
         # The first start, in this process, shows whether others are worth starting.
-        alone, began = left[: problem.simulator.survives and first == 0], now()
-        for part in (alone, left[len(alone) :]):
+        alone, began = batch[: problem.simulator.survives and first == 0], now()
+        for part in (alone, batch[len(alone) :]):
             for outcome in _side_by_side(work, part, 1 if part is alone else workers):
                 done[outcome.number] = outcome
-                if not outcome.cut and (path := file(outcome.number)) is not None:
-                    with suppress(OSError):  # a full disk only loses the file
-                        path.parent.mkdir(parents=True, exist_ok=True)
-                        write_json(path, asdict(outcome))
                 if effort.progress is not None:
                     effort.progress(len(done), len(points))
             # It may have compiled an equation; only of a slow one is that a small part.
@@ -348,16 +330,6 @@ def _seconds(problem: Shooting, fractions: Array, deadline: Deadline) -> float:
         shooting.jacobian(unknowns)
         return (now() - began) * _ROUNDS
     return math.inf
-
-
-def _kept(path: Path | None) -> StartOutcome | None:
-    """Return the outcome of a start that an earlier command has finished."""
-    if path is not None:
-        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            facts = json.loads(path.read_text(encoding="utf-8"))
-            found = {int(n): ([*map(float, at)], float(e)) for n, (at, e) in facts["found"].items()}
-            return StartOutcome(int(facts["number"]), found, str(facts["failure"]))
-    return None
 
 
 def _side_by_side(

@@ -1,4 +1,4 @@
-"""Train networks: windows, settings and recipes, the fit, checkpoints.
+"""Train networks: windows, settings and recipes, the fit.
 
 What is handed out stands in `__init__.pyi`, and is loaded when it is used: `fit` needs torch.
 """

@@ -1,4 +1,3 @@
-from .checkpoints import Checkpoint as Checkpoint
 from .loop import fit as fit
 from .settings import History as History
 from .settings import Progress as Progress

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
-
-import torch
 
 from splitband.data import Record
 from splitband.models import Model
-from splitband.runtime.caching import key_of
 from splitband.runtime.deadlines import Deadline, current
 from splitband.runtime.errors import InputError
 from splitband.runtime.memory import freed_memory_kept
-from splitband.training.checkpoints import Checkpoint, State, below
-from splitband.training.network import DIVERGED, MOST_RESTARTS, NetworkTraining
+from splitband.training.network import NetworkTraining
 from splitband.training.settings import History, Progress, Settings
 from splitband.training.windows import joined, windows_in
 
@@ -27,7 +21,6 @@ def fit(
     settings: Settings | None = None,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
-    checkpoint: Checkpoint | None = None,
 ) -> History:
     """Train a model in place (paper, Eq. 10, training, and Eq. 12, hybrid loss).
 
@@ -49,8 +42,6 @@ def fit(
     settings : Training settings; by default `Settings.of` the shortest record's length.
     seed : Fixes the order of the windows.
     progress : Called after each epoch.
-    checkpoint : From which the same training resumes if it was interrupted, with results equal to
-        the bit; a finished training is not repeated.
     """
     records = [records] if isinstance(records, Record) else [*records]
     if not records:
@@ -63,13 +54,6 @@ def fit(
     began = time.perf_counter()
     history = History()
     seen = [model.normalised(record) for record in records]
-    key = key_of(
-        torch.__version__, DIVERGED, MOST_RESTARTS, settings, seed, _built(model),
-        *model.state_dict().values(),
-        *(signal for record in seen for signal in vars(record).values() if signal is not None),
-        chosen.starts, *([] if chosen.measured is None else [chosen.measured]),
-    )  # fmt: skip
-    saved = (checkpoint.load(key) if checkpoint else None) or {}
     tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
     for task in tasks:
         if settings.warmup < task.stride:
@@ -77,14 +61,10 @@ def fit(
                 f"warmup must be at least {task.stride} samples for the {task.name}, which is "
                 f"down-sampled by {task.stride}, got {settings.warmup}"
             )
-    states: State = {}
     for done, task in enumerate(tasks):
         # Each network gets the same seed, so that its training does not depend on the others.
         deadline = Deadline.after(current().left / (len(tasks) - done))
         training = NetworkTraining(task, chosen, settings, seed, deadline)
-        prefix = f"{done}."
-        if f"{prefix}losses" in saved:
-            training.restore(below(saved, prefix))
         losses = history.losses[task.name] = training.losses
         with freed_memory_kept():
             while not training.over:
@@ -93,31 +73,11 @@ def fit(
                     part = 1 if training.over else len(losses) / training.passes
                     share = (done + part) / len(tasks)
                     progress(Progress(task.name, len(losses), training.passes, losses[-1], share))
-                # A training that a deadline cut is not saved: with more time, it resumes from its
-                # last checkpoint.
-                if checkpoint is not None and not training.cut:
-                    last = done + 1 == len(tasks) and training.done
-                    now = partial(_prefixed, states, prefix, training)
-                    checkpoint.offer(key, now, last)
         training.end()
-        states = _prefixed(states, prefix, training)
         history.notes += [f"{task.name}: {note}" for note in training.notes]
         history.cut |= training.cut
     history.seconds = time.perf_counter() - began
     return history
-
-
-def _built(model: Model) -> list[tuple[str, dict[str, Any]]]:
-    """Return the attributes of a model besides its weights: filters, down-sampling, step sizes."""
-    return [
-        (type(m).__name__, {k: v for k, v in vars(m).items() if k[0] != "_" and k != "training"})
-        for m in model.modules()
-    ]
-
-
-def _prefixed(before: State, prefix: str, training: NetworkTraining) -> State:
-    """Return the states of earlier networks, and the present one of this network."""
-    return before | {prefix + name: value for name, value in training.state().items()}
 
 
 def _check_channels(model: Model, record: Record) -> None:

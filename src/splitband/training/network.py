@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from functools import partial
 
 import torch
@@ -12,7 +13,6 @@ from splitband.models import Task
 from splitband.runtime.deadlines import Deadline
 from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
-from splitband.training.checkpoints import State, below
 from splitband.training.optimizers import Adam
 from splitband.training.settings import ROUND, Settings
 from splitband.training.windows import WindowSet, select, targets, windows
@@ -33,7 +33,7 @@ the training is given up."""
 
 
 class NetworkTraining:
-    """Train one network, epoch by epoch; an epoch depends on `state` alone."""
+    """Train one network, epoch by epoch."""
 
     def __init__(
         self,
@@ -118,61 +118,34 @@ class NetworkTraining:
         batches = self.settings.batches(len(self.starts))
         return batches * (len(self.losses) - rounds) + ROUND * rounds
 
-    def state(self) -> State:
-        """Return all that the next epoch depends on, and the losses so far."""
-        moments = self.optimizer.state_dict()["state"]
-        return {
-            **{f"network.{k}": v.clone() for k, v in self.task.network.state_dict().items()},
-            **{f"adam.{i}.{k}": v.clone() for i, m in moments.items() for k, v in m.items()},
-            "generator": self.generator.get_state(),
-            "losses": torch.tensor(self.losses, dtype=torch.float64),
-            "restarts": torch.tensor(self.restarts, dtype=torch.int64),
-            "first_loss": torch.tensor(self.first_loss, dtype=torch.float64),
-            **{f"finish.{k}": v for k, v in (self.finish.state() if self.finish else {}).items()},
-        }
-
-    def restore(self, state: State) -> None:
-        """Restore what `state` returned."""
-        weights = below(state, "network.")
-        first, _ = next(self.task.network.named_parameters())
-        if weights[first].dtype != self._dtype:
-            self._go_on_in(weights[first].dtype)
-        self.task.network.load_state_dict(weights)
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, value in below(state, "adam.").items():
-            i, moment = name.split(".")
-            moments.setdefault(int(i), {})[moment] = value.clone()
-        groups = self.optimizer.state_dict()["param_groups"]
-        self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
-        self.generator.set_state(state["generator"])
-        self.losses[:] = state["losses"].tolist()
-        self.restarts[:] = state["restarts"].tolist()
-        self.first_loss = float(state["first_loss"])
-        if self.finish is not None:
-            self.finish.restore(below(state, "finish."))
-
     def end(self) -> None:
         """Return the network to the precision in which it came."""
         self.task.network.to(self._given_dtype)
 
     def epoch(self) -> None:
         """Train an epoch; repeat it with a smaller learning rate where it diverges."""
-        good = self.state()
+        network, optimizer, generator = self.task.network, self.optimizer, self.generator
+        good = deepcopy([network.state_dict(), optimizer.state_dict(), generator.get_state()])
+        first_loss = self.first_loss
         while True:
             loss = self._pass()
             most = DIVERGED * max(self.target_rms, self.first_loss)
             if loss <= most:
                 self.losses.append(loss)
                 return
-            epoch, restarts = len(self.losses) + 1, [*self.restarts, len(self.losses) + 1]
-            if len(restarts) > MOST_RESTARTS:
+            epoch = len(self.losses) + 1
+            if len(self.restarts) >= MOST_RESTARTS:
                 raise FloatingPointError(
                     f"training of the {self.task.name} diverged in epoch {epoch}: the loss is "
                     f"{loss:.4g} (at most {most:.4g} is allowed), after halving the learning rate "
                     f"{MOST_RESTARTS} times; lower it ({self.settings.learning_rate:g})"
                 )
-            self.restore(good)
-            self.restarts[:] = restarts
+            weights, moments, drawn = deepcopy(good)  # the optimizer changes what it is given
+            network.load_state_dict(weights)
+            optimizer.load_state_dict(moments)
+            generator.set_state(drawn)
+            self.first_loss = first_loss
+            self.restarts.append(epoch)
 
     def _pass(self) -> float:
         """Run one pass over all windows and return the mean loss."""
@@ -213,16 +186,13 @@ class NetworkTraining:
 
     def _go_on_in_float64(self) -> None:
         settled = self.finish
-        self._go_on_in(torch.float64)
+        self.task.network.to(torch.float64)
+        self.finish = self._quasi_newton()
         try:
             self._mean_square(self.starts[:1])
         except RuntimeError:  # a user's cell that makes float32 tensors
             self.end()
             self.finish = settled
-
-    def _go_on_in(self, dtype: torch.dtype) -> None:
-        self.task.network.to(dtype)
-        self.finish = self._quasi_newton()
 
     def _quasi_newton(self) -> quasi_newton.QuasiNewton:
         settings = self.settings

@@ -15,7 +15,6 @@ import torch
 from torch import Tensor, nn
 
 from splitband.runtime.deadlines import Deadline
-from splitband.training.checkpoints import State
 from splitband.training.optimizers import LBFGS
 from splitband.training.settings import ROUND
 
@@ -30,10 +29,6 @@ MAX_WINDOWS_WITH_OVERLAP = 20_000
 half."""
 UNBOUNDED = 1e10
 """Multiple of the first loss that replaces larger and non-finite losses."""
-
-_LISTS = ("old_dirs", "old_stps", "ro")
-_TENSORS = ("d", "prev_flat_grad", *_LISTS)
-_NUMBERS = ("n_iter", "t", "H_diag", "prev_loss")
 
 
 def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> Tensor:
@@ -151,36 +146,3 @@ class QuasiNewton:
         if self._deadline.over:
             raise _OverError
         return value
-
-    def state(self) -> State:
-        """Return all that the next round depends on, except the weights."""
-        of_torch = self._optimizer.state[self.parameters[0]]
-        numbers = {"scale": self.scale, "settled": self.settled, "stuck": self._stuck}
-        numbers |= {name: float(of_torch[name]) for name in _NUMBERS if name in of_torch}
-        tensors = {k: torch.tensor(v, dtype=torch.float64) for k, v in numbers.items()}
-        for name in _TENSORS:
-            value = of_torch.get(name)
-            if isinstance(value, list):
-                value = torch.stack(value) if value else None
-            if value is not None:
-                tensors[name] = value.clone()
-        return tensors
-
-    def restore(self, state: State) -> None:
-        """Restore what `state` returned."""
-        self.scale, self.settled = float(state["scale"]), bool(state["settled"])
-        self._stuck = bool(state["stuck"])
-        if "n_iter" not in state:
-            return
-        device = self.parameters[0].device
-        of_torch = self._optimizer.state[self.parameters[0]]
-        of_torch |= {"func_evals": 0, "n_iter": int(state["n_iter"])}
-        of_torch |= {name: float(state[name]) for name in _NUMBERS[1:]}
-        for name in _TENSORS:
-            saved = state[name].clone().to(device) if name in state else None
-            if name in _LISTS:
-                # Rounding of a sum depends on where in a cache line a vector begins, and rows of
-                # one array begin at different addresses.
-                of_torch[name] = [row.clone() for row in ([] if saved is None else saved)]
-            else:
-                of_torch[name] = saved

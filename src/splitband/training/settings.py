@@ -17,7 +17,7 @@ from splitband.runtime.options import WithRepr, saved
 
 Recipe = Literal["default", "constant-rate"]
 ROUND = 20
-"""Iterations of a round of L-BFGS. Checkpoints are written between rounds, not within them."""
+"""Iterations of a round of L-BFGS."""
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 SHORTEST_WINDOW = 150
