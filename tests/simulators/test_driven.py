@@ -289,8 +289,6 @@ def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
         sb.Simulation(Own()).fit(sb.Record(record.y[:50], DT, u=STEPS[:50], start=0.0)).predict(
             5, sb.Record(record.y[60:], DT, u=STEPS[60:], start=6.0), STEPS[:5]
         )
-    with pytest.raises(ValueError, match="cannot be run by torch"):
-        sb.Simulation(Own()).fit(train).as_torch()
 
 
 def test_a_comparison_runs_each_record_with_its_own_inputs() -> None:

@@ -251,7 +251,7 @@ def inputs_ahead(
         ahead = replace(ahead, samples=more)
         u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
     assert known.u is not None
-    whole = continued(option, known.u, u.values, u.values, steps, more=True)
+    whole = continued(option, known.u, u.values, u.values, steps)
     for step in known.prepared:
         whole = step.transform("u", whole, seconds(known)[0] + ahead.step * np.arange(len(whole)))
     return whole[len(known) :]

@@ -50,12 +50,10 @@ from splitband.training import Progress, Settings
 
 if TYPE_CHECKING:
     import torch
-    from torch import nn
 
     from splitband.baselines.accuracy import Accuracy
     from splitband.export.casadi_graph import CasadiStep
     from splitband.forecasters.checking import ModelCheck, Responses
-    from splitband.forecasters.differentiable import TorchSimulation
 
 AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
@@ -102,8 +100,7 @@ class Forecaster(WithRepr, ABC):
     _slow_part: ClassVar[str] = ""
     """Description as the slow component of a hybrid, such as "linear model"."""
     affine: ClassVar[bool] = False
-    """Whether predictions are affine in the inputs, or do not depend on them; needed by `as_torch`,
-    unless `differentiable` is overridden."""
+    """Whether predictions are affine in the inputs, or do not depend on them."""
     fitted: Fitted | None = None
     delays: tuple[int, ...] = ()
     held_out: HeldOut | None = None
@@ -182,14 +179,6 @@ class Forecaster(WithRepr, ABC):
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the method's own reasons to doubt its forecast, in sentences."""
         return []
-
-    def differentiable(self, known: ForecastContext) -> nn.Module:
-        """Return the module from inputs `(batch, steps, nu)` to outputs `(batch, steps, ny)`."""
-        if not self.affine:
-            raise InputError(f"{self.name} cannot be run by torch: it is not affine in the inputs")
-        from splitband.forecasters.differentiable import Affine  # noqa: PLC0415  needs torch
-
-        return Affine(self, known)
 
     @final
     def fit(
@@ -382,50 +371,6 @@ class Forecaster(WithRepr, ABC):
             f"{self.name} has no accuracy of poles and gains: only a fitted sb.Linear has; "
             "step_responses() gives the gain of other models"
         )
-
-    @final
-    def as_torch(
-        self, history: Record | None = None, other_record: bool = False
-    ) -> TorchSimulation:
-        """Return a torch module that simulates what follows a history, as `predict` does.
-
-        It takes batches of inputs and is differentiable. It serves for predictive control, for
-        finding the inputs of a desired output, and for a loss of your own.
-
-        Parameters
-        ----------
-        history, other_record : See `predict`.
-
-        Raises
-        ------
-        ValueError
-            For a grey box, a network on another network, and a forecaster of your own that does not
-            define `differentiable`; for a training record that was detrended, clipped or resampled.
-
-        Examples
-        --------
-        >>> u = np.sin(0.05 * np.arange(200))
-        >>> record = sb.Record(np.cumsum(0.1 * u), 0.1, u=u)
-        >>> simulate = sb.Linear().fit(record).as_torch()
-        >>> futures = torch.zeros(64, 20, 1, requires_grad=True)
-        >>> simulate(futures).square().mean().backward()
-        >>> futures.grad.shape
-        torch.Size([64, 20, 1])
-        """
-        record = self.require_fitted().record
-        if history is not None:
-            require_records("history", history)
-        if record.prepared:
-            raise InputError(
-                f"{self.name} must be fitted to a record as it was measured for as_torch: this one "
-                "was unwrapped, detrended, clipped or resampled"
-            )
-        known = known_of(self, 0, history, other_record)
-        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
-            TorchSimulation,
-        )
-
-        return TorchSimulation(self.differentiable(known), record.nu)
 
     @final
     def as_casadi(self, history: Record | None = None, other_record: bool = False) -> CasadiStep:

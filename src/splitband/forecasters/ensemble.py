@@ -19,7 +19,6 @@ from splitband.training import Progress
 
 if TYPE_CHECKING:
     import torch
-    from torch import nn
 
 
 @final
@@ -181,12 +180,6 @@ class Ensemble(Forecaster):
     def _stepped(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""
         return recursion_of_median([member._stepped(outside) for member in self.members])
-
-    def differentiable(self, known: ForecastContext) -> nn.Module:
-        """Return the module that simulates the median of the members."""
-        from splitband.forecasters.differentiable import Median  # noqa: PLC0415  needs torch
-
-        return Median([member.differentiable(known) for member in self.members])
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""

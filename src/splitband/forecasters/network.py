@@ -43,7 +43,6 @@ from splitband.training.settings import checked_starts, recipe_settings
 
 if TYPE_CHECKING:
     import torch
-    from torch import nn
 
     from splitband.models import Model
 
@@ -328,27 +327,6 @@ class Network(Forecaster):
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
         part = None if self._fitted_base is None else self._fitted_base._part(outside)
         return recursion_of_network(model, part, self.warmup, self.delays)
-
-    def differentiable(self, known: ForecastContext) -> nn.Module:
-        """Return model and base as a torch module, warmed up."""
-        from splitband.forecasters.differentiable import (  # noqa: PLC0415  needs torch
-            ModelSimulation,
-        )
-
-        model, base = self._trained(), self._fitted_base
-        if base is not None and not base.affine:
-            raise InputError(
-                f"{self.name} cannot be run by torch: its base, {base.name}, is not affine in the "
-                "inputs"
-            )
-        beside = None if base is None else base.differentiable(known)
-        y, u, slow, since = self._warmed(known)
-        longest = max(self.delays, default=0)
-        late = np.zeros((0, 0))
-        if known.u is not None:  # as in `delayed`, the first row is repeated before it
-            late = np.concatenate([np.repeat(known.u[:1], longest, axis=0), known.u])
-        made = ModelSimulation(model, (y, u, slow), since, late, self.delays, beside)
-        return made.to(next(model.parameters()).device)
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""

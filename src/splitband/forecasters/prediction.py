@@ -7,7 +7,7 @@ hardly (docs/results/rules.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal
@@ -86,9 +86,8 @@ def continued(
     beyond: npt.ArrayLike | None,
     given: npt.ArrayLike | None,
     steps: int,
-    more: bool = False,
 ) -> Array:
-    """Return a signal up to the origin and its next `steps` samples; with `more`, all after it.
+    """Return a signal up to the origin and after it, `steps` samples or more.
 
     `given` is what a user gives in place of the samples that a history has `beyond` its end.
 
@@ -114,7 +113,7 @@ def continued(
             f"{name} must hold the {steps} samples to predict alone, got the {n} of the history "
             "first"
         )
-    return np.concatenate([past, values if more else values[:steps]])
+    return np.concatenate([past, values])
 
 
 def median_components(
@@ -133,16 +132,13 @@ def median_components(
     }
 
 
-def median(values: Sequence[Any], least: Callable[..., Any], most: Callable[..., Any]) -> Any:
-    """Return the median by comparing pairs (odd-even sort), which an export can write down.
-
-    `least` and `most` return the element-wise minimum and maximum of two arrays.
-    """
+def median(values: Sequence[Array]) -> Array:
+    """Return the median by comparing pairs (odd-even sort), which an export can write down."""
     ordered, count = [*values], len(values)
     for turn in range(count):
         for i in range(turn % 2, count - 1, 2):
             pair = ordered[i], ordered[i + 1]
-            ordered[i], ordered[i + 1] = least(*pair), most(*pair)
+            ordered[i], ordered[i + 1] = np.minimum(*pair), np.maximum(*pair)
     return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2
 
 
@@ -293,7 +289,7 @@ def known_of(
         past, begin = history, None if other_record else fitted.begins(history)
     inputs = u_beyond = None
     if past.u is not None:
-        inputs = continued("u", past.u, past.u_beyond, u, steps, more=True)
+        inputs = continued("u", past.u, past.u_beyond, u, steps)
         inputs, u_beyond = np.split(inputs, [len(past) + steps])
     elif u is not None:
         raise InputError("u must be left out: the record has no inputs")
@@ -303,7 +299,7 @@ def known_of(
             raise InputError(
                 f"history must bring a simulator's output (y_sim) for {forecaster.name}"
             )
-        simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps, more=True)
+        simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps)
     own = history is None
     return ForecastContext(
         past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own, u_beyond=u_beyond
@@ -368,7 +364,7 @@ def prepared_like(
     ) -> npt.ArrayLike | None:
         if past is None or given is None:
             return given
-        signal = continued(name, past, None, given, steps, more=True)
+        signal = continued(name, past, None, given, steps)
         time = seconds_after(prepared, len(signal) - len(past))
         for step in record.prepared:  # also of the past, on which only the turn of an angle depends
             signal = step.transform(name, signal, np.append(np.zeros(len(past)), time))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import Any, Self, final
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator, run
 from splitband.simulators.base import Absent, is_driven, matched
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
-
-if TYPE_CHECKING:
-    from torch import nn
 
 calibrated = cached(calibrate)
 """Calibrates once: forecasters, seeds and trials need the same calibration, which takes seconds."""
@@ -378,12 +375,6 @@ class SimulatorForecaster(Forecaster):
             self.simulator.simulate(None)
         simulator = matched(self.simulator, record.columns, record.inputs)
         return run(simulator, grid.samples, grid.step, record.ny, start=grid.start, u=u)
-
-    def differentiable(self, known: ForecastContext) -> nn.Module:
-        """Return the module from inputs to outputs; see `Forecaster.differentiable`."""
-        if self._driven:
-            raise InputError(f"{self.name} cannot be run by torch: its simulator is not")
-        return super().differentiable(known)
 
 
 def check_level(record: Record, name: str) -> None:

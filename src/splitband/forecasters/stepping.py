@@ -358,7 +358,7 @@ def recursion_of_median(members: Sequence[Recursion]) -> Recursion:
         ready = ticks[0][2]
         for _, _, able in ticks[1:]:
             ready = ready & able
-        predicted = median([each for _, each, _ in ticks], np.minimum, np.maximum)
+        predicted = median([each for _, each, _ in ticks])
         return {"members": [new for new, _, _ in ticks]}, predicted, ready
 
     runs = [member.free_run for member in members if member.free_run]
@@ -370,7 +370,7 @@ def recursion_of_median(members: Sequence[Recursion]) -> Recursion:
     def step(state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
         own = zip(runs, state["members"], strict=True)
         each = [run.step(one, u, y_sim) for run, one in own]
-        predicted = median([y for _, y in each], np.minimum, np.maximum)
+        predicted = median([y for _, y in each])
         return {"members": [new for new, _ in each]}, predicted
 
     return replace(
