@@ -69,7 +69,7 @@ def rig(delay: int, scale: float = 1.0, samples: int = 300) -> Record:
     rng = np.random.default_rng(delay)
     u = np.repeat(rng.normal(size=samples // 10), 10)
     y = scipy.signal.lfilter([*np.zeros(delay), 0.1], [1, -0.9], u)
-    return Record(scale * (y + 3), 0.1, u=u)
+    return Record(scale * (y + 3 + 0.01 * rng.normal(size=samples)), 0.1, u=u)
 
 
 @pytest.mark.parametrize(

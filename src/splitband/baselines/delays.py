@@ -238,7 +238,7 @@ def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
     nu, costs = len(runs[0].u), []
     for order in _DELAY_ORDERS:
         a, c = found.matrices(order)
-        at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 6)
+        at = refined(linear_solution(blocks_of(stable(a), c, [True] * nu), runs), runs, 3)
         left = float(np.log(np.maximum(at.scale, _EXACT)).sum())
         costs.append(left + order * (1 + nu) * np.log(samples) / (2 * samples))
     return min(costs)
