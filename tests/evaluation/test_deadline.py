@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 
 import splitband as sb
 from splitband import ForecastContext, Forecaster
-from splitband.evaluation import candidates
 from splitband.evaluation.clock import MOST_OF_BASELINE, Clock
 from splitband.evaluation.jobs import LATE
 from splitband.evaluation.plan import plan
@@ -27,12 +25,7 @@ SMALL: dict[str, Any] = {"settings": {"warmup": 10}, "sizes": SETUP.sizes}
 RELEASED = Event()
 
 
-@pytest.fixture(autouse=True, scope="module")
-def short_rounds() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "FIRST_ROUND", 4)
-        patch.setattr(candidates, "FIRST_STEPS", 3)
-        yield
+pytestmark = pytest.mark.usefixtures("short_rounds")
 
 
 class Baseline(Forecaster):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from splitband import Record
-from splitband.evaluation import candidates
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import forecast
@@ -23,12 +22,7 @@ RECORD = record(nu=1)
 SMALL = {"settings": {"warmup": 10}, "sizes": SETUP.sizes}
 
 
-@pytest.fixture(autouse=True, scope="module")
-def short_rounds() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(candidates, "FIRST_ROUND", 4)
-        patch.setattr(candidates, "FIRST_STEPS", 3)
-        yield
+pytestmark = pytest.mark.usefixtures("short_rounds")
 
 
 def compared(**options: object) -> Comparison:

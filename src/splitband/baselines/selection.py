@@ -186,9 +186,9 @@ class Search:
         """
         blocks = chosen.solution.blocks
         fitted = with_constant(runs) if blocks.constant else runs
-        begin = linear_solution(blocks, fitted)
         if runs is self.runs:
             return refined(chosen.solution, fitted, ITERATIONS, self.limit)
+        begin = linear_solution(blocks, fitted)
         whole = Search(runs, self.direct, self.integrators, chosen.order)
         if not blocks.constant:
             begin = min(begin, whole._start(chosen.order) or begin, key=lambda at: at.cost)

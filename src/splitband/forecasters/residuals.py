@@ -46,7 +46,7 @@ UNIT_ROOT = -4.1
 """Statistic of Dickey and Fuller from which on a signal may wander: below it lies one random walk
 in 1,000, by J. G. MacKinnon (1994)."""
 RELATED = 0.001
-"""p-value below which inputs help to predict the changes of a signal that wanders."""
+"""p-value below which inputs help to predict the changes of a signal that wanders. By eye."""
 SAMPLES_PER_LAG = 50
 """Samples for each lag of the autoregressive model of changes. Of 1,600 unrelated walks with 350
 samples 9 pass for related; with half as many lags 4, and more effects pass for chance."""
