@@ -353,7 +353,7 @@ def late_outputs(unit: Unit, task: Task) -> NDArray[np.bool_]:
         unit.short_steps = False
     for i in np.flatnonzero(asked).tolist():
         name = f"{task.outputs[i]} of {unit.path}"
-        found = _is_late(whole[..., i], short[..., i], name, depends[i])
+        found = _comes_late(whole[..., i], short[..., i], name, depends[i])
         late[i] = bool(found)
         if found is None and name not in unit.doubted:
             unit.doubted.add(name)
@@ -365,7 +365,7 @@ def late_outputs(unit: Unit, task: Task) -> NDArray[np.bool_]:
     return late
 
 
-def _is_late(whole: Array, short: Array, name: str, depends: bool | None) -> bool | None:
+def _comes_late(whole: Array, short: Array, name: str, depends: bool | None) -> bool | None:
     """Return whether an output shows its sample's inputs only after a step; None if unknown.
 
     `whole`: its values after steps with the usual inputs, with others, and with the usual ones,
