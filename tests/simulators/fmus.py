@@ -1,4 +1,4 @@
-"""Functional mock-up units that are compiled from C, for all versions and kinds of FMI."""
+"""Functional mock-up units that are compiled from C, for FMI 2 and 3 and both kinds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 COMPILES = shutil.which("gcc") is not None and sys.platform == "linux"
@@ -104,44 +104,6 @@ int fmi2GetContinuousStates(Model *m, double x[], size_t n) { x[0] = m->r[X]; re
 int fmi2GetNominalsOfContinuousStates(void *c, double x[], size_t n) { x[0] = 1; return 0; }
 """
 
-FMI1 = r"""
-#define F(name) NAME_ ## name
-STUB(F(fmiCancelStep)) STUB(F(fmiGetInteger)) STUB(F(fmiGetBoolean)) STUB(F(fmiGetString))
-STUB(F(fmiSetInteger)) STUB(F(fmiSetBoolean)) STUB(F(fmiSetString)) STUB(F(fmiGetStatus))
-STUB(F(fmiSetRealInputDerivatives)) STUB(F(fmiGetRealOutputDerivatives))
-STUB(F(fmiGetRealStatus)) STUB(F(fmiGetIntegerStatus)) STUB(F(fmiGetBooleanStatus))
-STUB(F(fmiGetStringStatus))
-const char *F(fmiGetTypesPlatform)(void) { return "standard32"; }
-const char *F(fmiGetModelTypesPlatform)(void) { return "standard32"; }
-const char *F(fmiGetVersion)(void) { return "1.0"; }
-int F(fmiSetDebugLogging)(void *c, char on) { return 0; }
-static void *made(void) { Model *m = malloc(sizeof *m); begin(m); return m; }
-void *F(fmiInstantiateSlave)(void) { return made(); }
-void *F(fmiInstantiateModel)(void) { return made(); }
-void F(fmiFreeSlaveInstance)(void *c) { free(c); }
-void F(fmiFreeModelInstance)(void *c) { free(c); }
-int F(fmiInitializeSlave)(Model *m, double t, char d, double e) { m->shown = out(m); return 0; }
-int F(fmiTerminateSlave)(void *c) { return 0; }
-int F(fmiTerminate)(void *c) { return 0; }
-int F(fmiResetSlave)(void *c) { begin(c); return 0; }
-int F(fmiSetReal)(void *c, const unsigned v[], size_t n, const double x[])
-{ return set(c, v, n, x); }
-int F(fmiGetReal)(void *c, const unsigned v[], size_t n, double x[]) { return get(c, v, n, x); }
-int F(fmiDoStep)(void *c, double t, double h, char p) { return step(c, h); }
-typedef struct { char converged, references, values, ended, defined; double time; } Info;
-static int events(Model *m, Info *i) { memset(i, 0, sizeof *i); i->converged = 1; return 0; }
-int F(fmiInitialize)(Model *m, char a, double b, Info *i) { return events(m, i); }
-int F(fmiEventUpdate)(Model *m, char a, Info *i) { return events(m, i); }
-int F(fmiSetTime)(Model *m, double t) { m->t = t; return 0; }
-int F(fmiSetContinuousStates)(Model *m, const double x[], size_t n) { m->r[X] = x[0]; return 0; }
-int F(fmiCompletedIntegratorStep)(void *c, char *event) { *event = 0; return 0; }
-int F(fmiGetDerivatives)(Model *m, double x[], size_t n) { x[0] = slope(m); return 0; }
-int F(fmiGetEventIndicators)(Model *m, double z[], size_t n) { return 0; }
-int F(fmiGetContinuousStates)(Model *m, double x[], size_t n) { x[0] = m->r[X]; return 0; }
-int F(fmiGetNominalContinuousStates)(void *c, double x[], size_t n) { x[0] = 1; return 0; }
-int F(fmiGetStateValueReferences)(void *c, unsigned v[], size_t n) { v[0] = X; return 0; }
-"""
-
 FMI3 = r"""
 #include <stdbool.h>
 const char *fmi3GetVersion(void) { return "3.0"; }
@@ -208,19 +170,22 @@ def built(
     exceeded : The condition for it.
     substeps : Steps of the midpoint rule in a communication step; with 0 it is one of Euler.
     """
-    defines = {"SLOPE": slope, "OUT": out, "MODE": mode, "FIXED": fixed, "NEXT": next_event,
-               "LIMIT": limit, "EXCEEDED": exceeded, "SUBSTEPS": substeps}  # fmt: skip
+    defines = {"SLOPE": slope, "OUT": out, "MODE": mode, "FIXED": fixed, "NEXT": next_event}
+    defines |= {"LIMIT": limit, "EXCEEDED": exceeded, "SUBSTEPS": substeps}
     source = "\n".join(f"#define {name} ({value})" for name, value in defines.items()) + COMMON
-    source += {1: FMI1.replace("NAME", path.stem), 2: FMI2, 3: FMI3}[version]
+    source += FMI2 if version == 2 else FMI3
     if version == 3:
-        source += "".join(f"STUB({name})\n" for name in _of_fmi3() if f" {name}(" not in source
-                          and f"*{name}(" not in source)  # fmt: skip
+        missing = (name for name in _of_fmi3() if not re.search(rf"[ *]{name}\(", source))
+        source += "".join(f"STUB({name})\n" for name in missing)
     code = path.with_suffix(".c")
     code.write_text(source)
     library = path.with_suffix(".so")
     subprocess.run(["gcc", "-O1", "-w", "-shared", "-fPIC", code, "-o", library, "-lm"], check=True)
-    text = _DESCRIPTIONS[version](path.stem, kinds, inputs, types, output, dependencies, fixed,
-                                  limit < 1e9)  # fmt: skip
+    if version == 2:
+        indicated = limit < 1e9
+        text = _second(path.stem, kinds, inputs, types, output, dependencies, fixed, indicated)
+    else:
+        text = _third(path.stem, kinds, inputs)
     if declared and version == 3:
         own = f'<CoSimulation fixedInternalStepSize="{declared}" '
         text = text.replace("<CoSimulation ", own)
@@ -275,8 +240,8 @@ def _second(
         "ModelExchange": 'completedIntegratorStepNotNeeded="false"',
     }
     said = "" if dependencies is None else f' dependencies="{dependencies}"'
-    kind = "".join(f'<{each} modelIdentifier="{name}" {how[each]}/>' for each in
-                   sorted(kinds, reverse=True))  # fmt: skip
+    ordered = sorted(kinds, reverse=True)
+    kind = "".join(f'<{each} modelIdentifier="{name}" {how[each]}/>' for each in ordered)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="g" numberOfEventIndicators=
 "{int(indicated)}">{kind}<ModelVariables>{"".join(variables)}</ModelVariables><ModelStructure>
@@ -284,24 +249,11 @@ def _second(
 <Derivatives><Unknown index="{first + 1}"/></Derivatives></ModelStructure></fmiModelDescription>"""
 
 
-def _first(name: str, kinds: Sequence[str], inputs: Sequence[str], *_: object) -> str:
-    reals = [*((each, i, 'causality="input"', ' start="0"') for i, each in enumerate(inputs)),
-             ("y", 3, 'causality="output"', ""),
-             ("k", 4, 'causality="internal" variability="parameter"', ' start="1"')]  # fmt: skip
-    variables = "".join(
-        f'<ScalarVariable name="{each}" valueReference="{i}" {how}><Real{start}/></ScalarVariable>'
-        for each, i, how, start in reals
+def _third(name: str, kinds: Sequence[str], inputs: Sequence[str]) -> str:
+    driven = "".join(
+        f'<Float64 name="{each}" valueReference="{i}" causality="input" start="0"/>'
+        for i, each in enumerate(inputs)
     )
-    slave = '<Implementation><CoSimulation_StandAlone><Capabilities canHandleVariableCommunicationStepSize="true"/></CoSimulation_StandAlone></Implementation>'  # noqa: E501
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="1.0" modelName="{name}" modelIdentifier="{name}" guid="g"
-numberOfContinuousStates="1" numberOfEventIndicators="0"><ModelVariables>{variables}
-</ModelVariables>{slave if "CoSimulation" in kinds else ""}</fmiModelDescription>"""
-
-
-def _third(name: str, kinds: Sequence[str], inputs: Sequence[str], *_: object) -> str:
-    driven = "".join(f'<Float64 name="{each}" valueReference="{i}" causality="input" start="0"/>'
-                     for i, each in enumerate(inputs))  # fmt: skip
     kind = "".join(f'<{each} modelIdentifier="{name}"/>' for each in sorted(kinds, reverse=True))
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="{name}" instantiationToken="g">{kind}
@@ -313,6 +265,3 @@ valueReference="3" causality="output"/>
 <Float64 name="k" valueReference="4" causality="parameter" variability="tunable" initial="exact"
 start="1"/></ModelVariables><ModelStructure><Output valueReference="3"/>
 <ContinuousStateDerivative valueReference="9"/></ModelStructure></fmiModelDescription>"""
-
-
-_DESCRIPTIONS: dict[int, Callable[..., str]] = {1: _first, 2: _second, 3: _third}

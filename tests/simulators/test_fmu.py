@@ -6,11 +6,13 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 
 from splitband.simulators import Fmu, run
+from splitband.simulators.fmu_unit import variables_of
 from tests.simulators.test_simulators import DT, SAMPLES, oscillator
 
 
@@ -87,7 +89,8 @@ worker = multiprocessing.get_context("fork").Process(target=use)
 worker.start()
 worker.join()
 assert worker.exitcode == 0
-assert os.path.isdir(kept._unit.folder)  # which the worker process has not removed
+left = [name for name in os.listdir(os.environ["TMPDIR"]) if name.startswith("splitband-fmu-")]
+assert len(left) == 1  # of this process, which the worker process has not removed
 raise KeyboardInterrupt
 """
 
@@ -99,9 +102,12 @@ def test_nothing_that_an_fmu_unpacked_is_left_after_the_process(
     """Not closed, forgotten or kept, in a worker process, and after Ctrl-C."""
     found = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", _LEFT_OPEN, van_der_pol_fmu],
-        capture_output=True, text=True, check=False, timeout=120,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
         env=os.environ | {"OMP_NUM_THREADS": "1", "TMPDIR": str(tmp_path)},
-    )  # fmt: skip
+    )
     assert found.stderr.endswith("KeyboardInterrupt\n"), found.stderr
     assert not [*tmp_path.iterdir()]
 
@@ -118,19 +124,18 @@ def test_an_fmu_that_is_absent_or_damaged_is_named_and_leaves_nothing_unpacked(
     assert not unpacked(tmp_path)
 
 
-def test_an_fmu_is_cached_by_its_content_and_start_values(
-    van_der_pol_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy = tmp_path / "copy.fmu"
-    copy.write_bytes(van_der_pol_fmu.read_bytes())
-    cache = tmp_path / "cache"
-    with Fmu(van_der_pol_fmu, ["x"]) as fmu:
-        first = run(fmu, 20, DT, cache=cache)
-    with Fmu(copy, ["x"]) as fmu:
-        monkeypatch.setattr(fmu, "simulate", lambda _: pytest.fail("simulated again"))
-        np.testing.assert_array_equal(run(fmu, 20, DT, cache=cache), first)
-    with Fmu(copy, ["x"], {"mu": 3.0}) as fmu:
-        assert np.abs(run(fmu, 20, DT, cache=cache) - first).max() > 0.01
+FMI_1 = """<fmiModelDescription fmiVersion="1.0" modelName="m" modelIdentifier="m" guid="g"
+numberOfContinuousStates="0" numberOfEventIndicators="0"><ModelVariables><ScalarVariable name="y"
+valueReference="0" causality="output"><Real/></ScalarVariable></ModelVariables>
+</fmiModelDescription>"""
+
+
+@pytest.mark.parametrize("opened", [Fmu, variables_of])
+def test_an_fmu_of_fmi_1_is_refused_with_what_to_do(opened: Any, tmp_path: Path) -> None:
+    with ZipFile(tmp_path / "old.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", FMI_1)
+    with pytest.raises(ValueError, match=r"old\.fmu .* follows FMI 1\.0; export it .* as FMI 2 or"):
+        opened(tmp_path / "old.fmu")
 
 
 def test_an_fmu_that_stops_early_is_refused(van_der_pol_fmu: Path) -> None:
@@ -159,9 +164,12 @@ def test_an_fmu_that_raises_does_not_take_the_process_with_it(
 ) -> None:
     found = subprocess.run(
         [sys.executable, "-c", _FAILING, van_der_pol_fmu],
-        capture_output=True, text=True, check=False, timeout=600,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )
     raised, alive = found.stdout.splitlines()
     assert "DoStep failed" in raised
     assert (alive, found.returncode) == ("alive", 0)

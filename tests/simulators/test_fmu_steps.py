@@ -120,9 +120,13 @@ def test_an_event_exactly_on_a_sample_gives_the_value_after_it(
 ) -> None:
     """x' = 1 until x = `limit`, where the input is taken away; the indicator is then exactly 0."""
     path = built(
-        tmp_path / "event.fmu", ("ModelExchange",), slope="r[V] ? 0.0 : r[U]", limit=limit,
-        out="r[X] + 10 * r[V]", exceeded=f"r[X] {condition} LIMIT",
-    )  # fmt: skip
+        tmp_path / "event.fmu",
+        ("ModelExchange",),
+        slope="r[V] ? 0.0 : r[U]",
+        limit=limit,
+        out="r[X] + 10 * r[V]",
+        exceeded=f"r[X] {condition} LIMIT",
+    )
     for start in (0.0, 1e9):
         found = np.ravel(sb.Fmu(path).simulate(start + TIME[:20], np.ones((20, 1))))
         after = TIME[:20] >= limit

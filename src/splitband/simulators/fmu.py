@@ -2,8 +2,8 @@
 
 An output of a co-simulation FMU may depend on an input at once (direct feedthrough). Many FMUs
 compute it when it is read after the input was set; others compute outputs only in a step, or refuse
-to be read before it (FMI 2.0.4, Sec. 4.2.3). One run at the start, with inputs that are changed one
-at a time, tells.
+to be read before it (FMI 2.0.4, Sec. 4.2.3). The model description tells which outputs depend on no
+input; for the others a short run, in which the inputs are changed, decides.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,26 +23,35 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
 from splitband.simulators.code import content_digest
-from splitband.simulators.fmu_running import CoSimulation, Exchange, Reading, Task, check_inputs
+from splitband.simulators.fmu_running import (
+    CoSimulation,
+    Exchange,
+    Task,
+    UnreadableError,
+    check_inputs,
+)
 from splitband.simulators.fmu_unit import EXCHANGE, REAL, Unit, listed
 from splitband.simulators.parameters import Adjustable, Given, Point, Response
 
 SAMPLES = 8
 """Samples before the inputs are changed, so that states are not at 0. By eye."""
-FRACTION_OF_A_STEP = 1e-4
+SHORT = 1e-4
 """A short step, as a share of the communication step. By eye."""
 DEPENDS, MOST_CHECKED = 0.01, 1000
 """Change of an output by half the communication step, as a share of its range, above which it is
 said to depend on that, and the samples over which it is found out. A convention; bounds the time.
 """
 AT_ONCE = 0.01
-"""An output that changes in a step without length by this share of what it changes in a whole one
-depends on the input at once. By eye."""
-SAME = 1e-6
-"""Relative difference within which changes count as the same. Rounding."""
-PROBED = 0.45, 0.55
-"""Places in the ranges of parameters at which it is also found out how outputs are read: near the
-middle, as elsewhere an FMU may end its process. By eye."""
+"""An output whose speed of change jumps in a short step, by this share of what it then changes in a
+whole one, depends on the input at once. By eye."""
+BY_LENGTH = 0.1
+"""An output that changes in a short step by more than this share of what it changes in a whole one
+does not depend on the length of steps. By eye."""
+SAME, ROUNDING = 1e-6, 1e-12
+"""Relative difference within which values that were computed in two ways, and in one, are equal."""
+PROBED = 0.45
+"""Place in the ranges of parameters at which it is found out how outputs are read: not the middle,
+which often is a gain of 0, but near it, as elsewhere an FMU may end its process. By eye."""
 
 
 class Fmu(Adjustable):
@@ -166,64 +175,52 @@ class Fmu(Adjustable):
                 f"inputs must be {count or 'the'} variables of {self.path} that take the inputs "
                 f"of the record, which has {count or 'none'}; got {', '.join(names)}"
             )
-        given = None if not names or u is None else np.asarray(u, float)[:, [*map(bool, names)]]
+        given = np.empty((len(time), 0))
+        if names and u is not None:
+            given = np.asarray(u, float)[:, [*map(bool, names)]]
         names = [name for name in names if name]
-        if given is not None:
-            check_inputs(unit, names, given)
+        check_inputs(unit, names, given)
         task = Task(np.asarray(time, float), given, values, self.outputs, names, self.held)
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
-        task = replace(task, substeps=substeps(unit, task.step, self.step))
-        reading = self._reading(task)
-        self._check_step(task, reading)
-        with unit.instance() as instance:
-            return CoSimulation(unit, instance, task).run(reading)
+        task = replace(
+            task, substeps=substeps(unit, task.step, self.step), before=unit.reads_before
+        )
+        try:
+            return self._stepped(task)
+        except UnreadableError:
+            found = self._stepped(replace(task, before=True))
+            unit.reads_before = True
+            return found
 
-    def _reading(self, task: Task) -> Reading:
-        """Return how the outputs are read; with parameters to fit, wherever these are.
+    def _stepped(self, task: Task) -> Array:
+        """Return the outputs of a co-simulation, read as they are with all values in the ranges."""
+        known, probed = self.known, task
+        if known.free:
+            values = {name: known.value_at(name, PROBED) for name in known.given}
+            probed = replace(task, values=values)
+        late = late_outputs(self._unit, probed)
+        with self._unit.instance() as instance:
+            found = CoSimulation(self._unit, instance, task).run(late)
+        self._check_step(task, late, found)
+        return found
 
-        A feedthrough may have a gain of 0 at one place, and for inputs in another range.
-        """
-        unit, step = self._unit, round(task.step, 12)
-        span = () if task.u is None else (*task.u.min(axis=0), *task.u.max(axis=0))
-        what = *task.outputs, *task.inputs, str(self.known), *span
-        key = (*what, step, task.substeps, min(len(task.time), SAMPLES))
-        if key in unit.readings:
-            return cast("Reading", unit.readings[key])
-        found = [reading_of(unit, task)]
-        for place in PROBED if self.known.free else ():
-            values = {name: self.known.value_at(name, place) for name in self.known.given}
-            try:
-                found.append(reading_of(unit, replace(task, values=values)))
-            except LateError:
-                raise
-            except Exception:  # it does not run there
-                continue
-        late = np.any([reading.late for reading, _ in found], axis=0)
-        reading = Reading(late, any(reading.before for reading, _ in found))
-        if any(known for _, known in found):
-            unit.readings[key] = reading
-        return reading
-
-    def _check_step(self, task: Task, reading: Reading) -> None:
+    def _check_step(self, task: Task, late: NDArray[np.bool_], found: Array) -> None:
         """Warn where the outputs depend on the communication step; of a fit, at its values."""
         unit, step = self._unit, round(task.length, 12)
         other = unit.any_step or unit.own_step is None  # half of it may be asked for
         if step in unit.checked or not other or (self.known.free and not self._fitted):
             return
         unit.checked[step] = ""
-        part = slice(MOST_CHECKED)
-        short = replace(task, time=task.time[part], u=None if task.u is None else task.u[part])
-        found = []
+        time, u, found = task.time[:MOST_CHECKED], task.u[:MOST_CHECKED], found[:MOST_CHECKED]
+        finer = replace(task, time=time, u=u, substeps=2 * task.substeps)
         try:
-            for count in (task.substeps, 2 * task.substeps):
-                with unit.instance() as instance:
-                    run = CoSimulation(unit, instance, replace(short, substeps=count))
-                    found.append(run.run(reading))
-        except Exception:  # it makes no such steps; the run itself says what else is wrong
+            with unit.instance() as instance:
+                y = CoSimulation(unit, instance, finer).run(late)
+        except Exception:  # it makes no such steps
             return
-        apart, span = np.abs(found[1] - found[0]).max(axis=0), np.ptp(found[1], axis=0)
+        apart, span = np.abs(y - found).max(axis=0), np.ptp(y, axis=0)
         shares = np.divide(apart, span, out=np.zeros(len(span)), where=span > 0)
         if shares[worst := int(np.argmax(shares))] > DEPENDS:
             unit.checked[step] = (
@@ -314,153 +311,119 @@ def substeps(unit: Unit, sampling_time: float, given: float | None) -> int:
 # ---------------------------------------------------------------- how outputs are read
 
 
-def reading_of(unit: Unit, task: Task) -> tuple[Reading, bool]:
-    """Return how the outputs are read, and whether that is known.
+def late_outputs(unit: Unit, task: Task) -> NDArray[np.bool_]:
+    """Return which outputs show a sample's inputs only after the step from it, `(outputs,)`.
 
-    It is not where an output does not change with any input here. Raises LateError for an output
-    that cannot be read at its sample, or where that cannot be reported.
+    Those are not that change when an input is set, or that are declared not to depend on any.
+    Raises ValueError for an output that cannot be read at its sample, or where that cannot be told.
     """
-    nothing = np.zeros(len(task.outputs), dtype=bool)
-    start = replace(task, time=task.time[:SAMPLES])
-    if task.u is None or not task.u.shape[1] or len(start.time) < 2:
-        return Reading(nothing), True
-    usual = task.u[len(start.time) - 1]
-    changes = _changes(unit, task, usual)
+    late, depends = np.zeros(len(task.outputs), dtype=bool), _declared(unit, task)
+    last = min(SAMPLES, len(task.time)) - 1
+    usual = task.u[last]
+    rows = _changes(unit, task, usual)
+    if not rows or all(each is False for each in depends):
+        return late
+    asked = np.array([each is not False for each in depends])
+    whole, short = np.empty((0, 3, len(late))), np.empty((0, 4, len(late)))
     try:
-        reported, before = _reported_when_set(unit, start, usual, changes), False
-    except _UnreadableError:
-        reported, before = nothing, True
-    depends = _declared(unit, task)
-    open_ones = ~reported & np.array([each is not False for each in depends])
-    if not open_ones.any():
-        return Reading(nothing, before), True
-    late, moved = nothing.copy(), nothing.copy()
-    shares = (1.0, FRACTION_OF_A_STEP, FRACTION_OF_A_STEP / 2) if unit.any_step else (1.0,)
-    begin = [_two_steps(unit, start, usual, usual, share) for share in shares]
-    for changed in changes:
-        moves = [None if at is None else _two_steps(unit, start, changed, usual, share)
-                 for at, share in zip(begin, shares, strict=True)]  # fmt: skip
-        moves = [None if to is None or at is None else to - at
-                 for to, at in zip(moves, begin, strict=True)]  # fmt: skip
-        assert moves[0] is not None
-        first = abs(moves[0][0]) > 0  # not for NaN
-        moved |= first
-        for i in np.flatnonzero(open_ones & first).tolist():
-            each = [move[:, i] for move in moves if move is not None]
-            late[i] |= _is_late(each, f"{task.outputs[i]} of {unit.path}", depends[i])
-    return Reading(late, before), bool(moved[open_ones].all())
+        with unit.instance() as instance:
+            run = CoSimulation(unit, instance, task, spare=4 * len(rows) + 1)
+            for n in range(last):
+                run.drive(n)
+                run.go_on(task.substeps)
+            run.drive(last)
+            if not task.before:
+                shown = np.stack([run.show(u) for u in (usual, *rows)])
+                asked &= (shown == shown[0]).all(axis=0)
+            if not asked.any():
+                return late
+            whole = np.array([[run.after(u) for u in (usual, row, usual)] for row in rows])
+            if unit.short_steps:
+                short = np.array(
+                    [
+                        [*(run.after(u, SHORT) for u in (usual, row, row)), run.after(row)]
+                        for row in rows
+                    ]
+                )
+    except UnreadableError:
+        raise
+    except Exception:
+        if not len(whole):
+            raise
+        unit.short_steps = False
+    for i in np.flatnonzero(asked).tolist():
+        name = f"{task.outputs[i]} of {unit.path}"
+        found = _comes_late(whole[..., i], short[..., i], name, depends[i])
+        late[i] = bool(found)
+        if found is None and name not in unit.doubted:
+            unit.doubted.add(name)
+            warnings.warn(
+                f"{name} is taken not to depend on the inputs at once, which its description does "
+                "not say and a run cannot tell; otherwise it comes one sample late",
+                stacklevel=2,
+            )
+    return late
 
 
-class LateError(InputError):
-    """Report an output that cannot be read at its sample."""
+def _comes_late(whole: Array, short: Array, name: str, depends: bool | None) -> bool | None:
+    """Return whether an output shows its sample's inputs only after a step; None if unknown.
 
-
-class _UnreadableError(Exception):
-    """Report that outputs cannot be read after inputs were set, without a step."""
-
-
-def _is_late(moves: Sequence[Array], name: str, depends: bool | None) -> bool:
-    """Return whether an output shows its sample's inputs only after a step.
-
-    `moves`: what an input changes in it after a step in which that was changed, and after the next
-    one: with whole steps, with short ones and with some half as long, if the FMU makes these. What
-    it changes in a step without length, which the short ones tell, depends on it at once; if the
-    next step forgets it, there is no state.
+    `whole`: its values after steps with the usual inputs, with others, and with the usual ones,
+    `(changes, 3)`; `short`: those after three short steps, the last two of them with the others,
+    and after a whole one, `(changes, 4)`, if the FMU makes these; `depends`: whether it is declared
+    to depend on an input. What jumps in a short step depends on the inputs at once; if the next
+    step forgets it, there is no state.
     """
-    first, second = np.abs(moves[0])
-    forgets = second <= SAME * first
-    # One that makes steps of its own does nothing in a step that is shorter than these.
-    if len(moves) == 3 and np.any(moves[1:]):
-        (at_once, then), (half, _) = moves[1:]
-        if abs(2 * half - at_once) <= AT_ONCE * first:
-            return False  # by its states
-        same = np.allclose(np.abs([at_once, then]), [first, second], rtol=SAME, atol=0.0)
-        unknown = same and not forgets  # its steps do not depend on their length
-    elif depends:
-        unknown = False
-    elif forgets:
-        raise LateError(
+    before, changed, after = whole.T
+    if not (changed != before).any():
+        return False
+    forgets = bool((np.abs(after - before) <= SAME * np.abs(changed - before)).all())
+    if len(short):
+        moves = np.diff(short, axis=1)
+        moves[np.abs(moves) <= ROUNDING * np.abs(short).max()] = 0.0
+        first, second, rest = moves.T
+        # One that makes steps of its own does nothing in a step that is shorter than these.
+        told = ((first != 0) | (second != 0)) & (np.abs(second) <= BY_LENGTH * np.abs(rest))
+        jumps = np.abs(first - second) > AT_ONCE * np.abs(moves.sum(axis=1))
+        if told.any():
+            depends = bool((told & jumps).any())
+    if depends and not forgets:
+        raise InputError(
+            f"{name} cannot be read at its sample: it depends on the inputs at once, and is "
+            "computed only in the step after them; export the FMU for model exchange, or so that "
+            "its outputs can be read when inputs are set"
+        )
+    if depends is None and forgets:
+        raise InputError(
             f"{name} cannot be read at its sample: it is either a function of the inputs that is "
             "computed in the step after it, or one sample late, and steps of another length, which "
             "would tell, are not made; declare its dependencies in the model description, or "
             "export the FMU for model exchange"
         )
-    else:
-        unknown = True
-    if unknown:
-        warnings.warn(
-            f"{name} is taken not to depend on the inputs at once, which its description does not "
-            "say and a run cannot tell; otherwise it comes one sample late",
-            stacklevel=2,
-        )
-    elif not forgets:
-        raise LateError(
-            f"{name} cannot be read at its sample: it depends on the inputs at once, and is "
-            "computed only in the step after them; export the FMU for model exchange, or so that "
-            "its outputs can be read when inputs are set"
-        )
-    return not unknown
+    return depends
 
 
 def _declared(unit: Unit, task: Task) -> list[bool | None]:
     """Return for each output whether the FMU declares it to depend on an input; None: not said."""
-    said = {each.variable.name: each.dependencies for each in unit.description.outputs
-            if each.variable is not None and each.dependencies is not None}  # fmt: skip
-    return [any(v.name in task.inputs for v in said[name]) if name in said else None
-            for name in task.outputs]  # fmt: skip
-
-
-def _reported_when_set(
-    unit: Unit, task: Task, usual: Array, changes: Sequence[Array]
-) -> NDArray[np.bool_]:
-    """Return which outputs change when an input is set, without a step."""
-    with unit.instance() as instance:
-        run = CoSimulation(unit, instance, task)
-        run.advance()
-        reported = np.zeros(len(task.outputs), dtype=bool)
-        for changed in changes:
-            values = []
-            for u in (usual, changed):
-                run.inputs.set(u)
-                try:
-                    values.append(run.outputs.get())
-                except Exception as error:
-                    raise _UnreadableError from error
-            reported |= values[0] != values[1]
-        run.instance.terminate()
-    return reported
-
-
-def _two_steps(unit: Unit, task: Task, first: Array, second: Array, share: float) -> Array | None:
-    """Return the outputs after two steps of these inputs and this share of the sampling time.
-
-    `(2, outputs)`; None for an FMU that makes no short steps.
-    """
-    try:
-        with unit.instance() as instance:
-            run, found = CoSimulation(unit, instance, task), []
-            run.advance()
-            for u in (first, second):
-                run.inputs.set(u)
-                run.step(share * task.length)
-                found.append(run.outputs.get())
-            run.instance.terminate()
-    except Exception:
-        if share == 1.0:
-            raise
-        return None
-    return np.stack(found)
+    said = {each.variable.name: each.dependencies for each in unit.description.outputs}
+    found: list[bool | None] = []
+    for name in task.outputs:
+        variables = said.get(name)
+        found.append(None if variables is None else any(v.name in task.inputs for v in variables))
+    return found
 
 
 def _changes(unit: Unit, task: Task, usual: Array) -> list[Array]:
-    """Return the usual inputs with one of them changed, as far as in the record, then with all."""
-    assert task.u is not None
-    changes, together = [], usual.copy()
-    for j, name in enumerate(task.inputs):
-        last = usual[j]
-        others = [each for each in (task.u[:, j].min(), task.u[:, j].max()) if each != last]
-        if not others:
-            others = [1.0 - last if unit.by_name[name].type == "Boolean" else last + 1.0]
-        changes += [np.where(np.arange(len(usual)) == j, other, usual) for other in others]
-        together[j] = max(others, key=lambda other: abs(other - last))
-    return changes if len(usual) == 1 else [*changes, together]
+    """Return rows of inputs beside the usual one: in them an input is least or greatest.
+
+    Of an input that is constant in the record, one of another value.
+    """
+    rows = []
+    for j, (name, column) in enumerate(zip(task.inputs, task.u.T, strict=True)):
+        if np.ptp(column) > 0:
+            rows += [task.u[column.argmin()], task.u[column.argmax()]]
+        else:
+            rows.append(usual.copy())
+            boolean = unit.by_name[name].type == "Boolean"
+            rows[-1][j] = 1.0 - usual[j] if boolean else usual[j] + 1.0
+    return [row for row in rows if (row != usual).any()]

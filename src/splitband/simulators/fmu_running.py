@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators.fmu_unit import EXCHANGE, REAL, WHOLE, Unit
+from splitband.simulators.fmu_unit import REAL, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
 """Of the solver for model exchange, relative to the nominal values of the states. By eye."""
@@ -31,16 +31,18 @@ class Task:
     `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
     of variables; `outputs`, `inputs`: names of the variables to read, and of those that take `u`;
     `held`: whether model exchange holds inputs until the next sample, or interpolates them;
-    `substeps`: communication steps of co-simulation from one sample to the next.
+    `substeps`: communication steps of co-simulation from one sample to the next; `before`: whether
+    it reads outputs before it sets the inputs of a sample, as the FMU refuses it after that.
     """
 
     time: Array
-    u: Array | None
+    u: Array
     values: Mapping[str, float]
     outputs: Sequence[str]
     inputs: Sequence[str]
     held: bool = False
     substeps: int = 1
+    before: bool = False
 
     @property
     def step(self) -> float:
@@ -109,24 +111,16 @@ def initialise(unit: Unit, instance: Any, task: Task, inputs: Access, end: float
         )
         return left
 
-    version, begin, exchange = unit.version, float(task.time[0]), unit.kind == EXCHANGE
-    if version == 1:
-        if exchange:
-            instance.setTime(begin)
-        left = apply(task.values, by_fmpy.has_start_value)
+    begin, how = float(task.time[0]), {}
+    if unit.version == 2:
+        instance.setupExperiment(startTime=begin, stopTime=end)
     else:
-        if version == 2:
-            instance.setupExperiment(startTime=begin, stopTime=end)
-        left = apply(task.values, by_fmpy.settable_in_instantiated)
-        how = {"startTime": begin, "stopTime": end} if version == 3 else {}
-        instance.enterInitializationMode(**how)
-        left = apply(left, by_fmpy.settable_in_initialization_mode)
-    if task.u is not None:
-        inputs.set(task.u[0])
-    if version > 1:
-        instance.exitInitializationMode()
-    else:
-        instance.initialize(**({} if exchange else {"tStart": begin, "stopTime": end}))
+        how = {"startTime": begin, "stopTime": end}
+    left = apply(task.values, by_fmpy.settable_in_instantiated)
+    instance.enterInitializationMode(**how)
+    left = apply(left, by_fmpy.settable_in_initialization_mode)
+    inputs.set(task.u[0])
+    instance.exitInitializationMode()
     if left:
         raise InputError(f"these variables of {unit.path} cannot be set: {', '.join(left)}")
 
@@ -135,15 +129,14 @@ class _Inputs:
     """Set the inputs of a run by model exchange; a solver calls `apply`."""
 
     def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
-        kinds = [(unit.by_name[name].type, unit.by_name[name].variability) for name in task.inputs]
+        variables = [] if task.held else [unit.by_name[name] for name in task.inputs]
+        jumping = "discrete", "tunable"
         smooth = [
-            i for i, (kind, variability) in enumerate(kinds) if kind in REAL and not task.held
-            and variability not in ("discrete", "tunable")
-        ]  # fmt: skip
+            i for i, v in enumerate(variables) if v.type in REAL and v.variability not in jumping
+        ]
         self.all = Access(unit, instance, task.inputs)
         self.smooth = Access(unit, instance, [task.inputs[i] for i in smooth])
-        self.time, self.step = task.time, task.step
-        self.u = np.empty((len(task.time), 0)) if task.u is None else task.u
+        self.time, self.step, self.u = task.time, task.step, task.u
         self.lines = self.u[:, smooth]
         self.jumps = np.delete(self.u, smooth, axis=1)
 
@@ -164,8 +157,7 @@ class Exchange:
         self.inputs = _Inputs(unit, instance, task)
         initialise(unit, instance, task, self.inputs.all, float(task.time[-1]))
         self.event_time = np.inf
-        if unit.version > 1:
-            self._update()
+        self._update()
         self.solver = self._solver()
         self.touched = self._touches()
 
@@ -176,7 +168,6 @@ class Exchange:
         for n in range(len(found)):
             self._integrate(n)
             found[n] = outputs.get()
-        self.instance.terminate()
         return found
 
     def _integrate(self, n: int) -> None:
@@ -197,8 +188,7 @@ class Exchange:
                 event, now = True, max(now, self.event_time)
             self._set_time(now)
             if self.unit.description.modelExchange.needsCompletedIntegratorStep:
-                done = instance.completedIntegratorStep()
-                event |= bool(done if self.unit.version == 1 else done[0])
+                event |= bool(instance.completedIntegratorStep()[0])
             if event:
                 self._event(now)
                 self.touched &= not touched
@@ -210,8 +200,7 @@ class Exchange:
 
     def _event(self, now: float, n: int | None = None) -> None:
         """Handle an event, at which the inputs of sample n are set."""
-        if self.unit.version > 1:
-            self.instance.enterEventMode()
+        self.instance.enterEventMode()
         if n is not None:
             self.inputs.all.set(self.inputs.u[n])
         self._update()
@@ -227,21 +216,16 @@ class Exchange:
 
     def _update(self) -> None:
         """Update the discrete states, and find the time of the next event."""
-        instance, version = self.instance, self.unit.version
-        update = ("eventUpdate", "newDiscreteStates", "updateDiscreteStates")[version - 1]
+        instance, second = self.instance, self.unit.version == 2
+        update = instance.newDiscreteStates if second else instance.updateDiscreteStates
         for _ in range(MOST_EVENTS):
-            if version == 1:
-                settled, _, _, ended, defined, at = getattr(instance, update)()
-            else:
-                more, ended, _, _, defined, at = getattr(instance, update)()
-                settled = not more
+            more, ended, _, _, defined, at = update()
             if ended:
                 raise InputError(f"the FMU {self.unit.path} has ended its simulation")
-            if settled:
+            if not more:
                 break
         self.event_time = at if defined else np.inf
-        if version > 1:
-            instance.enterContinuousTimeMode()
+        instance.enterContinuousTimeMode()
 
     def _set_time(self, time: float) -> None:
         """Set the time and its inputs, also where derivatives are evaluated: FMPy leaves them."""
@@ -251,19 +235,17 @@ class Exchange:
     def _solver(self) -> Any:
         from fmpy.sundials import CVodeSolver  # noqa: PLC0415  the optional extra
 
-        instance, description, version = self.instance, self.unit.description, self.unit.version
-        nominals = "getNominalContinuousStates" if version == 1 else "getNominalsOfContinuousStates"
-        slopes = "getContinuousStateDerivatives" if version == 3 else "getDerivatives"
-        experiment = description.defaultExperiment
+        instance, description = self.instance, self.unit.description
+        second, experiment = self.unit.version == 2, description.defaultExperiment
         given = None if experiment is None else experiment.tolerance
         return CVodeSolver(
             nx=description.numberOfContinuousStates,
             nz=description.numberOfEventIndicators,
             get_x=instance.getContinuousStates,
             set_x=instance.setContinuousStates,
-            get_dx=getattr(instance, slopes),
+            get_dx=instance.getDerivatives if second else instance.getContinuousStateDerivatives,
             get_z=instance.getEventIndicators,
-            get_nominals=getattr(instance, nominals),
+            get_nominals=instance.getNominalsOfContinuousStates,
             set_time=self._set_time,
             input=self.inputs,
             startTime=float(self.task.time[0]),
@@ -273,63 +255,61 @@ class Exchange:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """Say when the outputs of a co-simulation FMU are read.
-
-    `late`: those that show a sample's inputs only after the step, `(outputs,)`; `before`: whether
-    the others are read before the inputs are set, as they cannot be read then.
-    """
-
-    late: NDArray[np.bool_]
-    before: bool = False
+class UnreadableError(Exception):
+    """Report that outputs cannot be read after inputs were set, without a step."""
 
 
 class CoSimulation:
-    """Step an FMU for co-simulation from sample to sample."""
+    """Step an FMU for co-simulation from sample to sample, and `spare` steps beyond the last."""
 
-    def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+    def __init__(self, unit: Unit, instance: Any, task: Task, spare: int = 1) -> None:
         self.unit, self.instance, self.task = unit, instance, task
         self.inputs = Access(unit, instance, task.inputs)
         self.outputs = Access(unit, instance, task.outputs)
         self.now = float(task.time[0])
-        initialise(unit, instance, task, self.inputs, float(task.time[-1]) + task.step)
+        initialise(unit, instance, task, self.inputs, float(task.time[-1]) + spare * task.step)
 
-    def run(self, reading: Reading) -> Array:
-        """Return the outputs, `(time, outputs)`."""
-        task, late = self.task, reading.late
-        found = np.empty((len(task.time), self.outputs.count))
+    def run(self, late: NDArray[np.bool_]) -> Array:
+        """Return the outputs, `(time, outputs)`, the `late` ones as after the step from a sample.
+
+        Raises UnreadableError where the others must be read before inputs are set.
+        """
+        found = np.empty((len(self.task.time), self.outputs.count))
         for n in range(len(found)):
-            if reading.before:
-                found[n] = self.outputs.get()
-            self.drive(n)
-            if not (reading.before or late.all()):
-                found[n] = self.outputs.get()
-            if n + 1 < len(found) or late.any():
-                self.step(task.length)
+            found[n] = self.drive(n)
+            more = n + 1 < len(found)
+            self.go_on(int(more or late.any()))
             if late.any():
                 found[n, late] = self.outputs.get()[late]
-            if n + 1 < len(found):
-                self.rest()
-        self.instance.terminate()
+            self.go_on(self.task.substeps - 1 if more else 0)
         return found
 
-    def advance(self) -> None:
-        """Go on to the last sample."""
-        for n in range(len(self.task.time) - 1):
-            self.drive(n)
-            self.step(self.task.length)
-            self.rest()
-
-    def drive(self, n: int) -> None:
-        """Set the inputs of a sample."""
+    def drive(self, n: int) -> Array:
+        """Set the inputs of a sample, and return the outputs, see `show`."""
         self.now = float(self.task.time[n])
-        if self.task.u is not None:
-            self.inputs.set(self.task.u[n])
+        return self.show(self.task.u[n])
 
-    def rest(self) -> None:
-        """Make the steps after the first one up to the next sample."""
-        for _ in range(self.task.substeps - 1):
+    def show(self, u: Array) -> Array:
+        """Set inputs, and return the outputs then, or before it where the FMU refuses that."""
+        if self.task.before:
+            found = self.outputs.get()
+            self.inputs.set(u)
+            return found
+        self.inputs.set(u)
+        try:
+            return self.outputs.get()
+        except Exception as error:
+            raise UnreadableError from error
+
+    def after(self, u: Array, share: float = 1.0) -> Array:
+        """Set inputs, make a share of a communication step, and return the outputs."""
+        self.inputs.set(u)
+        self.step(share * self.task.length)
+        return self.outputs.get()
+
+    def go_on(self, count: int) -> None:
+        """Make communication steps."""
+        for _ in range(count):
             self.step(self.task.length)
 
     def step(self, length: float) -> None:

@@ -18,8 +18,10 @@ from splitband.runtime.errors import InputError, missing
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"
 """Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs can be read at once."""
-WHOLE = "Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64",\
-    "UInt64"  # fmt: skip
+WHOLE = (
+    *("Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16"),
+    *("Int32", "UInt32", "Int64", "UInt64"),
+)
 """Types whose values are whole numbers."""
 REAL = "Real", "Float32", "Float64"
 NUMERIC = *REAL, "Boolean", *WHOLE
@@ -149,9 +151,15 @@ class Unit:
     """Hold an unpacked FMU and an idle instance of it.
 
     The archive is unpacked once; between runs an instance is reset, not loaded again. The unpacked
-    files are removed by `close`, when the object is deleted, or when the process ends. `readings`
-    says how its outputs are read, by outputs, inputs and sampling time; `checked` says how
-    they depend on the communication step, empty if they hardly do.
+    files are removed by `close`, when the object is deleted, or when the process ends.
+
+    Attributes
+    ----------
+    checked : How its outputs depend on a communication step in s, empty if they hardly do.
+    doubted : Outputs of which it was said that a run cannot tell how they are read.
+    version : Of FMI, 2 or 3.
+    short_steps : Whether it makes steps of any length, as far as is known.
+    reads_before : Whether its outputs were found to be refused between inputs and a step.
     """
 
     def __init__(self, path: Path) -> None:
@@ -159,8 +167,9 @@ class Unit:
         self.path = path
         if not path.is_file():
             raise FileNotFoundError(f"no such FMU: {path}")
-        self.readings: dict[Any, Any] = {}
         self.checked: dict[float, str] = {}
+        self.doubted: set[str] = set()
+        self.reads_before = False
         self.folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
         # Unlike `weakref.finalize` it also runs at the end of a worker process, and does not remove
@@ -168,7 +177,7 @@ class Unit:
         self._end = Finalize(self, _free, (self._idle, self.folder), exitpriority=0)
         try:
             fmpy.extract(str(path), self.folder)
-            self.description = fmpy.read_model_description(self.folder)
+            self.description = _description(self.folder)
             self.variables = Variables(path, self.description)
             self.kind = EXCHANGE if self.description.modelExchange is not None else COSIMULATION
             self._idle.append(self._first())
@@ -176,36 +185,29 @@ class Unit:
             self.close()
             raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
         self.by_name = {v.name: v for v in self.description.modelVariables}
-
-    @property
-    def version(self) -> int:
-        """Return the version of FMI: 1, 2 or 3."""
-        return int(self.description.fmiVersion.split(".")[0])
+        self.version = int(self.description.fmiVersion.split(".")[0])
+        self.short_steps = self.kind == COSIMULATION and self.any_step
 
     def settable(self) -> list[str]:
         """Return the names of the variables whose start values can be set."""
         from fmpy import simulation as by_fmpy  # noqa: PLC0415  the optional extra
 
         begin, later = by_fmpy.settable_in_instantiated, by_fmpy.settable_in_initialization_mode
-        able = (lambda v: v.start is not None) if self.version == 1 else (
-            lambda v: begin(v) or later(v)
-        )  # fmt: skip
-        return [v.name for v in self.description.modelVariables
-                if v.variability != "constant" and able(v)]  # fmt: skip
+        variables = [v for v in self.description.modelVariables if v.variability != "constant"]
+        return [v.name for v in variables if begin(v) or later(v)]
 
     @property
     def own_step(self) -> float | None:
         """Return the communication step in s that it declares, if it does."""
-        fixed = getattr(self.description.coSimulation, "fixedInternalStepSize", None)
         experiment = self.description.defaultExperiment
-        own = fixed or (experiment and experiment.stepSize)
+        own = self.description.coSimulation.fixedInternalStepSize
+        own = own or (experiment and experiment.stepSize)
         return float(own) if own and float(own) > 0 else None
 
     @property
     def any_step(self) -> bool:
-        """Return whether it makes communication steps of any length."""
-        able = bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
-        return able or self.version == 1  # of which FMPy does not read it
+        """Return whether it declares to make communication steps of any length."""
+        return bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
 
     @contextmanager
     def instance(self) -> Iterator[Any]:
@@ -215,9 +217,10 @@ class Unit:
         """
         instance = self._idle.pop() if self._idle else self._instance()
         yield instance
+        instance.terminate()
         try:
             instance.reset()
-        except Exception:  # FMI 1 for model exchange has none, and others may not be able to
+        except Exception:  # it cannot be
             instance.freeInstance()
         else:
             self._idle.append(instance)
@@ -246,9 +249,9 @@ class Unit:
 
 def variables_of(path: Path) -> Variables:
     """Return the variables of an FMU, without running its code."""
-    fmpy = _fmpy()
+    _fmpy()
     try:
-        return Variables(path, fmpy.read_model_description(str(path)))
+        return Variables(path, _description(str(path)))
     except Exception as error:
         raise InputError(f"{path} is not an FMU that can be run here: {error}") from error
 
@@ -264,6 +267,16 @@ def _fmpy() -> Any:
     if there < oldest:
         raise missing("an FMU", f"FMPy {_OLDEST} or newer, not {fmpy.__version__}", "fmu")
     return fmpy
+
+
+def _description(source: str) -> Any:
+    """Return the model description by FMPy; raises ValueError for FMI 1."""
+    description = _fmpy().read_model_description(source)
+    if description.fmiVersion.startswith("1."):
+        raise InputError(
+            f"it follows FMI {description.fmiVersion}; export it from its tool as FMI 2 or FMI 3"
+        )
+    return description
 
 
 def _free(idle: list[Any], folder: str) -> None:
