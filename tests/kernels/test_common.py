@@ -112,7 +112,7 @@ def quarter(x):
     def announced() -> int:
         """As in a process that has not compiled anything yet."""
         caplog.clear()
-        monkeypatch.setattr(common._Announcement, "said", False)
+        common.announce.cache_clear()
         monkeypatch.delitem(sys.modules, "splitband.tiny", raising=False)
         quarter = import_module("splitband.tiny").quarter
         assert not quarter.signatures  # importing compiles nothing
