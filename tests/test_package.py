@@ -100,13 +100,6 @@ BENCH = {"jax", "tsfast"}
 """Of the extra that is for comparisons with others alone, and not for this machine's Python."""
 
 
-def test_a_name_that_is_gone_says_what_to_use_and_an_unknown_one_is_none() -> None:
-    with pytest.raises(AttributeError, match=r"splitband\.Known is gone: .*ForecastContext"):
-        sb.Known  # type: ignore[attr-defined]  # noqa: B018
-    assert not hasattr(sb, "Unknown")
-    assert "Known" not in dir(sb)
-
-
 @pytest.mark.parametrize(
     ("module", "use", "said"),
     [

@@ -15,6 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+import splitband
+
 UNKNOWN = "..."
 """Stands for a value without a short expression, such as an array."""
 
@@ -98,7 +100,7 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
 def _call(value: object) -> str:
     kind: Any = type(value)
-    package = "sb." if kind.__module__.startswith("splitband.") else ""
+    package = "sb." if getattr(splitband, kind.__name__, None) is kind else ""
     try:
         given = options(value)
     except TypeError:
