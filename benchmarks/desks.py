@@ -105,8 +105,8 @@ def on_windows(folder: Path, description: Any, given: Array, shape: tuple[int, f
     rows = "\n".join(" ".join(map(repr, row)) for row in given.tolist())
     quiet = {"WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
     command = [wine(), "desks.exe", *map(str, words)]
-    given: Any = {"input": rows, "env": os.environ | quiet, "cwd": folder / "binaries/win64"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, **given)
+    at: Any = {"input": rows, "env": os.environ | quiet, "cwd": folder / "binaries/win64"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **at)
     if done.returncode:
         raise SystemExit(f"the program failed under wine: {done.stderr[-500:]}")
     return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)

@@ -66,7 +66,7 @@ def kernel(function: F) -> F:
             compiled._cache._impl.locator.ensure_cache_path()
             lock.acquire()
         try:
-            with event.install_listener("numba:compile", _Announcement()):  # type: ignore[no-untyped-call]
+            with event.install_listener("numba:compile", _Announcement()):
                 return compile_or_load(signature)
         finally:
             lock.release()
