@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from splitband.runtime.tracing import Traced, Tree, leaves, rebuilt
+from splitband.runtime.tracing import Body, Traced, Tree, leaves, rebuilt
 
 Array = npt.NDArray[Any]
 
@@ -293,9 +293,7 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin, Traced):
             raise TypeError("both branches must have the same shapes")
         return rebuilt(tree, self.trace.control("cond", [self], (one, other), like))
 
-    def loop(
-        self, body: Callable[[Tree, Tree], tuple[Tree, Tree]], carry: Tree, xs: Sequence[Any]
-    ) -> tuple[Tree, Tree]:
+    def loop(self, body: Body, carry: Tree, xs: Sequence[Any]) -> tuple[Tree, Tree]:
         """Record a loop over the rows of arrays; see `scan`."""
         trace = self.trace
         starts = [trace.symbol(leaf) for leaf in leaves(carry)]

@@ -88,8 +88,7 @@ class Program:
 
 def holds_equation(forecaster: Forecaster) -> bool:
     """Return whether a program of the forecaster holds an equation, which it integrates."""
-    parts = simulations(forecaster)
-    return any(isinstance(part, GreyBox) and part.writable for part in parts)
+    return any(isinstance(part, GreyBox) and part.writable for part in simulations(forecaster))
 
 
 def program(
