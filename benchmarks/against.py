@@ -69,8 +69,8 @@ def records(name: str) -> list[Record]:
 
 
 def _point(library: str, seed: int, seconds: float, errors: Iterable[float], **facts: Any) -> Point:
-    return {"library": library, "version": version(library), "seed": seed,
-            "seconds": round(seconds, 1), **facts, "test_rmse": [*errors]}  # fmt: skip
+    point: Point = {"library": library, "version": version(library), "seed": seed}
+    return point | {"seconds": round(seconds, 1), **facts, "test_rmse": [*errors]}
 
 
 def _error(model: sb.Forecaster, test: Record) -> float:

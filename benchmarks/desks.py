@@ -27,12 +27,12 @@ import fmpy
 import numpy as np
 from fmpy.simulation import instantiate_fmu
 from scipy.signal import lfilter
-from torch import nn
 
 import splitband as sb
 from benchmarks import mach_o
 from splitband.export.compiling import zig_cache
 from splitband.export.fmu import platforms
+from splitband.forecasters.network import Network
 from splitband.runtime.arrays import Array
 from splitband.runtime.files import write_json
 
@@ -59,17 +59,16 @@ def plant(samples: int) -> sb.Record:
     rng = np.random.default_rng(0)
     u = np.clip(lfilter([0.3], [1.0, -0.8], rng.normal(size=(samples, 2)), axis=0), -0.8, 0.8)
     y = lfilter([0.2], [1.0, -0.9], u @ [[1.0, 0.5], [0.3, -1.0]], axis=0)
-    return sb.Record(
-        y + 0.05 * rng.normal(size=y.shape), 0.1, u=u, y_sim=0.8 * y + 0.1,
-        columns=("level (cm)", "flow [l/s]"), inputs=("valve (%)", "heat"),
-    )  # fmt: skip
+    y_sim, columns = 0.8 * y + 0.1, ("level (cm)", "flow [l/s]")
+    y += 0.05 * rng.normal(size=y.shape)
+    return sb.Record(y, 0.1, u=u, y_sim=y_sim, columns=columns, inputs=("valve (%)", "heat"))
 
 
 def fitted(make: Callable[[], sb.Forecaster], record: sb.Record) -> sb.Forecaster:
     """A forecaster in double precision, so that nothing but rounding differs."""
     forecaster = make().fit(record[:TRAINED], seed=0)
-    if isinstance(model := getattr(forecaster, "model", None), nn.Module):
-        model.double()
+    if isinstance(forecaster, Network) and forecaster.model is not None:
+        forecaster.model.double()
     return forecaster
 
 
@@ -105,10 +104,9 @@ def on_windows(folder: Path, description: Any, given: Array, shape: tuple[int, f
     words = [name, description.guid, ny, given.shape[1], repr(step), len(given)]
     rows = "\n".join(" ".join(map(repr, row)) for row in given.tolist())
     quiet = {"WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
-    done = subprocess.run(
-        [wine(), "desks.exe", *map(str, words)], cwd=folder / "binaries/win64", input=rows,
-        env=os.environ | quiet, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    command = [wine(), "desks.exe", *map(str, words)]
+    at: Any = {"input": rows, "env": os.environ | quiet, "cwd": folder / "binaries/win64"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **at)
     if done.returncode:
         raise SystemExit(f"the program failed under wine: {done.stderr[-500:]}")
     return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
@@ -128,10 +126,8 @@ def program(folder: Path) -> None:
     headers = Path(fmpy.__file__).parent / "c-code"
     command = [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu", "-O2"]
     caches = {"ZIG_GLOBAL_CACHE_DIR": str(zig_cache()), "ZIG_LOCAL_CACHE_DIR": str(folder / "zig")}
-    subprocess.run(
-        [*command, "-I", str(headers), "-o", str(folder / "desks.exe"), str(source)],
-        env=os.environ | caches, check=True,
-    )  # fmt: skip
+    command += ["-I", str(headers), "-o", str(folder / "desks.exe"), str(source)]
+    subprocess.run(command, env=os.environ | caches, check=True)
 
 
 def binaries(folder: Path, name: str) -> dict[str, Any]:

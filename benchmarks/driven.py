@@ -42,11 +42,8 @@ def _duffing(x: Array, u: float, p: Array) -> Array:
 def _motor(x: Array, u: float, p: Array) -> Array:
     """A motor that drives a pulley by an elastic belt: speed, tension, speed of the pulley."""
     speed, tension, pulley = x
-    return np.array([
-        p[0] * (u - speed) - p[1] * tension,
-        p[2] * (speed - pulley),
-        p[1] * tension - p[3] * pulley,
-    ])  # fmt: skip
+    rise = p[2] * (speed - pulley)
+    return np.array([p[0] * (u - speed) - p[1] * tension, rise, p[1] * tension - p[3] * pulley])
 
 
 @numba.njit(cache=True)
@@ -90,6 +87,9 @@ def steps(rng: np.random.Generator, samples: int, low: float, high: float, held:
     return np.array(found[:samples])
 
 
+Drive = Callable[[np.random.Generator, int], Array]
+
+
 @dataclass(frozen=True)
 class System:
     """A system: its parameters, its input, and what is measured of it.
@@ -105,7 +105,7 @@ class System:
 
     step: float
     parameters: tuple[float, ...]
-    drive: Callable[[np.random.Generator, int], Array]
+    drive: Drive
     measure: Callable[[Array, Array, np.random.Generator], Array]
     noise: float
 
@@ -129,29 +129,29 @@ def _wiener_hammerstein(p: Array, u: Array, rng: np.random.Generator) -> Array:
     return np.asarray(scipy.signal.lfilter(*second, x))
 
 
+def _sines(gain: float, lowest: float, highest: float) -> Drive:
+    return lambda rng, n: gain * multisine(rng, n, lowest, highest)
+
+
+def _steps(low: float, high: float, held: int) -> Drive:
+    return lambda rng, n: steps(rng, n, low, high, held)
+
+
+_BOUC_WEN = _of_rate(_bouc_wen, lambda x: x[:, 0], (0.0, 0.0, 0.0), 1 / 750, 20)
+_MOTOR = _of_rate(_motor, lambda x: np.abs(x[:, 2]), (0.0, 0.0, 0.0), 0.02, 10)
+_TANKS = _of_rate(_tanks, lambda x: np.minimum(x[:, 1], 10.0), (4.0, 4.0), 4.0, 10)
+_DUFFING = _of_rate(_duffing, lambda x: x[:, 0], (0.0, 0.0), 1 / 600, 10)
 SYSTEMS: dict[str, System] = {
     "Bouc-Wen": System(
-        1 / 750, (2.0, 10.0, 5e4, 5e4, 1e3, 0.8, -1.1),
-        lambda rng, n: 50 * multisine(rng, n, 0.013, 0.4),
-        _of_rate(_bouc_wen, lambda x: x[:, 0], (0.0, 0.0, 0.0), 1 / 750, 20), 0.005,
+        1 / 750, (2.0, 10.0, 5e4, 5e4, 1e3, 0.8, -1.1), _sines(50, 0.013, 0.4), _BOUC_WEN, 0.005
     ),
     "Wiener-Hammerstein": System(
-        1 / 1000, (1.0, 1.0, 1.5), lambda rng, n: multisine(rng, n, 0.0, 0.3),
-        _wiener_hammerstein, 0.002,
+        1 / 1000, (1.0, 1.0, 1.5), _sines(1, 0.0, 0.3), _wiener_hammerstein, 0.002
     ),
-    "motor": System(
-        0.02, (4.0, 60.0, 8.0, 5.0), lambda rng, n: steps(rng, n, -1.5, 1.5, 40),
-        _of_rate(_motor, lambda x: np.abs(x[:, 2]), (0.0, 0.0, 0.0), 0.02, 10), 0.01,
-    ),
-    "tank that overflows": System(
-        4.0, (0.12, 0.08, 0.13, 0.5), lambda rng, n: steps(rng, n, 1.0, 6.5, 25),
-        _of_rate(_tanks, lambda x: np.minimum(x[:, 1], 10.0), (4.0, 4.0), 4.0, 10), 0.01,
-    ),
-    "Duffing": System(
-        1 / 600, (80.0, 1.6e5, 2e5), lambda rng, n: 2.5e4 * multisine(rng, n, 0.0, 0.4),
-        _of_rate(_duffing, lambda x: x[:, 0], (0.0, 0.0), 1 / 600, 10), 0.005,
-    ),
-}  # fmt: skip
+    "motor": System(0.02, (4.0, 60.0, 8.0, 5.0), _steps(-1.5, 1.5, 40), _MOTOR, 0.01),
+    "tank that overflows": System(4.0, (0.12, 0.08, 0.13, 0.5), _steps(1.0, 6.5, 25), _TANKS, 0.01),
+    "Duffing": System(1 / 600, (80.0, 1.6e5, 2e5), _sines(2.5e4, 0.0, 0.4), _DUFFING, 0.005),
+}
 
 
 def drawn(

@@ -274,11 +274,9 @@ def drawn(rows: Sequence[Row]) -> Figure:
         (line,) = axis.plot(edges, median, style, marker="o", label=label)
         if style == "-":
             axis.fill_between(edges, lowest, highest, alpha=0.12, color=line.get_color())
-    axis.set(
-        xlabel="frequency above which the simulator is noise (Hz)",
-        ylabel="forecast RMSE (deviations of the slow part)",
-        xscale="log", yscale="log", xticks=EDGES, xticklabels=[f"{edge:g}" for edge in EDGES],
-    )  # fmt: skip
+    axis.set_xlabel("frequency above which the simulator is noise (Hz)")
+    axis.set_ylabel("forecast RMSE (deviations of the slow part)")
+    axis.set(xscale="log", yscale="log", xticks=EDGES, xticklabels=[f"{edge:g}" for edge in EDGES])
     axis.minorticks_off()
     axis.yaxis.set_major_locator(LogLocator(subs=(1, 3)))
     axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))

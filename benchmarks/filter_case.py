@@ -100,10 +100,9 @@ GIVEN = "simulator", "L(simulator)", "perfect filtered"
 H(y), which is (c) with a perfect network."""
 SMOOTHED = "residual, smoothed"
 LEVEL, LEAST_DRAWS = 0.05, 6
-COLUMNS = [
-    "group", "family", "arm", "other", "cell", "calibrated", "ratio", "low", "high", "below 1", "n",
-    "p", "rho", "p (Holm)", "verdict",
-]  # fmt: skip
+_OF_PAIR = ("group", "family", "arm", "other", "cell", "calibrated")
+_OF_EFFECT = ("ratio", "low", "high", "below 1", "n", "p", "rho", "p (Holm)")
+COLUMNS = [*_OF_PAIR, *_OF_EFFECT, "verdict"]
 
 
 def frequency(rng: Generator) -> float:
@@ -135,12 +134,12 @@ def _resonance(force: Array, at: float, damping: float) -> Array:
     return np.asarray(scipy.signal.lsim(system, force, STEP * np.arange(SAMPLES))[1])
 
 
+_OTHERS = "leaves its range", "drifting sensor", "crane", "van der Pol"
 FAMILIES: dict[str, Callable[[Generator], sb.Record]] = {
     "noise above": noise_above,
     "wrong above": wrong_above,
-    **{name: families.FAMILIES[name] for name in
-       ("leaves its range", "drifting sensor", "crane", "van der Pol")},
-}  # fmt: skip
+    **{name: families.FAMILIES[name] for name in _OTHERS},
+}
 FIRST, SECOND, DRIFTING = "noise above", "wrong above", "drifting sensor"
 
 
@@ -243,10 +242,8 @@ def rows(rounds: int = ROUNDS) -> Iterator[Row]:
     usual: Row = {"cell": "state-space", "calibrated": False}
     three = "residual", "filtered", "control"
 
-    def of(
-        name: str, arms: Sequence[str], draws: Iterable[int], seeds: Sequence[int] = SEEDS,
-        **options: Any,
-    ) -> Iterator[Row]:  # fmt: skip
+    def of(name: str, arms: Sequence[str], draws: Iterable[int], **options: Any) -> Iterator[Row]:
+        seeds = MEASURED_SEEDS if name == MEASURED else SEEDS
         for draw in draws:
             row = {"family": name, "draw": draw} | usual | options
             yield from (row | {"arm": each, "seed": 0, "rounds": 0} for each in GIVEN)
@@ -258,7 +255,7 @@ def rows(rounds: int = ROUNDS) -> Iterator[Row]:
         yield from of(name, (*three, *["filtered high"] * (name == DRIFTING)), [draw])
     yield from of(FIRST, three, DRAWS, cell="gru")
     yield from of(FIRST, (SMOOTHED,), DRAWS)
-    yield from of(MEASURED, three, [0], MEASURED_SEEDS, calibrated=True)
+    yield from of(MEASURED, three, [0], calibrated=True)
     for draw, name in product(CALIBRATED, FAMILIES):
         yield from of(name, three, [draw], calibrated=True)
 
@@ -364,9 +361,8 @@ def holm(several: pd.Series) -> pd.Series:
 def comparisons(found: Iterable[Row]) -> pd.DataFrame:
     """Return effect, corrected p and verdict of each comparison of which there are six draws."""
     table, lines = logs(found), list[dict[str, Any]]()
-    for group, pairs, told in (
-        ("primary", PRIMARY, effect), ("secondary", SECONDARY, effect), ("secondary", TRENDS, trend)
-    ):  # fmt: skip
+    effects = ("primary", PRIMARY, effect), ("secondary", SECONDARY, effect)
+    for group, pairs, told in (*effects, ("secondary", TRENDS, trend)):
         for pair in pairs:
             if len(of := ratios(table, pair)) >= LEAST_DRAWS:
                 lines.append({"group": group, **pair._asdict(), **told(of)})

@@ -26,15 +26,13 @@ from typing import Any
 from benchmarks.commands import RECORDS
 
 ROOT = Path(__file__).parents[1]
+_NAMED = "double-mass-spring", "double-torsion", "van-der-pol"
+_TANKS = "tanks", "tank, 400 samples", "tank, 4,000 samples"
+_OTHERS = "five inputs, two outputs", "200 samples, no inputs", "drill string", "crane", "pendulum"
 COMPARED: dict[str, Callable[[Path], list[str]]] = {
-    **{name: lambda _, name=name: [name] for name in (  # type: ignore[misc]
-        "double-mass-spring", "double-torsion", "van-der-pol"
-    )},
-    **{name: RECORDS[name] for name in (
-        "tanks", "tank, 400 samples", "tank, 4,000 samples", "five inputs, two outputs",
-        "200 samples, no inputs", "drill string", "crane", "pendulum",
-    )},
-}  # fmt: skip
+    **{name: lambda _, name=name: [name] for name in _NAMED},  # type: ignore[misc]
+    **{name: RECORDS[name] for name in (*_TANKS, *_OTHERS)},
+}
 """Records of all kinds of plans, the demo beside them."""
 
 

@@ -37,10 +37,8 @@ from splitband.training import Settings, fit
 SAMPLES, TRAIN = 400, 300
 SETTINGS, BANDS = Settings(60, 15, epochs=3, batch_size=16), Bands(0.3, 1, 2)
 SIZES = Sizes(hidden_high=16, hidden_low=8)
-METHODS = [
-    name for name in TRAINED
-    if name not in BASED and GREY_BOX not in name and "calibrated" not in name
-]  # fmt: skip
+_LEARNED = [name for name in TRAINED if name not in BASED and GREY_BOX not in name]
+METHODS = [name for name in _LEARNED if "calibrated" not in name]
 """Every cell, hybrid and split model, each also conditioned."""
 SAME = 1e-6
 """Largest relative difference of losses in float64 that counts as rounding."""

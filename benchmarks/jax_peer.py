@@ -120,28 +120,24 @@ class Run:
         a, b, c, d = (np.asarray(x) for x in linear.params)
         layers = []
         for rows in (s.states, 1):
-            layers += [draw((s.units, s.states + 1)) / np.sqrt(s.states + 1),
-                       0.1 * draw(s.units), SMALL * draw((rows, s.units))]  # fmt: skip
+            first = draw((s.units, s.states + 1)) / np.sqrt(s.states + 1)
+            layers += [first, 0.1 * draw(s.units), SMALL * draw((rows, s.units))]
         model = Model(s.states, 1, 1, state_fcn=state_fcn, output_fcn=output_fcn)
         model.init(params=[a, b, c, d, *layers, np.zeros(1)])
         return model
 
     def _print(self, model: Model, weights: Any, seconds: float) -> None:
         model.params = [np.asarray(each) for each in weights]
-        point = {
-            "library": "jax-sysid", "version": version("jax-sysid"), "seed": self.seed,
-            "seconds": round(seconds, 1), "iterations": self.evaluations,
-            "test_rmse": [self._error(model, *test) for test in self.tests],
-        }  # fmt: skip
-        print(json.dumps(point), flush=True)
+        point = {"library": "jax-sysid", "version": version("jax-sysid"), "seed": self.seed}
+        point |= {"seconds": round(seconds, 1), "iterations": self.evaluations}
+        errors = [self._error(model, *test) for test in self.tests]
+        print(json.dumps(point | {"test_rmse": errors}), flush=True)
 
     def _error(self, model: Model, u: Any, y: Any) -> float:
         """Return the RMSE of what follows the first samples, in the unit of the file."""
         inputs, outputs = self._scaled(u, y)
-        x0 = model.learn_x0(
-            inputs[:KNOWN], outputs[:KNOWN], rho_x0=1e-4, verbosity=False,
-            LBFGS_refinement=True, RTS_epochs=3,
-        )  # fmt: skip
+        how = {"rho_x0": 1e-4, "verbosity": False, "LBFGS_refinement": True, "RTS_epochs": 3}
+        x0 = model.learn_x0(inputs[:KNOWN], outputs[:KNOWN], **how)
         simulated, _ = model.predict(x0, inputs)
         wrong = self.scales[1] * np.asarray(simulated)[KNOWN:, 0] + self.means[1] - y[KNOWN:]
         return float(np.sqrt(np.mean(wrong**2)))

@@ -35,10 +35,9 @@ print(json.dumps([status, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1
 def measured(*words: str) -> dict[str, float]:
     """The most memory in bytes and the time in s of one command."""
     began = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-c", _WATCHED, *words],
-        capture_output=True, text=True, check=True, env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    command, alone = [sys.executable, "-c", _WATCHED, *words], {"OMP_NUM_THREADS": "1"}
+    env = os.environ | alone
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=env)
     status, held = json.loads(done.stdout.splitlines()[-1])
     if status:
         raise RuntimeError(f"splitband {' '.join(words)}: {done.stderr}")

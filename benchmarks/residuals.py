@@ -90,10 +90,9 @@ NOISES: dict[str, Draw] = {
     "differences": filtered([1.0, -0.9], [1.0]),
     "Laplace": lambda rng: rng.laplace(size=SAMPLES),
 }
-MODELS = (
-    "right", "of nothing", "half the gain", "9/10 of the gain", "without a mode", "3 samples early",
-    "without 60 samples of delay", "without a square", "without a saturation",
-)  # fmt: skip
+_GAINS = "right", "of nothing", "half the gain", "9/10 of the gain"
+_DELAYS = "3 samples early", "without 60 samples of delay"
+MODELS = (*_GAINS, "without a mode", *_DELAYS, "without a square", "without a saturation")
 
 
 def first_order(u: Array) -> Array:

@@ -53,9 +53,8 @@ def products(batch: int, steps: int, states: int, hidden: int) -> Call:
         torch.randn(*s) for s in ((hidden, seen), (states, out), (1, out))
     )
     z, a, x, d = (torch.randn(batch, n) for n in (seen, hidden, states, out))
-    zs, fs, xs, full, ys = (
-        torch.randn(batch * steps, n) for n in (seen, hidden, states, out, 1)
-    )  # fmt: skip
+    rows = batch * steps
+    zs, fs, xs, full, ys = (torch.randn(rows, n) for n in (seen, hidden, states, out, 1))
     d_units, d_states, d_outputs = (torch.empty_like(w) for w in (of_units, of_states, of_outputs))
 
     def call() -> None:

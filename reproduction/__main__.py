@@ -20,7 +20,7 @@ from reproduction.costs import progress
 from reproduction.figures import FIGURES, figure, needed
 from reproduction.jobs import SYSTEMS
 from reproduction.runs import complete, missing, write_json_lines
-from reproduction.specs import SPECS, Line, lines
+from reproduction.specs import SPECS, TITLES, Line, lines
 from reproduction.tables import Table, table
 from splitband.cli.live import workers
 from splitband.forecasters.names import TRAINED
@@ -89,13 +89,13 @@ def list_names(seeds: Seeds = 5, out: Out = Path("paper")) -> None:
     for heading in ("", "name", "runs", "missing", ""):
         listed.add_column(heading, no_wrap=heading != "")
     guessed = False
-    for name, spec in SPECS.items():
+    for name in SPECS:
         jobs = [job for line in lines(name, seeds=seeds) for job in line.jobs]
         state = progress(jobs, out / "runs")
         guessed = guessed or not state.measured
         mark = "" if state.measured else " *"
         takes = "" if state.there == state.needed else _duration(state.seconds) + mark
-        listed.add_row("table", name, f"{state.there} of {state.needed}", takes, spec.title)
+        listed.add_row("table", name, f"{state.there} of {state.needed}", takes, TITLES[name])
     for name in FIGURES:
         listed.add_row("figure", name)
     for name, system in SYSTEMS.items():

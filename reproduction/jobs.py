@@ -105,13 +105,13 @@ class Job:
         if self.method not in (*NAMES, ORACLE):
             raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {self.method}")
         column = SYSTEMS[self.system].column
-        own = {"cutoff": column.cutoff, "downsampling": getattr(column, "downsampling", None)}
+        own = {"cutoff": column.cutoff, "downsampling": column.downsampling}
         own["epochs"] = self.full_epochs
         for name, value in own.items():
-            if getattr(self, name) == value or self.method in (*QUICK, ORACLE):
-                object.__setattr__(self, name, None)
+            if vars(self)[name] == value or self.method in (*QUICK, ORACLE):
+                vars(self)[name] = None
         if not self.splits:
-            object.__setattr__(self, "own_warmup", False)
+            vars(self)["own_warmup"] = False
 
     @property
     def splits(self) -> bool:

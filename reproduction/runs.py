@@ -77,8 +77,8 @@ def finished(jobs: Sequence[Job], folder: Path, fewest: int = FEWEST_SEEDS) -> l
     """
     shorter = _shorter(jobs[0], folder) if jobs[0].epochs is None else []
     for epochs in (jobs[0].epochs, *shorter):
-        there = [job for job in (replace(job, epochs=epochs) for job in jobs)
-                 if (folder / job.path).exists()]  # fmt: skip
+        asked = [replace(job, epochs=epochs) for job in jobs]
+        there = [job for job in asked if (folder / job.path).exists()]
         if len(there) >= min(fewest, len(jobs)):
             return there
     return [*jobs]

@@ -97,6 +97,7 @@ class Hybrid:
     rnn_window, rnn_epochs, rnn_state : Of the MLP; its state's size is the table's input_dim.
     rnn_milestones : Learning rates of `rnn_reduced`, by epoch.
     rnn_reduced : The RNN methods whose learning rate is reduced; the text names them.
+    downsampling : The tables have none.
     """
 
     train: int
@@ -110,6 +111,7 @@ class Hybrid:
     rnn_milestones: tuple[tuple[int, float], ...]
     rnn_reduced: tuple[str, ...]
     gru_hidden: int = 64
+    downsampling: None = None
 
     def epochs_of(self, method: str) -> int:
         """The paper's epochs for a method."""
@@ -148,13 +150,9 @@ LEARNING_BASED = {
     "iii": LearningBased(600, 64, 32, 0.1, 1, 250, 50, 501),
     "iv": LearningBased(600, 64, 32, 0.2, 1, 250, 50, 1000),
 }
+_V = ((20, 1e-4), (500, 1e-5)), ("rnn", "filtered-rnn")
+_VI = ((10, 1e-4),), ("filtered-rnn", "residual-rnn")
 HYBRID = {
-    "v": Hybrid(
-        600, 0.25, 10, 200, 2000, 200, 2000, 4,
-        ((20, 1e-4), (500, 1e-5)), ("rnn", "filtered-rnn"),
-    ),
-    "vi": Hybrid(
-        2000, 0.1, 50, 500, 500, 1500, 300, 15,
-        ((10, 1e-4),), ("filtered-rnn", "residual-rnn"),
-    ),
-}  # fmt: skip
+    "v": Hybrid(600, 0.25, 10, 200, 2000, 200, 2000, 4, *_V),
+    "vi": Hybrid(2000, 0.1, 50, 500, 500, 1500, 300, 15, *_VI),
+}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from reproduction import published
@@ -14,6 +14,7 @@ from splitband.forecasters.names import QUICK
 _NAIVE = ("persistence", "seasonal-naive", "harmonic")
 _GRU = ("gru", "split-gru", "split-gru-hp")
 DRAWS = 20
+_ALONE = " with the warm-up of each training window filtered alone"
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,6 @@ class Spec:
 
     Attributes
     ----------
-    title : Says which of the paper's tables it is.
     systems, methods : In the order of their rows; a method stays out where it makes no sense.
     published : The paper's values by system, or by the value that is varied.
     shows : What its columns are: errors, errors that count the warm-up too, errors with training
@@ -30,7 +30,6 @@ class Spec:
     varied : The field of a job that an ablation varies, over `values`.
     """
 
-    title: str
     systems: tuple[str, ...]
     methods: tuple[str, ...]
     published: Mapping[Any, Row]
@@ -41,84 +40,56 @@ class Spec:
     """Whether split models filter each warm-up alone in training."""
 
 
+TITLES = {
+    "learning-based": "Table 1: total RMSE, learned from the record alone",
+    "own-warmup": "Table 1 with the warm-up of each training window filtered alone",
+    "hybrid-rnn": "Table 2: total RMSE, hybrid models with the RNN",
+    "hybrid-gru": "Table 3: total RMSE, hybrid models with the GRU",
+    "hybrid-noise": "System (v) with noise of deviation 0.1 on the training data: total RMSE",
+    "pendulum": "Rows (ii) to (iv) on the simulated pendulum, each with its own excitation",
+    "noise-draws": f"System (i) over {DRAWS} noise draws, one seed each",
+    "noise-draws-own-warmup": f"The same {DRAWS} draws{_ALONE}",
+    "epochs": "System (i), trained for longer",
+    "cutoff": "Ablation of the cut-off w on system (i), k = 2",
+    "cutoff-own-warmup": f"The same{_ALONE}",
+    "downsampling": "Ablation of the down-sampling k on system (i), w = 0.4",
+    "downsampling-own-warmup": f"The same{_ALONE}",
+    "runtime-learning-based": "Run times in seconds, learned from the record alone",
+    "runtime-hybrid-rnn": "Run times in seconds, hybrid models with the RNN",
+    "runtime-hybrid-gru": "Run times in seconds, hybrid models with the GRU",
+}
+"""What a table says, and which of the paper's tables it is, by its name."""
+_FIRST, _RECORDS, _HYBRIDS = ("i",), ("i", "ii", "iii", "iv"), ("v", "vi")
+_SIMULATED = ("ii-simulated", "iii-simulated", "iv-simulated")
+_WITH_RNN = ("rnn", "residual-rnn", "simulator", "filtered-rnn")
+_WITH_GRU = ("gru", "residual-gru", "simulator", "filtered-gru")
+_OTHERS = ("simulator-affine", *_NAIVE)
+_DRAWN = Spec(_FIRST, (), published.LEARNING_BASED, "quantiles", "draw", tuple(range(DRAWS)))
+_CUTOFF = Spec(_FIRST, _GRU[1:], published.CUTOFF, varied="cutoff", values=(0.1, 0.2, 0.4, 0.5))
+_FACTORS = (2, 3, 4, 5, 10)
+_K = Spec(_FIRST, _GRU[1:], published.DOWNSAMPLING, varied="downsampling", values=_FACTORS)
 SPECS = {
-    "learning-based": Spec(
-        "Table 1: total RMSE, learned from the record alone",
-        ("i", "ii", "iii", "iv"), (*_GRU, *_NAIVE, ORACLE), published.LEARNING_BASED,
-    ),
-    "own-warmup": Spec(
-        "Table 1 with the warm-up of each training window filtered alone",
-        ("i", "ii", "iii", "iv"), _GRU[1:], published.LEARNING_BASED, own_warmup=True,
-    ),
-    "hybrid-rnn": Spec(
-        "Table 2: total RMSE, hybrid models with the RNN",
-        ("v", "vi"),
-        ("rnn", "residual-rnn", "simulator", "filtered-rnn", "simulator-affine", *_NAIVE),
-        published.HYBRID_RNN, shows="whole errors",
-    ),
-    "hybrid-gru": Spec(
-        "Table 3: total RMSE, hybrid models with the GRU",
-        ("v", "vi"),
-        ("gru", "residual-gru", "simulator", "filtered-gru", "simulator-affine", *_NAIVE),
-        published.HYBRID_GRU, shows="whole errors",
-    ),
-    "hybrid-noise": Spec(
-        "System (v) with noise of deviation 0.1 on the training data: total RMSE",
-        ("v-noisy",), ("gru", "residual-gru", "simulator", "filtered-gru", *_NAIVE), {},
-        shows="whole errors",
-    ),
-    "pendulum": Spec(
-        "Rows (ii) to (iv) on the simulated pendulum, each with its own excitation",
-        ("ii-simulated", "iii-simulated", "iv-simulated"), (*_GRU, *_NAIVE), {},
-    ),
-    "noise-draws": Spec(
-        f"System (i) over {DRAWS} noise draws, one seed each",
-        ("i",), (*_GRU, *_NAIVE[1:], ORACLE), published.LEARNING_BASED,
-        varied="draw", values=tuple(range(DRAWS)), shows="quantiles",
-    ),
-    "noise-draws-own-warmup": Spec(
-        f"The same {DRAWS} draws with the warm-up of each training window filtered alone",
-        ("i",), _GRU[1:], published.LEARNING_BASED,
-        varied="draw", values=tuple(range(DRAWS)), shows="quantiles", own_warmup=True,
-    ),
-    "epochs": Spec(
-        "System (i), trained for longer",
-        ("i",), _GRU, {}, shows="losses", varied="epochs", values=(300, 1000, 2000),
-    ),
-    "cutoff": Spec(
-        "Ablation of the cut-off w on system (i), k = 2",
-        ("i",), _GRU[1:], published.CUTOFF, varied="cutoff",
-        values=(0.1, 0.2, 0.4, 0.5),
-    ),
-    "cutoff-own-warmup": Spec(
-        "The same with the warm-up of each training window filtered alone",
-        ("i",), _GRU[1:], published.CUTOFF, varied="cutoff", values=(0.2, 0.4, 0.5),
-        own_warmup=True,
-    ),
-    "downsampling": Spec(
-        "Ablation of the down-sampling k on system (i), w = 0.4",
-        ("i",), _GRU[1:], published.DOWNSAMPLING, varied="downsampling", values=(2, 3, 4, 5, 10),
-    ),
-    "downsampling-own-warmup": Spec(
-        "The same with the warm-up of each training window filtered alone",
-        ("i",), _GRU[1:], published.DOWNSAMPLING, varied="downsampling", values=(2, 3, 4, 5, 10),
-        own_warmup=True,
-    ),
-    "runtime-learning-based": Spec(
-        "Run times in seconds, learned from the record alone",
-        ("i", "ii", "iii", "iv"), _GRU, published.SECONDS, shows="seconds",
-    ),
+    "learning-based": Spec(_RECORDS, (*_GRU, *_NAIVE, ORACLE), published.LEARNING_BASED),
+    "own-warmup": Spec(_RECORDS, _GRU[1:], published.LEARNING_BASED, own_warmup=True),
+    "hybrid-rnn": Spec(_HYBRIDS, (*_WITH_RNN, *_OTHERS), published.HYBRID_RNN, "whole errors"),
+    "hybrid-gru": Spec(_HYBRIDS, (*_WITH_GRU, *_OTHERS), published.HYBRID_GRU, "whole errors"),
+    "hybrid-noise": Spec(("v-noisy",), (*_WITH_GRU, *_NAIVE), {}, "whole errors"),
+    "pendulum": Spec(_SIMULATED, (*_GRU, *_NAIVE), {}),
+    "noise-draws": replace(_DRAWN, methods=(*_GRU, *_NAIVE[1:], ORACLE)),
+    "noise-draws-own-warmup": replace(_DRAWN, methods=_GRU[1:], own_warmup=True),
+    "epochs": Spec(_FIRST, _GRU, {}, "losses", "epochs", (300, 1000, 2000)),
+    "cutoff": _CUTOFF,
+    "cutoff-own-warmup": replace(_CUTOFF, values=(0.2, 0.4, 0.5), own_warmup=True),
+    "downsampling": _K,
+    "downsampling-own-warmup": replace(_K, own_warmup=True),
+    "runtime-learning-based": Spec(_RECORDS, _GRU, published.SECONDS, "seconds"),
     "runtime-hybrid-rnn": Spec(
-        "Run times in seconds, hybrid models with the RNN",
-        ("v", "vi"), ("rnn", "residual-rnn", "filtered-rnn"), published.SECONDS_RNN,
-        shows="seconds",
+        _HYBRIDS, ("rnn", "residual-rnn", "filtered-rnn"), published.SECONDS_RNN, "seconds"
     ),
     "runtime-hybrid-gru": Spec(
-        "Run times in seconds, hybrid models with the GRU",
-        ("v", "vi"), ("gru", "residual-gru", "filtered-gru"), published.SECONDS_GRU,
-        shows="seconds",
+        _HYBRIDS, ("gru", "residual-gru", "filtered-gru"), published.SECONDS_GRU, "seconds"
     ),
-}  # fmt: skip
+}
 """By the name that the command line takes."""
 
 

@@ -9,6 +9,7 @@ import json
 import statistics
 from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -57,14 +58,11 @@ def comparisons() -> str:
     records, simulated = ("i", "ii", "iii", "iv"), ("ii-simulated", "iii-simulated", "iv-simulated")
     hybrids = ("v", "vi")
     rows, lines = _rows(), ["| methods | better | level | worse |", "|---|---|---|---|"]
-    for ours, theirs, systems in (
-        ("split-gru", "gru", records),
-        ("split-gru", "gru", simulated),
-        ("split-gru-hp", "split-gru", records),
-        ("split-gru-hp", "split-gru", simulated),
-        *((f"filtered-{n}", other, hybrids)
-          for n in ("gru", "rnn") for other in (n, f"residual-{n}", "simulator")),
-    ):  # fmt: skip
+    split, others = ("gru", "split-gru", "split-gru-hp"), ("{}", "residual-{}", "simulator")
+    pairs: list[tuple[str, str, tuple[str, ...]]]
+    pairs = [(a, b, of) for b, a in pairwise(split) for of in (records, simulated)]
+    pairs += [(f"filtered-{n}", o.format(n), hybrids) for n in ("gru", "rnn") for o in others]
+    for ours, theirs, systems in pairs:
         found: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
         for system in systems:
             a, b = rows[system, ours], rows[system, theirs]
@@ -188,7 +186,5 @@ def _range(values: Sequence[float]) -> str:
     return lowest if lowest == highest else f"{lowest} to {highest}"
 
 
-FIGURES = (
-    tables, row, comparisons, against_naive, horizons, noise_draws, time_shares, differing_table,
-    unversioned,
-)  # fmt: skip
+_OF_RUNS = tables, row, comparisons, against_naive, horizons, noise_draws
+FIGURES = (*_OF_RUNS, time_shares, differing_table, unversioned)

@@ -22,7 +22,7 @@ from reproduction.runs import (
     unversioned,
     whole_rmse,
 )
-from reproduction.specs import SPECS, Line, Spec
+from reproduction.specs import SPECS, TITLES, Line, Spec
 from splitband.forecasters.names import QUICK
 
 SETTLED_SHARE = 0.9
@@ -69,7 +69,7 @@ def table(name: str, of: Iterable[Line], folder: Path) -> Table:
         for f in facts
     ]
     first = ("system", *([spec.varied] if own else []), "method")
-    return Table(spec.title, (*first, *header), tuple(rows), tuple(facts))
+    return Table(TITLES[name], (*first, *header), tuple(rows), tuple(facts))
 
 
 def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool | None:
@@ -78,8 +78,8 @@ def settles(row: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> bool |
     That is `SETTLED_SHARE` of it at least, for every network; the loss is the median of
     `final_losses` over seeds. None for the row with the most epochs, and for one without runs.
     """
-    more = [other for other in rows if other["method"] == row["method"] and other["losses"]
-            and other["epochs"] > row["epochs"]]  # fmt: skip
+    alike = [other for other in rows if other["method"] == row["method"] and other["losses"]]
+    more = [other for other in alike if other["epochs"] > row["epochs"]]
     if not more or not row["losses"]:
         return None
     longer = min(more, key=lambda other: other["epochs"])["losses"]
@@ -138,8 +138,8 @@ def _oracle(line: Line, folder: Path) -> float:
 def _error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
     total, forecast = (spread(facts[name]) for name in ("total_rmse", "forecast_rmse"))
     sliced = spread(facts["sliced_rmse"]) if facts["sliced_rmse"] else ""
-    return (total, sliced, facts["paper_text"], _ratio(facts, "total_rmse"), forecast,
-            _seeds(facts), epochs(facts))  # fmt: skip
+    paper = facts["paper_text"], _ratio(facts, "total_rmse")
+    return (total, sliced, *paper, forecast, _seeds(facts), epochs(facts))
 
 
 def _whole_error_cells(facts: dict[str, Any]) -> tuple[str, ...]:
@@ -152,8 +152,8 @@ def _loss_cells(facts: dict[str, Any]) -> tuple[str, ...]:
         return ("not run", "", "", "", _seeds(facts))
     losses = [f"{name} {statistics.median(values):.3f}" for name, values in facts["losses"].items()]
     settled = {None: "", True: "yes", False: "no"}[facts["settled"]]
-    return (spread(facts["total_rmse"]), spread(facts["forecast_rmse"]), ", ".join(losses),
-            settled, _seeds(facts))  # fmt: skip
+    errors = spread(facts["total_rmse"]), spread(facts["forecast_rmse"])
+    return (*errors, ", ".join(losses), settled, _seeds(facts))
 
 
 def _seconds_cells(facts: dict[str, Any]) -> tuple[str, ...]:
@@ -163,8 +163,8 @@ def _seconds_cells(facts: dict[str, Any]) -> tuple[str, ...]:
     if not counted:
         return ("-", facts["paper_text"], "", runs, epochs(facts))
     ours = full_seconds(facts)
-    return (f"{ours:.1f}", facts["paper_text"], f"{facts['paper']['mean'] / ours:.2g}",
-            runs, epochs(facts))  # fmt: skip
+    ratio = f"{facts['paper']['mean'] / ours:.2g}"
+    return (f"{ours:.1f}", facts["paper_text"], ratio, runs, epochs(facts))
 
 
 def _quantile_cells(facts: dict[str, Any]) -> tuple[str, ...]:
@@ -176,17 +176,14 @@ def _quantile_cells(facts: dict[str, Any]) -> tuple[str, ...]:
 
 _Cells = Callable[[dict[str, Any]], tuple[str, ...]]
 _ERRORS = ("ours", "sliced", "paper", "ours / paper", "forecast", "seeds", "epochs")
+_QUANTILES = ("median", "10 %", "90 %", "worst", "mean")
 _COLUMNS: dict[str, tuple[tuple[str, ...], _Cells]] = {
     "errors": (_ERRORS, _error_cells),
     "whole errors": (("ours", "with warm-up", *_ERRORS[2:]), _whole_error_cells),
     "losses": (("ours", "forecast", "training loss", "settled", "seeds"), _loss_cells),
-    "quantiles": (
-        ("median", "10 %", "90 %", "worst", "mean", "paper, one draw", "median / oracle's",
-         "epochs"),
-        _quantile_cells,
-    ),
+    "quantiles": ((*_QUANTILES, "paper, one draw", "median / oracle's", "epochs"), _quantile_cells),
     "seconds": (("ours (s)", "paper (s)", "paper / ours", "runs", "epochs run"), _seconds_cells),
-}  # fmt: skip
+}
 
 
 def full_seconds(facts: Mapping[str, Any]) -> float:

@@ -100,21 +100,16 @@ BENCH = {"jax", "tsfast"}
 """Of the extra that is for comparisons with others alone, and not for this machine's Python."""
 
 
-def test_a_name_that_is_gone_says_what_to_use_and_an_unknown_one_is_none() -> None:
-    with pytest.raises(AttributeError, match=r"splitband\.Known is gone: .*ForecastContext"):
-        sb.Known  # type: ignore[attr-defined]  # noqa: B018
-    assert not hasattr(sb, "Unknown")
-    assert "Known" not in dir(sb)
+PLOT = r"matplotlib: pip install .splitband\[plot\]"
 
 
 @pytest.mark.parametrize(
     ("module", "use", "said"),
     [
-        ("pyarrow", lambda: sb.read("rig.parquet"), r'PyArrow: pip install "splitband\[parquet\]"'),
-        ("matplotlib.axes", lambda: sb.Mean().fit(RECORD).predict(3).plot(),
-         r'matplotlib: pip install "splitband\[plot\]"'),
+        ("pyarrow", lambda: sb.read("rig.parquet"), r"PyArrow: pip install .splitband\[parquet\]"),
+        ("matplotlib.axes", lambda: sb.Mean().fit(RECORD).predict(3).plot(), PLOT),
     ],
-)  # fmt: skip
+)
 def test_a_missing_extra_says_how_it_is_installed(
     module: str,
     use: Callable[[], object],

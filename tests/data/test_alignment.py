@@ -165,8 +165,8 @@ def test_without_time_stamps_on_both_sides_they_begin_together() -> None:
 def test_inputs_are_interpolated_by_straight_lines() -> None:
     steps = np.repeat([0.0, 1.0], 10)[:, None]
     found = aligned("u", steps, Grid(0.0, 0.2, 20), Grid(0.0, DT, 39), smooth=False)
-    np.testing.assert_allclose(found.values[:, 0], np.interp(times(samples=39), times(step=0.2,
-        samples=20), steps[:, 0]), atol=1e-12)  # fmt: skip
+    wanted = np.interp(times(samples=39), times(step=0.2, samples=20), steps[:, 0])
+    np.testing.assert_allclose(found.values[:, 0], wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize(("start", "step"), [(0.0, 0.1), (-3.0, 0.1), (0.0, 0.0999), (-2.0, 0.25)])
@@ -182,8 +182,8 @@ def test_a_record_is_resampled_with_all_its_signals() -> None:
     time = times(20, 0.1009)
     measured = np.ones((SAMPLES, 1), dtype=np.bool_)
     measured[100] = False
-    record = Record(signal(time), 0.1009, u=time, y_true=signal(time), y_sim=2 * signal(time),
-                        measured=measured, start=20.0)  # fmt: skip
+    y = signal(time)
+    record = Record(y, 0.1009, time, y, 2 * y, measured=measured, start=20.0)
     found = resampled(record, DT)
     assert (found.start, found.sampling_time) == (20.0, DT)
     assert found.time[-1] <= time[-1] < found.time[-1] + DT

@@ -1,6 +1,6 @@
 """Files as instruments, loggers and other programs write them: read, or refused with the line."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,14 @@ from tests.data.support import message, text_file
 Y = np.sin(np.arange(12) / 3).round(3)
 
 
-def table(row: Callable[[int], str]) -> str:
-    """Twelve rows; `row` has the number of each, and `{y}` stands for its value."""
-    return "".join(f"{row(i).format(y=Y[i])}\n" for i in range(12))
+def table(row: str, step: float) -> str:
+    """Twelve rows, of the number, the time and the value of each."""
+    begin, seconds = pd.Timestamp("2013-06-24 13:00"), [step * i for i in range(12)]
+    rows = zip(seconds, begin + pd.to_timedelta(seconds, "s"), Y, strict=True)
+    return "".join(
+        f"{row.format(i=i, n=i + 1, before=step * (i - 1), t=t, at=at, y=y)}\n"
+        for i, (t, at, y) in enumerate(rows)
+    )
 
 
 TOA5 = (
@@ -42,58 +47,57 @@ INFLUX = (
 )
 
 
+HOBO = '"Plot Title: Tank"\n"#","Date Time, GMT-04:00","T, °C (LGR S/N: 1, SEN: 2)"\n'
+AGILENT = "Name:,Benchlink\nOwner:,Bob\n\nDate:,2/13/2024 10:00:00\nScan,Time,T\n"
+OPTIONS: dict[str, dict[str, Any]] = {
+    "a.lvm": {"time_column": "X_Value", "columns": "V"},
+    "keysight.csv": {"time_column": "x-axis", "header_row": 1},
+    "influx.csv": {"columns": "T"},
+    "frame.csv": {"time_column": "0"},
+    "numbered.csv": {"columns": "2"},
+    "several.csv": {"header_row": 2, "time_column": "Force"},
+    "skip.csv": {"skip_rows": 2},
+    "both.csv": {"skip_rows": 3, "header_row": 1},
+    "none.csv": {"header_row": 0, "time_column": 0},
+}
+
+
 @pytest.mark.parametrize(
-    ("name", "text", "step", "column", "options"),
+    ("name", "head", "row", "step", "column"),
     [
-        ("units.csv", "time,T\ns,C\n" + table(lambda i: f"{i},{{y}}"), 1, "T [C]", {}),
-        ("a.dat", TOA5 + table(lambda i: f'"2024-01-01 00:{i:02d}:00",{i},{{y}}'), 60,
-         "T [Deg C]", {}),
-        ("a.lvm", LVM + table(lambda i: f"{i * 0.001:.6f}\t{{y}}\t"), 1e-3, "V",
-         {"time_column": "X_Value", "columns": "V"}),
-        ("hobo.csv", '"Plot Title: Tank"\n"#","Date Time, GMT-04:00","T, °C (LGR S/N: 1, SEN: 2)"\n'
-         + table(lambda i: f"{i + 1},06/24/13 0{1 + i // 6}:{i % 6}0:00 PM,{{y}}"), 600,
-         "T, °C (LGR S/N: 1, SEN: 2)", {}),
-        ("hobo2.csv", "#,Date Time,T\n" + table(lambda i: f"{i},06/24/13 10:00:{i:02d} PM,{{y}}"),
-         1, "T", {}),
-        ("dewesoft.csv", f'{DEWESOFT}"Time","T"\n"s","V"\n' + table(lambda i: f"{i * 0.01},{{y}}"),
-         0.01, "T [V]", {}),
-        ("tek.csv", TEKTRONIX + table(lambda i: f"{-2e-6 + 4e-9 * i:.9e},{{y}}"), 4e-9, "T", {}),
-        ("keysight.csv", "x-axis,1\nsecond,Volt\n" + table(lambda i: f"{i * 1e-6:.6E},{{y}}"),
-         1e-6, "1 [Volt]", {"time_column": "x-axis", "header_row": 1}),
-        ("influx.csv", INFLUX + table(lambda i: f",,0,2024-01-01T10:00:{i:02d}Z,{{y}}"), 1, "T",
-         {"columns": "T"}),
-        ("r.csv", '"time","T"\n' + table(lambda i: f'"{i + 1}",{i / 2},{{y}}'), 0.5, "T", {}),
-        ("r.txt", '"time" "T"\n' + table(lambda i: f'"{i + 1}" {i / 2} {{y}}'), 0.5, "T", {}),
-        ("canape.csv", "Time[s],T[km/h]\ns,km/h\n" + table(lambda i: f"{i / 10},{{y}}"), 0.1,
-         "T[km/h]", {}),
-        ("pico.csv", "Time,T\n(ms),(mV)\n\n" + table(lambda i: f"{i - 1:.5f},{{y}}"), 1e-3,
-         "T [mV]", {}),
-        ("agilent.csv", "Name:,Benchlink\nOwner:,Bob\n\nDate:,2/13/2024 10:00:00\nScan,Time,T\n"
-         + table(lambda i: f"{i + 1},2/13/2024 10:00:{i:02d}:250,{{y}}"), 1, "T", {}),
-        ("sep.csv", "sep=|\ntime|T\n" + table(lambda i: f"{i}|{{y}}"), 1, "T", {}),
-        ("pipe.csv", "time|T\n" + table(lambda i: f"{i}|{{y}}"), 1, "T", {}),
-        ("excel.csv", "sep=\t\r\ntime\tT\r\n" + table(lambda i: f"{i}\t{{y}}\r"), 1, "T", {}),
-        ("numpy.csv", "# time,T\n" + table(lambda i: f"{i},{{y}}"), 1, "T", {}),
-        ("numpy.txt", "# rig\n# time T\n" + table(lambda i: f"{i} {{y}}"), 1, "T", {}),
-        ("units.txt", "# time,T\n# ms,V\n" + table(lambda i: f"{i},{{y}}"), 1e-3, "T [V]", {}),
-        ("comsol.txt", "% t T\n" + table(lambda i: f"{i} {{y}}"), 1, "T", {}),
-        ("frame.csv", ",0,1\n" + table(lambda i: f"{i},{i},{{y}}"), 1, "1",
-         {"time_column": "0"}),
-        ("numbered.csv", "time,1,2\n" + table(lambda i: f"{i},{i},{{y}}"), 1, "2",
-         {"columns": "2"}),
-        ("several.csv", "X,1\nForce,T\ns,mm\n" + table(lambda i: f"{i},{{y}}"), 1, "T [mm]",
-         {"header_row": 2, "time_column": "Force"}),
-        ("skip.csv", "1,2\n3,4\ntime,T\n" + table(lambda i: f"{i},{{y}}"), 1, "T",
-         {"skip_rows": 2}),
-        ("both.csv", "time,T\nx,1\n3,4\n" + table(lambda i: f"{i},{{y}}"), 1, "T",
-         {"skip_rows": 3, "header_row": 1}),
-        ("none.csv", table(lambda i: f"{i},{{y}}"), 1, "1", {"header_row": 0, "time_column": 0}),
+        ("units.csv", "time,T\ns,C\n", "{i},{y}", 1, "T [C]"),
+        ("a.dat", TOA5, '"{at:%Y-%m-%d %H:%M:%S}",{i},{y}', 60, "T [Deg C]"),
+        ("a.lvm", LVM, "{t:.6f}\t{y}\t", 1e-3, "V"),
+        ("hobo.csv", HOBO, "{n},{at:%m/%d/%y %I:%M:%S %p},{y}", 600, "T, °C (LGR S/N: 1, SEN: 2)"),
+        ("hobo2.csv", "#,Date Time,T\n", "{i},06/24/13 10:00:{i:02d} PM,{y}", 1, "T"),
+        ("dewesoft.csv", f'{DEWESOFT}"Time","T"\n"s","V"\n', "{t},{y}", 0.01, "T [V]"),
+        ("tek.csv", TEKTRONIX, "{before:.9e},{y}", 4e-9, "T"),
+        ("keysight.csv", "x-axis,1\nsecond,Volt\n", "{t:.6E},{y}", 1e-6, "1 [Volt]"),
+        ("influx.csv", INFLUX, ",,0,2024-01-01T10:00:{i:02d}Z,{y}", 1, "T"),
+        ("r.csv", '"time","T"\n', '"{n}",{t},{y}', 0.5, "T"),
+        ("r.txt", '"time" "T"\n', '"{n}" {t} {y}', 0.5, "T"),
+        ("canape.csv", "Time[s],T[km/h]\ns,km/h\n", "{t:.1f},{y}", 0.1, "T[km/h]"),
+        ("pico.csv", "Time,T\n(ms),(mV)\n\n", "{i:.5f},{y}", 1e-3, "T [mV]"),
+        ("agilent.csv", AGILENT, "{n},2/13/2024 10:00:{i:02d}:250,{y}", 1, "T"),
+        ("sep.csv", "sep=|\ntime|T\n", "{i}|{y}", 1, "T"),
+        ("pipe.csv", "time|T\n", "{i}|{y}", 1, "T"),
+        ("excel.csv", "sep=\t\r\ntime\tT\r\n", "{i}\t{y}\r", 1, "T"),
+        ("numpy.csv", "# time,T\n", "{i},{y}", 1, "T"),
+        ("numpy.txt", "# rig\n# time T\n", "{i} {y}", 1, "T"),
+        ("units.txt", "# time,T\n# ms,V\n", "{i},{y}", 1e-3, "T [V]"),
+        ("comsol.txt", "% t T\n", "{i} {y}", 1, "T"),
+        ("frame.csv", ",0,1\n", "{i},{i},{y}", 1, "1"),
+        ("numbered.csv", "time,1,2\n", "{i},{i},{y}", 1, "2"),
+        ("several.csv", "X,1\nForce,T\ns,mm\n", "{i},{y}", 1, "T [mm]"),
+        ("skip.csv", "1,2\n3,4\ntime,T\n", "{i},{y}", 1, "T"),
+        ("both.csv", "time,T\nx,1\n3,4\n", "{i},{y}", 1, "T"),
+        ("none.csv", "", "{i},{y}", 1, "1"),
     ],
-)  # fmt: skip
+)
 def test_headers_of_instruments(
-    tmp_path: Path, name: str, text: str, step: float, column: str, options: dict[str, Any]
+    tmp_path: Path, name: str, head: str, row: str, step: float, column: str
 ) -> None:
-    found = read(text_file(tmp_path, text, name), **options)
+    found = read(text_file(tmp_path, head + table(row, step), name), **OPTIONS.get(name, {}))
     assert found.columns == (column,)
     assert found.sampling_time == pytest.approx(step, rel=1e-9)
     np.testing.assert_array_equal(found.y[:, 0], Y)
@@ -112,8 +116,9 @@ def test_headers_of_instruments(
         ("u,y\n0,5,1,5\n1,5,2,5\n", {}, "decimal commas need ; or tabs"),
         ("time x\n1 0.5 2\n2 1 3\n", {}, "line 1 holds 2 names, line 2 3 cells"),
         ("Name;a;Name;b\nUnit;;Unit;\n\n0;1;0;2\n1;2;1;3\n", {}, "'Name [Unit]' stands 2 times"),
-        *((f"{header}\n0,1,2\n1,3,4\n", {}, "stands 2 times")
-          for header in ("time,x ,x", "time,x,x", "time,time,x")),
+        ("time,x ,x\n0,1,2\n1,3,4\n", {}, "stands 2 times"),
+        ("time,x,x\n0,1,2\n1,3,4\n", {}, "stands 2 times"),
+        ("time,time,x\n0,1,2\n1,3,4\n", {}, "stands 2 times"),
         ("time,y\n0,1\n1,2\ntime,y\n2,3\n", {}, "row 2 holds 'time' (line 4)"),
         ("time,y\n0,1\n1,2\n2,3\nEnd,\n", {}, "row 3 holds 'End' (line 5)"),
         ("# rig\n\ntime,y\n0,1\n1,OL\n2,3\n", {}, "row 1 holds 'OL' (line 5); missing (--missing)"),
@@ -125,7 +130,7 @@ def test_headers_of_instruments(
         ("time,y\n0,1\n1,2\n", {"skip_rows": -1}, "skip_rows must be a number of lines"),
         ('time,y,note\n0,1,"on\n1,2,ok\n2,3,"off"\n3,4,\n', {}, "line 2 has a quote"),
     ],
-)  # fmt: skip
+)
 def test_what_is_left_open_is_refused_with_the_line(
     tmp_path: Path, text: str, options: dict[str, Any], words: str
 ) -> None:
@@ -149,10 +154,10 @@ def test_cells_in_quotes_may_hold_separators_quotes_and_line_breaks(tmp_path: Pa
         ("t,y\n0,1\n1,-9999\n2,3\n3,4\n", ["-9999"], [1, np.nan, 3, 4]),
         ("t;y\n0;1,5\n1;-200\n2;3,5\n3;-200,0\n", "-200", [1.5, np.nan, 3.5, np.nan]),
         ('t,y\n0,1\n1,"NAN"\n2,3\n3,4\n', (), [1, np.nan, 3, 4]),
-        *(("t,y\n0,1\n1,Bad\n2,-9999.00\n3,4\n", ["Bad", word], [1, np.nan, np.nan, 4])
-          for word in ("-9999", "-9999.0")),
+        ("t,y\n0,1\n1,Bad\n2,-9999.00\n3,4\n", ["Bad", "-9999"], [1, np.nan, np.nan, 4]),
+        ("t,y\n0,1\n1,Bad\n2,-9999.00\n3,4\n", ["Bad", "-9999.0"], [1, np.nan, np.nan, 4]),
     ],
-)  # fmt: skip
+)
 def test_words_for_missing_values(
     tmp_path: Path, text: str, missing: Any, values: list[float]
 ) -> None:
@@ -169,6 +174,9 @@ def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
         read(frame, skip_rows=1)
 
 
+UNITS = "time,u,y\ns,V,mm\n0,1,2\n1,2,3\n2,3,5\n"
+
+
 @pytest.mark.parametrize(
     ("text", "options", "columns", "values"),
     [
@@ -176,10 +184,9 @@ def test_a_frame_may_have_words_for_missing_values_but_no_lines() -> None:
         ("\ufeff1,2\n3,4\n", {"sampling_time": 1}, "01", [[1, 2], [3, 4]]),
         ("Record,time,y\n7,0,2\n8,1,4\n9,2,5\n", {}, "y", [[2], [4], [5]]),  # numbers of rows
         ("time;y\n0;1\n1;2\n2;4\n;\n;\n", {}, "y", [[1], [2], [4]]),  # empty rows at the end
-        ("time,u,y\ns,V,mm\n0,1,2\n1,2,3\n2,3,5\n", {"columns": "y", "inputs": "u [V]"},
-         ["y [mm]"], [[2], [3], [5]]),
+        (UNITS, {"columns": "y", "inputs": "u [V]"}, ["y [mm]"], [[2], [3], [5]]),
     ],
-)  # fmt: skip
+)
 def test_what_is_data_and_what_is_not(
     tmp_path: Path, text: str, options: dict[str, Any], columns: Sequence[str], values: Any
 ) -> None:

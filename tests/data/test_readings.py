@@ -18,21 +18,22 @@ def clock(seconds: float, form: str = "{h:02d}:{m:02d}:{s:02d}") -> str:
     return form.format(h=whole // 3600 % 24, m=whole // 60 % 60, s=whole % 60)
 
 
+IN_A_WORD, LISTED = {"time_column": "day,clock"}, {"time_column": ["day", "clock"]}
+
+
 @pytest.mark.parametrize(
     ("header", "row", "step", "start", "options"),
     [
         ("Date,Time", "{0:%Y-%m-%d},{0:%H:%M:%S}", "1h", "2024-03-01 20:00", {}),
         ("Time,Date", "{0:%H:%M:%S},{0:%Y-%m-%d}", "1h", "2024-03-01 20:00", {}),
-        ("day,clock", "{0:%d.%m.%Y},{0:%H:%M:%S}", "1h", "2024-03-30 20:00",
-         {"time_column": "day,clock"}),
-        ("day,clock", "{0:%d.%m.%Y},{0:%H:%M:%S}", "1h", "2024-03-30 20:00",
-         {"time_column": ["day", "clock"]}),
+        ("day,clock", "{0:%d.%m.%Y},{0:%H:%M:%S}", "1h", "2024-03-30 20:00", IN_A_WORD),
+        ("day,clock", "{0:%d.%m.%Y},{0:%H:%M:%S}", "1h", "2024-03-30 20:00", LISTED),
         ("Date,Time", "{0:%d/%m/%Y},{0:%H.%M.%S}", "1h", "2004-03-10 18:00", {}),  # UCI
         ("Date,Time", "{0:%m/%d/%Y},{0:%I:%M:%S %p}", "1h", "2024-03-13 20:00", {}),
         ("Date,Time", "{0:%Y%m%d},{0:%H:%M:%S}", "1min", "2024-03-01 23:50", {}),
         ("Date,Time", "{0:%Y-%m-%d} 00:00:00,{0:%H:%M}", "1min", "2024-03-01 23:50", {}),
     ],
-)  # fmt: skip
+)
 def test_a_date_and_a_time_of_the_day(
     tmp_path: Path, header: str, row: str, step: str, start: str, options: dict[str, Any]
 ) -> None:
@@ -115,7 +116,7 @@ def test_a_clock_that_goes_back_has_not_passed_midnight(tmp_path: Path) -> None:
         (["29.02.2024 10:00:00", "29.02.2024 10:00:02", "29.02.2024 10:00:04"], 2),
         (["00:00:01.5", "00:00:02.0", "00:00:02.5"], 0.5),
     ],
-)  # fmt: skip
+)
 def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step: float) -> None:
     found = read(stamped(tmp_path, [f'"{stamp}"' for stamp in stamps], "time"))
     assert found.sampling_time == pytest.approx(step, rel=1e-9)
@@ -136,7 +137,7 @@ def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step:
         (range(5, 200000, 10007), {10007: "seconds", 10.007: "milliseconds"}),
         ([f"{i / 86400:.11f}" for i in range(20)], {1 / 86400: "seconds", 1: "fractions of a day"}),
     ],
-)  # fmt: skip
+)
 @pytest.mark.filterwarnings("ignore::splitband.data.signals.ReadingWarning")
 def test_stamps_that_mean_several_things_are_refused_with_all_of_them(
     tmp_path: Path, stamps: Sequence[object], others: dict[float, str]

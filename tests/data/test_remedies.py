@@ -23,8 +23,8 @@ CSV = "time,u,y\n" + "".join(f"{i / 10},{i % 3},{i * i}\n" for i in range(30))
 
 def told(said: str, **names: Any) -> Any:
     """Run the line of pandas that a message names."""
-    line = next(part for part in re.split(r"in pandas | gives |; |, or| leaves| adds", said)
-                if part.startswith(("table", "[run")))  # fmt: skip
+    parts = re.split(r"in pandas | gives |; |, or| leaves| adds", said)
+    line = next(part for part in parts if part.startswith(("table", "[run")))
     scope = {"pd": pd, **names}
     if re.match(r"table\[.*\] = ", line):
         exec(line, scope)
@@ -197,8 +197,8 @@ def test_dates_beside_serial_numbers_are_compared(
     """WinCC's millionths of a day, and ticks of nobody's."""
     dates = pd.date_range("2024-05-06 08:00", periods=60, freq="2s")
     days = (dates - pd.Timestamp("1899-12-30")) / pd.Timedelta(1, "D")
-    rows = "".join(f"{d:%d.%m.%Y %H:%M:%S},{number(n)},{i}\n"
-                   for i, (d, n) in enumerate(zip(dates, days, strict=True)))  # fmt: skip
+    both = enumerate(zip(dates, days, strict=True))
+    rows = "".join(f"{d:%d.%m.%Y %H:%M:%S},{number(n)},{i}\n" for i, (d, n) in both)
     path = text_file(tmp_path, f"TimeString,{name},y\n{rows}")
     if step:
         with pytest.warns(ReadingWarning, match="millionths of Excel's serial days, read as dates"):

@@ -23,6 +23,10 @@ SCOPE = {
     ],
     "blockName": "model/Scope",
 }
+ENDS = "0].values", "1].values[0]", "1].values[1]"
+ONE_SIGNAL = {"time": T, "signals": {"values": Y.reshape(1, 1, -1)}}
+RUN = {"time": T, "y": Y, "u": Y}
+FIRST = {"time_column": "e1.t", "columns": "e1.y"}
 
 
 def mat(folder: Path, **variables: Any) -> Path:
@@ -32,19 +36,15 @@ def mat(folder: Path, **variables: Any) -> Path:
 @pytest.mark.parametrize(
     ("variables", "options", "columns"),
     [
-        ({"out": SCOPE}, {}, ["out.signals[0].values", "out.signals[1].values[0]",
-                              "out.signals[1].values[1]"]),
-        ({"out": {"time": T, "signals": {"values": Y.reshape(1, 1, -1)}}}, {},
-         ["out.signals.values"]),
+        ({"out": SCOPE}, {}, [f"out.signals[{i}" for i in ENDS]),
+        ({"out": ONE_SIGNAL}, {}, ["out.signals.values"]),
         ({"exp1": {"t": T, "y": Y}}, {"columns": "exp1.y"}, ["exp1.y"]),
-        ({"data": {"run": {"time": T, "y": Y, "u": Y}, "who": "me"}}, {"inputs": "data.run.u"},
-         ["data.run.y"]),
+        ({"data": {"run": RUN, "who": "me"}}, {"inputs": "data.run.u"}, ["data.run.y"]),
         ({"t": T, "s": {"y": Y}}, {}, ["s.y"]),
-        ({"e1": {"t": T, "y": Y}, "e2": {"t": 2 * T, "y": Y}},
-         {"time_column": "e1.t", "columns": "e1.y"}, ["e1.y"]),
+        ({"e1": {"t": T, "y": Y}, "e2": {"t": 2 * T, "y": Y}}, FIRST, ["e1.y"]),
         ({"tout": T, "yout": Y}, {"time_column": "tout"}, ["yout"]),
     ],
-)  # fmt: skip
+)
 def test_fields_are_columns(
     tmp_path: Path, variables: dict[str, Any], options: dict[str, Any], columns: list[str]
 ) -> None:

@@ -5,12 +5,11 @@ import pytest
 import splitband as sb
 from tests.streams import fitted
 
-KINDS = (
-    "persistence", "linear", "rnn", "state-space", "split, conditioned, +HP", "filtered",
-    "residual of linear", "ensemble", "seasonal-naive, no inputs", "periodic, no inputs",
-    "split, conditioned, no inputs", "filtered, no inputs", "filtered high",
-    "filtered high at one rate", "filtered high, no inputs",
-)  # fmt: skip
+DRIVEN = "persistence", "linear", "rnn", "state-space", "split, conditioned, +HP", "filtered"
+HIGH = "filtered high", "filtered high at one rate"
+FREE = "seasonal-naive", "periodic", "split, conditioned", "filtered", "filtered high"
+ENDED = [f"{name}, no inputs" for name in FREE]
+KINDS = (*DRIVEN, *HIGH, "residual of linear", "ensemble", *ENDED)
 
 
 @pytest.fixture(params=KINDS)

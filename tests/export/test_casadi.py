@@ -14,11 +14,10 @@ import splitband as sb
 from tests.export.test_grey_box import EQUATIONS, record_of
 from tests.streams import BANDS, SHORT, driven, fitted, free, in_double, rows
 
-KINDS = (
-    "mean", "persistence", "linear", "simulator", "gru", "state-space", "split",
-    "split, conditioned, +HP", "split at one rate", "filtered", "residual of linear", "ensemble",
-    "seasonal-naive, no inputs", "periodic, no inputs", "gru, no inputs", "residual, no inputs",
-)  # fmt: skip
+SPLIT = "split", "split, conditioned, +HP", "split at one rate"
+DRIVEN = "mean", "persistence", "linear", "simulator", "gru", "state-space", *SPLIT, "filtered"
+FREE = [f"{name}, no inputs" for name in ("seasonal-naive", "periodic", "gru", "residual")]
+KINDS = (*DRIVEN, "residual of linear", "ensemble", *FREE)
 
 
 def flat(y: Any) -> Any:

@@ -66,9 +66,8 @@ def test_with_ziglang_an_fmu_runs_on_all_platforms(
     file = exported(tmp_path)
     with zipfile.ZipFile(file) as archive:
         held = {n: archive.read(n) for n in archive.namelist() if n.startswith("binaries/")}
-    assert {*held} == {
-        "binaries/win64/rig.dll", "binaries/linux64/rig.so", "binaries/darwin64/rig.dylib",
-    }  # fmt: skip
+    libraries = "win64/rig.dll", "linux64/rig.so", "darwin64/rig.dylib"
+    assert {*held} == {f"binaries/{library}" for library in libraries}
     assert held["binaries/win64/rig.dll"] == b"x86_64-windows-gnu"
     assert b"aarch64-macos" in held["binaries/darwin64/rig.dylib"]
     platforms = {"c-code", "darwin64", "linux64", "win64"}

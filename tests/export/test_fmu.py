@@ -114,10 +114,10 @@ def test_an_importer_that_reads_outputs_before_it_sets_inputs(tmp_path: Path) ->
     )
     table = np.array([*zip(*columns.values(), strict=True)], dtype=[(n, float) for n in columns])
     others = [f"{name}_measured" for name in record.columns]
-    found = fmpy.simulate_fmu(
-        str(tmp_path / "rig.fmu"), stop_time=5.9, output_interval=0.1, input=table,
-        output=[*record.columns], start_values=dict.fromkeys(others, 0.0),
-    )  # fmt: skip
+    given = {"input": table, "output": [*record.columns]}
+    given["start_values"] = dict.fromkeys(others, 0.0)
+    unit = str(tmp_path / "rig.fmu")
+    found = fmpy.simulate_fmu(unit, stop_time=5.9, output_interval=0.1, **given)
     stream, wanted = forecaster.stream(), []
     for n in range(150, 210):
         wanted.append(stream.copy().step(record.u[max(n - 1, 150)]))
@@ -136,9 +136,8 @@ def test_an_fmu_is_a_simulator_again_with_the_names_and_units_of_the_record(
         said = np.asarray(simulator.simulate(np.arange(60) / 10.0))
     assert said == pytest.approx(forecaster.predict(60).y, abs=1e-9)
     variables = fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables
-    assert [(v.name, v.unit) for v in variables[:2]] == [
-        ("way_mm", "mm"), ("way_mm_measured", "mm"),
-    ]  # fmt: skip
+    ports = [("way_mm", "mm"), ("way_mm_measured", "mm")]
+    assert [(v.name, v.unit) for v in variables[:2]] == ports
 
 
 def test_a_compiler_is_needed_and_may_have_options(
@@ -185,12 +184,20 @@ def test_an_exported_fmu_with_inputs_is_exact_as_a_simulator(name: str, tmp_path
 @pytest.mark.parametrize(
     ("label", "name"),
     [
-        ("level (cm)", "level_cm"), ("T_in [\u00b0C]", "T_in_degC"), ("valve (%)", "valve_percent"),
-        ("H\u00f6he", "Hohe"), ("gap (\u00b5m)", "gap_um"), ("\u0394p [bar]", "p_bar"),
-        ("1st", "x_1st"), ("end", "x_end"), ("double", "x_double"), ("\u6e29\u5ea6", "x"),
-        ("a__b_", "a__b_"), ("x", "x"),
+        ("level (cm)", "level_cm"),
+        ("T_in [\u00b0C]", "T_in_degC"),
+        ("valve (%)", "valve_percent"),
+        ("H\u00f6he", "Hohe"),
+        ("gap (\u00b5m)", "gap_um"),
+        ("\u0394p [bar]", "p_bar"),
+        ("1st", "x_1st"),
+        ("end", "x_end"),
+        ("double", "x_double"),
+        ("\u6e29\u5ea6", "x"),
+        ("a__b_", "a__b_"),
+        ("x", "x"),
     ],
-)  # fmt: skip
+)
 def test_a_port_has_a_name_that_simulink_takes(label: str, name: str) -> None:
     assert port_name(label) == name
 
@@ -222,10 +229,8 @@ def test_an_exported_fmu_is_matched_by_the_columns_that_it_was_trained_on(tmp_pa
     assert said["level_cm_2_measured"] == "level_cm: what is observed"
     ahead = record[150:210]
     assert ahead.u is not None
-    other = sb.Record(
-        ahead.y[:, ::-1], 0.1, u=ahead.u[:, ::-1],
-        columns=ahead.columns[::-1], inputs=ahead.inputs[::-1],
-    )  # fmt: skip
+    columns, inputs, u = ahead.columns[::-1], ahead.inputs[::-1], ahead.u[:, ::-1]
+    other = sb.Record(ahead.y[:, ::-1], 0.1, u=u, columns=columns, inputs=inputs)
     simulation = sb.Simulation(sb.Fmu(tmp_path / "rig.fmu"))
     found = simulation.fit(other).on(other).y_sim
     assert found is not None

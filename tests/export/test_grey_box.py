@@ -70,8 +70,8 @@ def record_of(ode: sb.Ode, columns: int) -> sb.Record:
     """The equation with values within the ranges, and noise."""
     u = inputs()
     matched = ode.matched([f"y{i}" for i in range(columns)], ["force"])
-    fixed = matched.fixed({name: 0.4 * low + 0.6 * high for name, (low, high) in RANGES.items()
-                           if name in matched.known.given})  # fmt: skip
+    within = {name: 0.4 * low + 0.6 * high for name, (low, high) in RANGES.items()}
+    fixed = matched.fixed({name: within[name] for name in RANGES if name in matched.known.given})
     start = float(ode.start)
     y = np.asarray(fixed.simulate(start + 0.1 * np.arange(200.0), u))
     rng = np.random.default_rng(1)
@@ -121,10 +121,8 @@ def test_another_run_begins_in_a_state_of_its_own(tmp_path: Path) -> None:
     time = 0.1 * np.arange(200.0)
     ode = sb.Ode(swinging, [1.0, 0.0], parameters={"x0_1": (0.5, 1.5)}, tolerances=EXACT)
     noise = np.random.default_rng(0).normal(0, 0.001, 200)
-    one, other = (
-        sb.Record(np.asarray(replace(ode, parameters={"x0_1": begin}).simulate(time))[:, 0] + noise,
-                  0.1, start=0.0) for begin in (1.2, 0.6)
-    )  # fmt: skip
+    both = (replace(ode, parameters={"x0_1": begin}).simulate(time) for begin in (1.2, 0.6))
+    one, other = (sb.Record(np.asarray(x)[:, 0] + noise, 0.1, start=0.0) for x in both)
     model = sb.GreyBox(ode, starts=1).fit(one[:150])
     model.memory = 0
     wanted = model.predict(50, other[:150]).y
@@ -180,13 +178,13 @@ def test_equal_steps_are_those_of_the_solver(count: int, held: bool) -> None:
 
 def everything(x: Any) -> Any:
     a, b = x[:, 0], x[:, 1]
-    return np.column_stack([
-        np.tan(a), np.arctan(a), np.arcsin(0.5 * a), np.arccos(0.5 * a), np.sinh(a), np.cosh(a),
-        np.arcsinh(a), np.arccosh(2 + a * a), np.arctanh(0.5 * a), np.expm1(a), np.log1p(a * a),
-        np.arctan2(a, b), np.hypot(a, b), np.sign(b), abs(a), a**3, (1 + a * a) ** 1.7, 2.0**a,
-        np.interp(a, [-1.0, 0.0, 0.5], [2.0, 0.0, 1.0]), np.remainder(5 * a, 2.0),
-        np.where((a > 0) & (b < 0), a, np.ceil(3 * b)), np.clip(a, None, 0.2), x[:, [1, 0]].sum(1),
-    ])  # fmt: skip
+    angles = [np.tan(a), np.arctan(a), np.arcsin(0.5 * a), np.arccos(0.5 * a), np.arctan2(a, b)]
+    areas = [np.sinh(a), np.cosh(a), np.arcsinh(a), np.arccosh(2 + a * a), np.arctanh(0.5 * a)]
+    powers = [np.expm1(a), np.log1p(a * a), a**3, (1 + a * a) ** 1.7, 2.0**a, np.hypot(a, b)]
+    steps = [np.sign(b), abs(a), np.remainder(5 * a, 2.0), np.clip(a, None, 0.2)]
+    chosen = [np.where((a > 0) & (b < 0), a, np.ceil(3 * b)), x[:, [1, 0]].sum(1)]
+    line = np.interp(a, [-1.0, 0.0, 0.5], [2.0, 0.0, 1.0])
+    return np.column_stack([*angles, *areas, *powers, *steps, *chosen, line])
 
 
 def test_numpys_functions_of_an_equation_are_written_in_c(tmp_path: Path) -> None:
@@ -207,11 +205,10 @@ def lagging(t: float, x: Any, u: Any, p: Any) -> list[Any]:
 def flags(x: Any, u: Any, _: Any) -> Any:
     a, b = x[:, 0], u[:, 0]
     both, joined = (a > 0.2) + (b > 0.5), np.concatenate([x, x > 0.2, u > 0.5], 1)
-    return np.column_stack([
-        a + 0.3 * both, a + (a > 0.2) * (b > 0.5), a * (1 + 0.5 * (b > 0.5)), joined.sum(1),
-        np.where(b, a, 2 * a), np.where(b > 0.5, a > 0.2, a), (x > 0.2) @ np.ones(1),
-        np.where(np.logical_and(b, a > 0.2), a, 2 * a), 2.0 ** (b > 0.5),
-    ])  # fmt: skip
+    sums = [a + 0.3 * both, a + (a > 0.2) * (b > 0.5), a * (1 + 0.5 * (b > 0.5)), joined.sum(1)]
+    powers = [(x > 0.2) @ np.ones(1), 2.0 ** (b > 0.5)]
+    picked = (b, a, 2 * a), (b > 0.5, a > 0.2, a), (np.logical_and(b, a > 0.2), a, 2 * a)
+    return np.column_stack([*sums, *powers, *(np.where(*each) for each in picked)])
 
 
 def jump(x: Any, u: Any, _: Any) -> Any:
@@ -221,10 +218,8 @@ def jump(x: Any, u: Any, _: Any) -> Any:
 
 def multiples(x: Any, u: Any, _: Any) -> Any:
     a, b = x[:, 0], u[:, 0]
-    return np.column_stack([
-        a + np.mod(b, 0.1), a + np.mod(-b, 0.1), a + np.mod(b, -0.1), a + 0.1 * (b // 0.1),
-        np.mod(3 * a, 1 + b), (3 * a - 1) // 0.7,
-    ])  # fmt: skip
+    added = [a + np.mod(b, 0.1), a + np.mod(-b, 0.1), a + np.mod(b, -0.1), a + 0.1 * (b // 0.1)]
+    return np.column_stack([*added, np.mod(3 * a, 1 + b), (3 * a - 1) // 0.7])
 
 
 @pytest.mark.parametrize("observe", [flags, jump, multiples])

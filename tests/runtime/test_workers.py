@@ -219,8 +219,8 @@ def test_a_script_without_a_guard_is_told_so(script: Path, tmp_path: Path) -> No
 
 
 def blas() -> list[int]:
-    return [pool["num_threads"] for pool in threadpoolctl.threadpool_info()
-            if pool["user_api"] == "blas"]  # fmt: skip
+    pools = threadpoolctl.threadpool_info()
+    return [pool["num_threads"] for pool in pools if pool["user_api"] == "blas"]
 
 
 def seen(_: int) -> tuple[int, list[int]]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from splitband.data.preparation import AHEAD, signals_of
 from splitband.data.record import Record
 from splitband.data.timing import Grid, same_sampling, seconds_between
 from splitband.runtime.arrays import Array
@@ -86,13 +87,11 @@ def resampled(record: Record, sampling_time: float) -> Record:
     if measured is not None:
         before, after = np.floor(rows + NEAR).astype(int), np.ceil(rows - NEAR).astype(int)
         measured = measured[before] & measured[after]
-    signals = {name: getattr(record, name) for name in ("y", "u", "y_true", "y_sim")}
-    changed: dict[str, Any] = {
-        name: interpolated(signal, rows, smooth=name != "u")
-        for name, signal in signals.items() if signal is not None
-    }  # fmt: skip
-    return replace(record, sampling_time=sampling_time, beyond=None, u_beyond=None,
-                   measured=measured, **changed)  # fmt: skip
+    changed: dict[str, Any] = {"sampling_time": sampling_time, "measured": measured}
+    for name, signal in signals_of(record).items():
+        ahead = name in AHEAD
+        changed[name] = None if ahead else interpolated(signal, rows, smooth=name != "u")
+    return replace(record, **changed)
 
 
 def interpolated(values: Array, rows: Array, smooth: bool = True) -> Array:

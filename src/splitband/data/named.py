@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -59,10 +60,9 @@ def van_der_pol(samples: int = 2000, simulator_rtol: float = 1e-10) -> Record:
     dt = 0.05
     time = np.arange(samples) * dt
 
-    def solved(derivative: Callable[[float, Array], Array], state: list[float], rtol: float,
-               atol: float) -> Array:  # fmt: skip
+    def solved(rate: Any, state: list[float], rtol: float, atol: float) -> Array:
         ends = (time[0], time[-1])
-        run = scipy.integrate.solve_ivp(derivative, ends, state, t_eval=time, rtol=rtol, atol=atol)
+        run = scipy.integrate.solve_ivp(rate, ends, state, t_eval=time, rtol=rtol, atol=atol)
         return np.asarray(run.y[0])
 
     return Record(

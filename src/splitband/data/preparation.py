@@ -26,7 +26,6 @@ What = Literal["y", "u", "y_sim"]
 """Measured samples, inputs, or a simulator's output, as which the noise-free signal counts, too."""
 AHEAD = "beyond", "u_beyond"
 """Signals of a record after its end."""
-SIGNALS = "y", "y_true", "y_sim", "u", *AHEAD
 
 
 class Preparation:
@@ -42,11 +41,12 @@ class Preparation:
         time, step = seconds(record), record.sampling_time
         y = refilled(record.y, self.transform("y", record.y_with_gaps, time))
         changed: dict[str, Any] = {"y": y}
+        given = signals_of(record)
         for field, after in (("y_true", ""), ("y_sim", "beyond"), ("u", "u_beyond")):
-            if (signal := getattr(record, field)) is None:
+            if field not in given:
                 continue
-            later = getattr(record, after) if after else None
-            signal = signal if later is None else np.concatenate([signal, later])
+            later = given.get(after)
+            signal = given[field] if later is None else np.concatenate([given[field], later])
             at = time[0] + step * np.arange(len(signal))
             found = self.transform("u" if field == "u" else "y_sim", signal, at)
             found = found if field == "u" else self.beside(y, found)
@@ -241,11 +241,10 @@ class Resampled(Preparation):
             raise InputError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
         first = len(record) % k
         changed: dict[str, Any] = {}
-        for field in SIGNALS:
-            if (signal := getattr(record, field)) is not None:
-                kept = signal[: len(signal) // k * k] if field in AHEAD else signal[first:]
-                means = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
-                changed[field] = means if len(means) else None
+        for field, signal in signals_of(record).items():
+            kept = signal[: len(signal) // k * k] if field in AHEAD else signal[first:]
+            means = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
+            changed[field] = means if len(means) else None
         if record.measured is not None:
             known = record.y_with_gaps[first:].reshape(-1, k, record.ny)
             count = np.isfinite(known).sum(axis=1)
@@ -255,6 +254,13 @@ class Resampled(Preparation):
         if start is not None:
             start = stamp_after(start, (first + k - 1) * step)
         return replace(record, sampling_time=k * step, start=start, **changed)
+
+
+def signals_of(record: Record) -> dict[str, Array]:
+    """Return the signals that a record has, `(time, channels)` each, by the names of its fields."""
+    found = {"y": record.y, "y_true": record.y_true, "y_sim": record.y_sim, "u": record.u}
+    found |= {"beyond": record.beyond, "u_beyond": record.u_beyond}
+    return {name: signal for name, signal in found.items() if signal is not None}
 
 
 def seconds(record: Record) -> Array:

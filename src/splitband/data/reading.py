@@ -38,7 +38,7 @@ from splitband.data.stamps import (
     is_time_of_day,
     joined,
     time_name,
-)  # fmt: skip
+)
 from splitband.data.tables import check_size, known, load, of_frame
 from splitband.data.text import Layout
 from splitband.data.timing import Spacing, same_sampling, spacing
@@ -49,9 +49,7 @@ _NAMELESS = "y"
 """Name of the channel of a file with a single column and no header."""
 _EXPECTED = "expected"
 """Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
-_ROW_NUMBERS = (
-    "record", "index", "row", "sample", "scan", "number", "seq", "#", "no", "no.", "nr", "nr.",
-)  # fmt: skip
+_ROW_NUMBERS = "record index row sample scan number seq # no no. nr nr."
 """Names of columns that number the rows, in small letters."""
 _Names: TypeAlias = str | int | Sequence[str | int]
 
@@ -168,12 +166,10 @@ def read(  # noqa: PLR0913
         u = _matrix(table, picked.known, gaps, spaced.grid_rows) if picked.known else None
         if time_column is None and picked.stamps:
             check_other_clock(table, picked.stamps[-1], spaced.step * (len(y) - 1))
-        record = Record.with_gaps(
-            y, spaced.step, u=u, start=spaced.start,
-            columns=(_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
-            inputs=tuple(picked.known),
-            name=path.stem.removesuffix(".csv") if frame is None else "",
-        )  # fmt: skip
+        names = (_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured)
+        called = path.stem.removesuffix(".csv") if frame is None else ""
+        named = {"columns": names, "inputs": tuple(picked.known), "name": called}
+        record = Record.with_gaps(y, spaced.step, u=u, start=spaced.start, **named)
         record = record.unwrap(unwrap) if unwrap else record
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
@@ -265,7 +261,7 @@ def _reason(name: str, column: Column, rows: int) -> str:
     if len(column) != rows:
         return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
     unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
-    numbered = unnamed or re.sub(r".*\.(?=.)| \[.*", "", name.lower()) in _ROW_NUMBERS
+    numbered = unnamed or re.sub(r".*\.(?=.)| \[.*", "", name.lower()) in _ROW_NUMBERS.split()
     if numbered and is_numeric_dtype(column) and (column.diff().iloc[1:].abs() == 1).all():
         return _EXPECTED
     if unnamed:

@@ -13,12 +13,14 @@ import pandas as pd
 
 from splitband.data.plausibility import warnings_of
 from splitband.data.preparation import (
+    AHEAD,
     Clipped,
     Detrended,
     Periods,
     Preparation,
     Resampled,
     Unwrapped,
+    signals_of,
 )
 from splitband.data.signals import (
     ReadingWarning,
@@ -143,9 +145,9 @@ class Record:
         self, field: str, samples: int | None, names: tuple[str, ...] = (), after: str = ""
     ) -> None:
         """Check a signal, and keep it as an array."""
-        if (value := getattr(self, field)) is None:
+        if (value := vars(self)[field]) is None:
             return
-        if after and getattr(self, after) is None:
+        if after and vars(self)[after] is None:
             raise InputError(f"{field} must go on from {after}, which is not given")
         signal = signal_of(field, value)
         if samples not in (None, len(signal)) or len(names) not in (0, signal.shape[1]):
@@ -195,12 +197,11 @@ class Record:
         if key.step not in (None, 1):
             raise InputError(f"a Record takes slices of step 1 only: got step {key.step}")
         begin, end, _ = key.indices(len(self))
-        parts: dict[str, Any] = {
-            name: None if (whole := getattr(self, name)) is None else whole[key]
-            for name in ("y", "u", "y_true", "y_sim", "measured")
-        }
-        if parts["measured"] is not None:  # gaps are filled again, from the slice only
+        given = signals_of(self).items()
+        parts: dict[str, Any] = {name: x[key] for name, x in given if name not in AHEAD}
+        if self.measured is not None:  # gaps are filled again, from the slice only
             parts["y"] = refilled(self.y[key], self.y_with_gaps[key])
+            parts["measured"] = self.measured[key]
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
@@ -399,8 +400,8 @@ class Record:
 
 def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:
     """Return a signal and its continuation from row `end` on, (any time, channels), or None."""
-    later = [part for part in (signal if signal is None else signal[end:], beyond)
-             if part is not None]  # fmt: skip
+    parts = (None if signal is None else signal[end:], beyond)
+    later = [part for part in parts if part is not None]
     return np.concatenate(later) if sum(map(len, later)) else None
 
 
@@ -426,8 +427,8 @@ def check_alike(other: Record, record: Record, name: str) -> None:
             f"{name} must have the training record's {record.ny} channel(s) and {record.nu} "
             f"input(s), got {other.ny} and {other.nu}"
         )
-    for what in ("columns", "inputs"):
-        names, known = getattr(other, what), getattr(record, what)
+    columns, inputs = (other.columns, record.columns), (other.inputs, record.inputs)
+    for what, (names, known) in {"columns": columns, "inputs": inputs}.items():
         if not same_names(names, known):
             order = "in the order" if sorted(names) == sorted(known) else "those"
             raise InputError(

@@ -23,11 +23,9 @@ _NUMBERED = re.compile(r"[yu]\d*|\d+")
 _THOUSANDS = {".": ",", ",": "."}
 """The thousands separator beside each decimal sign."""
 _INTEGER = r"\s*[-+]?\d+\s*"
-_SWITCHES = (
-    ("on", "off"), ("true", "false"), ("yes", "no"), ("open", "closed"), ("open", "close"),
-    ("active", "inactive"), ("enabled", "disabled"), ("running", "stopped"), ("t", "f"), ("y", "n"),
-)  # fmt: skip
-"""Words for the states of a switch, that of 1 first, in small letters."""
+_ON = "on true yes open open active enabled running t y"
+_OFF = "off false no closed close inactive disabled stopped f n"
+"""Words for the states of a switch, in small letters."""
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
@@ -128,7 +126,7 @@ def switch_states(column: Column) -> dict[str, float]:
     if not is_text(column) or has_number(column):
         return {}
     words = column.dropna().astype(str).unique()
-    for on, off in _SWITCHES:
+    for on, off in zip(_ON.split(), _OFF.split(), strict=True):
         states = {word: word.strip().lower() for word in words}
         if states and {*states.values()} <= {on, off}:
             return {word: float(state == on) for word, state in states.items()}

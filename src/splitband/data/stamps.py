@@ -17,11 +17,9 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 TIME_NAMES = ("time", "timestamp", "datetime", "t", "date")
-_CLOCK_STEPS = (
-    0.01, 0.02, 0.05, 0.1, 0.2, 0.25, 0.5,
-    *(n * unit for unit in (1, 60) for n in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30, 45)),
-    3600, 7200, 10800, 21600, 43200, 86400,
-)  # fmt: skip
+_PARTS, _HOURS = (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30, 45), (1, 2, 3, 6, 12, 24)
+_SHORT = 0.01, 0.02, 0.05, 0.1, 0.2, 0.25, 0.5
+_CLOCK_STEPS = (*_SHORT, *_PARTS, *(60 * n for n in _PARTS), *(3600 * n for n in _HOURS))
 """Common sampling times, in seconds, of loggers that count in days."""
 _DAY = 86400.0
 _YEAR = 365.25 * _DAY
@@ -68,11 +66,8 @@ _SERIAL_DAYS = {
 _FINER = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _STEPS_IN_MS = (8, 10, 16, 17, 20, 25, 33, 40, 50, 100, 125, 200, 250, 500)
 """Common sampling times of loggers in whole milliseconds, other than usual ones in seconds."""
-_DIGITS = {
-    6: ("%Y%m",), 8: ("%Y%m%d",), 10: ("%y%m%d%H%M", "%Y%m%d%H"), 12: ("%Y%m%d%H%M",),
-    14: ("%Y%m%d%H%M%S",),
-}  # fmt: skip
-"""Dates that are written as one number, by the number of their digits."""
+_DIGITS = "%Y%m", "%Y%m%d", "%y%m%d%H%M", "%Y%m%d%H", "%Y%m%d%H%M", "%Y%m%d%H%M%S"
+"""Dates that are written as one number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +231,8 @@ def _is_whole(number: float, *factors: float) -> bool:
 
 def _of_digits(values: Array, dated: bool) -> Iterator[Reading]:
     """Yield the reading of numbers such as 20240131 as dates, if they are dates."""
-    forms = _DIGITS.get(len(f"{values[0]:.0f}"), ())
+    digits = len(f"{values[0]:.0f}")
+    forms = [form for form in _DIGITS if len(form) + 2 * form.count("%Y") == digits]
     if not forms or (values % 1).any() or values.max() > 1e14:
         return
     written = pd.Series(values.astype(np.int64)).astype(str)

@@ -25,9 +25,8 @@ from splitband.runtime.errors import InputError, missing, one_line
 
 MOST_BYTES = 2**31
 """Limit of the size of a file's numbers in memory, in bytes. Bounds the memory."""
-_MAT_NUMBERS = (
-    "double", "single", "logical", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
-)  # fmt: skip
+_MAT_INTEGERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+_MAT_NUMBERS = ("double", "single", "logical", *_MAT_INTEGERS)
 _MAT_READ = (*_MAT_NUMBERS, "struct", "cell", "char")
 _IN_MATLAB = {
     "timetable": "; in MATLAB writetimetable({0}, '{0}.csv')",

@@ -43,6 +43,8 @@ _ERRORS_OF_CELLS = r"N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!"
 """Error values of spreadsheets after a "#", which then does not begin a comment."""
 _EXCELS_SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)
 _RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
+_TABLE: Any = {"header": None, "index_col": False, "skipinitialspace": True, "na_values": ["NAN"]}
+"""Options of pandas for rows of cells alone."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,8 @@ class Layout:
     missing: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("skip_rows", "header_row"):
-            if (value := getattr(self, name)) is not None and value < 0:
+        for name, value in (("skip_rows", self.skip_rows), ("header_row", self.header_row)):
+            if value is not None and value < 0:
                 raise InputError(f"{name} must be a number of lines, 0 or more: got {value}")
 
     def check_no_lines(self, kind: str) -> None:
@@ -108,7 +110,9 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
     elif len(body) == 1:  # a single row of numbers is read as a column
         cells = first if first[-1] else first[:-1]
         lines, body, names = [f'"{cell or "nan"}"' for cell in cells], body * len(cells), [0]
-    _check_rows(lines, written, body, sep, names, head is not None)
+    if len(names) == 1 and body:
+        _check_empty(written, body)
+    _check_rows(lines, body, sep, names, head is not None)
     frame = _with_decimal("\n".join(lines), sep, names)
     if len(frame) == len(body):
         frame.index = pd.Index(body, name="line")
@@ -116,17 +120,19 @@ def read_table(raw: bytes, suffix: str, layout: Layout) -> pd.DataFrame:
     return frame.iloc[: filled[-1] + 1 if filled.size else 0]
 
 
+def _check_empty(written: Sequence[str], body: Sequence[int]) -> None:
+    """Raise ValueError for empty lines of a single column, unless every second one is empty."""
+    empty = [i for i in range(body[0], body[-1]) if not written[i - 1].strip()]
+    if empty and 2 * len(empty) < body[-1] - body[0]:
+        raise InputError(
+            f"line {empty[0]} is empty: write nan for a missing value, or remove the line"
+        )
+
+
 def _check_rows(
-    lines: Sequence[str], written: Sequence[str], body: Sequence[int], sep: str,
-    names: Sequence[Any], named: bool,
-) -> None:  # fmt: skip
+    lines: Sequence[str], body: Sequence[int], sep: str, names: Sequence[Any], named: bool
+) -> None:
     """Raise ValueError for rows whose missing cells, or whose decimal commas, leave a choice."""
-    if len(names) == 1 and body:
-        empty = [i for i in range(body[0], body[-1]) if not written[i - 1].strip()]
-        if empty and 2 * len(empty) < body[-1] - body[0]:  # not every second one
-            raise InputError(
-                f"line {empty[0]} is empty: write nan for a missing value, or remove the line"
-            )
     if sep == " " and len(names) > 1:
         short = (i for i in body if len(lines[i - 1].split()) < len(names))
         if (line := next(short, None)) is not None and '"' not in lines[line - 1]:
@@ -516,10 +522,8 @@ def _with_decimal(text: str, sep: str, names: list[Any]) -> pd.DataFrame:
 
 def _parsed(text: str, sep: str, names: list[Any], **options: Any) -> pd.DataFrame:
     try:
-        return pd.read_csv(
-            io.StringIO(text), sep=r"\s+" if sep == " " else sep, header=None, names=names,
-            index_col=False, skipinitialspace=True, na_values=["NAN"], **options,
-        )  # fmt: skip
+        sep = r"\s+" if sep == " " else sep
+        return pd.read_csv(io.StringIO(text), sep=sep, names=names, **_TABLE, **options)
     except pd.errors.ParserError as error:
         if not (ragged := _RAGGED.search(str(error))):
             raise InputError(f"cannot be read as text: {one_line(error)}") from None

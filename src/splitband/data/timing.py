@@ -274,15 +274,16 @@ def _cut_to_units(what: str, stamps: Array, expected: float | None) -> tuple[flo
         return None
     index = np.arange(len(part))
 
+    def spread(step: float) -> float:
+        return float(np.ptp(part - step * index))
+
     def explained(step: float) -> bool:
-        return bool(np.ptp(part - step * index) < 1.001 * unit)
+        return spread(step) < 1.001 * unit
 
     step = float(f"{np.polyfit(index, part, 1)[0]:.3g}")  # a plain one, if it explains the stamps
     if not explained(step):
-        step = scipy.optimize.minimize_scalar(
-            lambda step: np.ptp(part - step * index), bounds=(unit, 2 * unit),
-            method="bounded", options={"xatol": 1e-3 * unit / len(part)},
-        ).x  # fmt: skip
+        exact = 1e-3 * unit / len(part)
+        step = scipy.optimize.minimize_scalar(spread, bounds=(unit, 2 * unit), tol=exact).x
     if not explained(step):
         return None
     if expected is not None:

@@ -39,20 +39,20 @@ def _header(program: Program, precision: Precision) -> str:
         for leaf in program.leaves
         if leaf.begun.size
     ] or ["    char nothing;"]
-    rows = program.given.get("y_sim", (0,))[0]
-    signals = [
-        f"y[{record.ny}]: {', '.join(record.columns)}",
-        f"u[{record.nu}]: {', '.join(record.inputs)}" if "u" in program.given else "",
-        f"y_sim{list(program.given['y_sim'])}: the simulator's output of this sample"
-        + ", then of the next one" * (rows > 1) if rows else "",
-    ]  # fmt: skip
+    signals = [f"y[{record.ny}]: {', '.join(record.columns)}"]
+    if "u" in program.given:
+        signals.append(f"u[{record.nu}]: {', '.join(record.inputs)}")
+    if "y_sim" in program.given:
+        shape = [*program.given["y_sim"]]
+        both = ", then of the next one" * (shape[0] > 1)
+        signals.append(f"y_sim{shape}: the simulator's output of this sample{both}")
     # Means are taken outside, and angles go on: the program is given one for each step.
     outside = Resampled, Unwrapped
     done = [type(s).__name__.lower() for s in record.prepared if not isinstance(s, outside)]
     if program.raw and done:
         said = ", ".join(dict.fromkeys(done))
         signals.append(f"as they are measured: before they are {said}")
-    listed = "\n".join(f" *   {_comment(signal)}" for signal in signals if signal)
+    listed = "\n".join(f" *   {_comment(signal)}" for signal in signals)
     given = [signal for signal in program.given if signal != "y"]
     others = "".join(f", const {precision} *{signal}" for signal in given)
     finite = f"; {' and '.join(given)} must be finite" if given else ""
@@ -107,18 +107,16 @@ def _source(program: Program, renderer: Renderer) -> str:
     name = program.name
     precision = renderer.precision
     setters = []
-    for kind in ("begun", "cleared"):
+    for begun in (True, False):
         body = Renderer(precision, {})
         body.constants = renderer.constants
         for leaf in program.leaves:
-            values = getattr(leaf, kind)
+            values = leaf.begun if begun else leaf.cleared
             if not leaf.begun.ndim:
                 body.write(f"s->{leaf.name} = {body.number(float(values))};")
             elif leaf.begun.size and (values == values.flat[0]).all():
                 value = body.number(float(values.flat[0]))
-                body.loops((values.size,), lambda i, f=leaf.name, v=value: (  # type: ignore[misc]
-                    f"s->{f}[{i[0]}] = {v};"
-                ))  # fmt: skip
+                body.fill(values.size, f"s->{leaf.name}", value)
             elif leaf.begun.size:
                 body.copy((values.size,), f"s->{leaf.name}", body.array(values))
         setters.append("\n".join(body.lines or ["    (void)s;"]))

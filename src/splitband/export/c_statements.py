@@ -5,32 +5,27 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from splitband.export.graph import Block, Node, Symbol
+from splitband.export.graph import Block, Node, Symbol, table
 from splitband.export.program import size, used_by
 
 Precision = Literal["double", "float"]
 Index = Sequence[str | int]
 Value = Callable[[Index], str]
 
-_OPERATORS = {
-    "add": "({} + {})", "sub": "({} - {})", "mul": "({} * {})", "div": "({} / {})", "neg": "(-{})",
-    "lt": "({} < {})", "gt": "({} > {})", "le": "({} <= {})", "ge": "({} >= {})",
-    "eq": "({} == {})", "and": "({} && {})", "or": "({} || {})", "not": "(!{})",
-    "where": "({} ? {} : {})", "isnan": "isnan({})",
-}  # fmt: skip
-_FUNCTIONS = {
-    "tanh": "tanh", "exp": "exp", "log": "log", "sqrt": "sqrt", "sin": "sin", "cos": "cos",
-    "abs": "fabs", "floor": "floor", "max": "fmax", "min": "fmin", "sigmoid": "sigmoid",
-    "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
-    "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "expm1": "expm1", "log1p": "log1p",
-    "atan2": "atan2", "pow": "pow", "fmod": "fmod",
-}  # fmt: skip
+_INFIX = table("add=+ sub=- mul=* div=/ lt=< gt=> le=<= ge=>= eq=== and=&& or=||")
+_OPERATORS = {op: f"({{}} {sign} {{}})" for op, sign in _INFIX.items()}
+_OPERATORS |= {"neg": "(-{})", "not": "(!{})", "where": "({} ? {} : {})", "isnan": "isnan({})"}
+_FUNCTIONS = table("""
+    abs=fabs floor fmod max=fmax min=fmin pow exp expm1 log log1p sqrt sigmoid
+    sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh
+""")
 _REDUCTIONS = {"sum": "{0} + {1}", "largest": "fmax", "smallest": "fmin"}
 _REUSED = ("matmul", "scan", "cond", "view", "reshape")
 """Operations whose inputs are stored, as they may be read more than once."""
@@ -74,8 +69,8 @@ class Renderer:
             self._concat(node)
         elif node.op == "reshape":
             name, source = self._declared(node.outputs[0]), node.inputs[0]
-            self.loops(source.shape, lambda i: f"{name}[{_flat(source.shape, i)}] = "
-                                                f"{self.element(source, i)};")  # fmt: skip
+            at, of = partial(_flat, source.shape), partial(self.element, source)
+            self.loops(source.shape, lambda i: f"{name}[{at(i)}] = {of(i)};")
         elif node.op != "view" and (out := node.outputs[0]) not in self.inlined:
             self.names[out] = self._kept(out.shape, out.flag, lambda i: self._expression(node, i))
 
@@ -134,6 +129,10 @@ class Renderer:
             self.write(f"{target} = {source};")
         else:
             self.loops((int(np.prod(shape)),), lambda i: f"{target}[{i[0]}] = {source}[{i[0]}];")
+
+    def fill(self, length: int, target: str, value: str) -> None:
+        """Write a value to all elements of an array."""
+        self.loops((length,), lambda i: f"{target}[{i[0]}] = {value};")
 
     def function(self, name: str) -> str:
         """Return the name of a function of math.h in the chosen precision."""
@@ -224,7 +223,7 @@ class Renderer:
             # Column by column, which compilers turn into vector instructions.
             rows, columns = a.shape
             weights = self.array(a.value.T)
-            self.loops((rows,), lambda i: f"{name}[{i[0]}] = 0;")
+            self.fill(rows, name, "0")
             at = f"j * {rows} + " if columns > 1 else ""
             with self.braces(f"for (int j = 0; j < {columns}; j++)"):
                 self.write(f"const real x = {self.element(b, ['j'])};")
@@ -307,9 +306,7 @@ class Renderer:
             self.block(block)
             for symbol, out in zip(block.outputs[carried:], node.outputs[carried:], strict=True):
                 if size(out):
-                    self.loops(out.shape[1:], lambda i, s=symbol, o=out: (  # type: ignore[misc]
-                        f"{_element(self.names[o], o.shape, [n, *i])} = {self.element(s, i)};"
-                    ))  # fmt: skip
+                    self._put_row(symbol, out, n)
             after = [
                 self._copied(symbol) if size(symbol) and symbol is not inner else ""
                 for symbol, inner in zip(block.outputs[:carried], block.inputs, strict=False)
@@ -321,6 +318,11 @@ class Renderer:
     def _row(self, x: Symbol, shape: tuple[int, ...], n: str) -> str:
         """Write the n-th row of an array to a variable; return its name."""
         return self._kept(shape, False, lambda i: self.element(x, [n, *i]))
+
+    def _put_row(self, symbol: Symbol, out: Symbol, n: str) -> None:
+        """Write a symbol to the n-th row of an array."""
+        at, of = partial(_element, self.names[out], out.shape), partial(self.element, symbol)
+        self.loops(out.shape[1:], lambda i: f"{at([n, *i])} = {of(i)};")
 
     def _assign(self, symbol: Symbol, target: str) -> None:
         """Write the elements of a symbol to a variable."""

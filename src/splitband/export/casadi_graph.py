@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, require_records
-from splitband.export.graph import Block, Node, Symbol, trace
+from splitband.export.graph import Block, Node, Symbol, table, trace
 from splitband.export.program import size
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import known_of
@@ -39,21 +39,19 @@ MOST_IN_SX = 5_000
 """Most multiplications by weights for which every number has a symbol of its own (SX), which is
 faster for small models; above, matrices stay whole (MX). By eye."""
 
+_OF_PYTHON = table("add sub mul div=truediv neg lt gt le ge eq")
+_OF_CASADI = table("""
+    and=logic_and or=logic_or not=logic_not where=if_else max=fmax min=fmin abs=fabs floor fmod
+    pow=power exp expm1 log log1p sqrt sin cos tan asin acos atan atan2
+    sinh cosh tanh asinh acosh atanh
+""")
 _OPERATIONS: dict[str, Callable[..., Column]] = {
-    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv,
-    "neg": operator.neg, "lt": operator.lt, "gt": operator.gt, "le": operator.le,
-    "ge": operator.ge, "eq": operator.eq, "and": casadi.logic_and, "or": casadi.logic_or,
-    "not": casadi.logic_not, "where": casadi.if_else, "max": casadi.fmax, "min": casadi.fmin,
-    "tanh": casadi.tanh, "exp": casadi.exp, "log": casadi.log, "sqrt": casadi.sqrt,
-    "sin": casadi.sin, "cos": casadi.cos, "tan": casadi.tan, "asin": casadi.asin,
-    "acos": casadi.acos, "atan": casadi.atan, "atan2": casadi.atan2, "sinh": casadi.sinh,
-    "cosh": casadi.cosh, "asinh": casadi.asinh, "acosh": casadi.acosh, "atanh": casadi.atanh,
-    "expm1": casadi.expm1, "log1p": casadi.log1p, "pow": casadi.power, "abs": casadi.fabs,
-    "floor": casadi.floor, "fmod": casadi.fmod,
+    **{op: vars(operator)[name] for op, name in _OF_PYTHON.items()},
+    **{op: vars(casadi)[name] for op, name in _OF_CASADI.items()},
     # By tanh, as the derivative of 1 / (1 + exp(-x)) is inf / inf for large -x.
     "sigmoid": lambda x: 0.5 + 0.5 * casadi.tanh(0.5 * x),
     "isnan": lambda x: casadi.DM.zeros(x.numel(), 1),  # what is computed is a number
-}  # fmt: skip
+}
 _REDUCTIONS = {"sum": operator.add, "largest": casadi.fmax, "smallest": casadi.fmin}
 
 

@@ -57,7 +57,7 @@ class Variable:
 FLAGS = (
     Variable("observe", "input", "take the measured samples in place of predicting", False),
     Variable("begin_empty", "parameter", "begin with nothing measured", False),
-)  # fmt: skip
+)
 
 ORDER = (
     "Order in a tool: set the inputs of a sample, read its outputs, make the step to the next one. "
@@ -202,16 +202,14 @@ def _description(
     program: Program, numbers: Sequence[Variable], guid: str, files: Sequence[str]
 ) -> bytes:
     record, add = program.record, ElementTree.SubElement
-    root = ElementTree.Element(
-        "fmiModelDescription", fmiVersion="2.0", modelName=program.name, guid=guid,
-        description=f"{program.forecaster.name}, exported by splitband",
-        generationTool=f"splitband {__version__}", variableNamingConvention="flat",
-        numberOfEventIndicators="0",
-    )  # fmt: skip
-    simulation = add(
-        root, "CoSimulation", modelIdentifier=program.name, canInterpolateInputs="true",
-        canHandleVariableCommunicationStepSize="false", canGetAndSetFMUstate="true",
-    )  # fmt: skip
+    facts = {"fmiVersion": "2.0", "modelName": program.name, "guid": guid}
+    facts["description"] = f"{program.forecaster.name}, exported by splitband"
+    facts["generationTool"] = f"splitband {__version__}"
+    facts |= {"variableNamingConvention": "flat", "numberOfEventIndicators": "0"}
+    root = ElementTree.Element("fmiModelDescription", facts)
+    facts = {"modelIdentifier": program.name, "canInterpolateInputs": "true"}
+    facts |= {"canHandleVariableCommunicationStepSize": "false", "canGetAndSetFMUstate": "true"}
+    simulation = add(root, "CoSimulation", facts)
     sources = add(simulation, "SourceFiles")
     for name in files:
         add(sources, "File", name=name)
@@ -230,10 +228,9 @@ def _description(
     flags = observe, replace(empty, description=said)
     for kind, listed in (("Real", numbers), ("Boolean", flags)):
         for reference, variable in enumerate(listed):
-            scalar = add(
-                variables, "ScalarVariable", name=variable.name, valueReference=str(reference),
-                causality=variable.causality, description=variable.description,
-            )  # fmt: skip
+            facts = {"name": variable.name, "valueReference": str(reference)}
+            facts |= {"causality": variable.causality, "description": variable.description}
+            scalar = add(variables, "ScalarVariable", facts)
             if variable.causality == "parameter":
                 scalar.set("variability", "fixed")
             elif kind == "Boolean":

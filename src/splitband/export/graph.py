@@ -14,20 +14,24 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from splitband.runtime.tracing import Tree, leaves, rebuilt
+from splitband.runtime.tracing import Body, Traced, Tree, leaves, rebuilt
 
 Array = npt.NDArray[Any]
-ELEMENTWISE = {
-    "add": "add", "subtract": "sub", "multiply": "mul", "divide": "div", "negative": "neg",
-    "tanh": "tanh", "exp": "exp", "log": "log", "sqrt": "sqrt", "sin": "sin", "cos": "cos",
-    "absolute": "abs", "floor": "floor", "expit": "sigmoid", "maximum": "max", "minimum": "min",
-    "isnan": "isnan", "less": "lt", "greater": "gt", "less_equal": "le", "greater_equal": "ge",
-    "equal": "eq", "logical_and": "and", "bitwise_and": "and", "logical_or": "or",
-    "bitwise_or": "or", "logical_not": "not", "invert": "not", "fabs": "abs", "fmax": "max",
-    "fmin": "min", "tan": "tan", "arcsin": "asin", "arccos": "acos", "arctan": "atan",
-    "sinh": "sinh", "cosh": "cosh", "arcsinh": "asinh", "arccosh": "acosh", "arctanh": "atanh",
-    "expm1": "expm1", "log1p": "log1p", "arctan2": "atan2", "fmod": "fmod",
-}  # fmt: skip
+
+
+def table(text: str) -> dict[str, str]:
+    """Return a table of names, written as `name=other`, or as `name` where both are equal."""
+    return {name: other or name for name, _, other in (w.partition("=") for w in text.split())}
+
+
+ELEMENTWISE = table("""
+    add subtract=sub multiply=mul divide=div negative=neg absolute=abs fabs=abs floor fmod
+    maximum=max fmax=max minimum=min fmin=min exp expm1 log log1p sqrt expit=sigmoid
+    sin cos tan arcsin=asin arccos=acos arctan=atan arctan2=atan2
+    sinh cosh tanh arcsinh=asinh arccosh=acosh arctanh=atanh
+    isnan less=lt greater=gt less_equal=le greater_equal=ge equal=eq
+    logical_and=and bitwise_and=and logical_or=or bitwise_or=or logical_not=not invert=not
+""")
 """NumPy's elementwise functions, and their names in graphs."""
 FLAGS = {"isnan", "lt", "gt", "le", "ge", "eq", "and", "or", "not"}
 """The elementwise operations with Boolean results."""
@@ -63,7 +67,7 @@ class Trace:
 
     def input(self, like: Any) -> Symbol:
         """Return a new input of the innermost block, of the shape of `like`."""
-        symbol = Symbol(self, _shape(like), getattr(like, "flag", False))
+        symbol = Symbol(self, _shape(like), isinstance(like, Symbol) and like.flag)
         self.blocks[-1].inputs.append(symbol)
         return symbol
 
@@ -130,7 +134,7 @@ class Trace:
         return list(node.outputs)
 
 
-class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
+class Symbol(np.lib.mixins.NDArrayOperatorsMixin, Traced):
     """Stand for an array whose values are not known.
 
     Attributes
@@ -289,9 +293,7 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
             raise TypeError("both branches must have the same shapes")
         return rebuilt(tree, self.trace.control("cond", [self], (one, other), like))
 
-    def loop(
-        self, body: Callable[[Tree, Tree], tuple[Tree, Tree]], carry: Tree, xs: Sequence[Any]
-    ) -> tuple[Tree, Tree]:
+    def loop(self, body: Body, carry: Tree, xs: Sequence[Any]) -> tuple[Tree, Tree]:
         """Record a loop over the rows of arrays; see `scan`."""
         trace = self.trace
         starts = [trace.symbol(leaf) for leaf in leaves(carry)]
@@ -410,8 +412,8 @@ def _stack(trace: Trace, arrays: Sequence[Any], axis: int = 0) -> Symbol:
 def _broadcast_to(trace: Trace, x: Any, shape: tuple[int, ...]) -> Symbol:
     symbol = trace.symbol(x)
     new = len(shape) - symbol.ndim
-    axes = tuple((0, 0, None) if size == 1 else (0, 1, new + i)
-                 for i, size in enumerate(symbol.shape))  # fmt: skip
+    sizes = enumerate(symbol.shape, new)
+    axes = tuple((0, 0, None) if size == 1 else (0, 1, i) for i, size in sizes)
     return trace.add("view", [symbol], tuple(shape), symbol.flag, axes=axes)
 
 

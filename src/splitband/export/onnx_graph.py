@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.export.c_statements import Precision
-from splitband.export.graph import Block, Node, Symbol
+from splitband.export.graph import Block, Node, Symbol, table
 from splitband.export.program import Program, size
 from splitband.runtime.errors import InputError, missing
 
@@ -21,14 +21,12 @@ except ImportError:
 
 OPSET, IR_VERSION = 18, 9
 """Versions of operators and file format, which onnxruntime reads from its version 1.16 on."""
-_OPERATORS = {
-    "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "neg": "Neg", "tanh": "Tanh",
-    "exp": "Exp", "log": "Log", "sqrt": "Sqrt", "sin": "Sin", "cos": "Cos", "abs": "Abs",
-    "floor": "Floor", "sigmoid": "Sigmoid", "max": "Max", "min": "Min", "isnan": "IsNaN",
-    "lt": "Less", "gt": "Greater", "le": "LessOrEqual", "ge": "GreaterOrEqual", "eq": "Equal",
-    "and": "And", "or": "Or", "not": "Not", "where": "Where", "matmul": "MatMul",
-    "pow": "Pow",
-}  # fmt: skip
+_OPERATORS = table("""
+    add=Add sub=Sub mul=Mul div=Div neg=Neg abs=Abs floor=Floor max=Max min=Min pow=Pow
+    exp=Exp log=Log sqrt=Sqrt sin=Sin cos=Cos tanh=Tanh sigmoid=Sigmoid matmul=MatMul
+    lt=Less gt=Greater le=LessOrEqual ge=GreaterOrEqual eq=Equal isnan=IsNaN
+    and=And or=Or not=Not where=Where
+""")
 _REDUCTIONS = {"sum": "ReduceSum", "largest": "ReduceMax", "smallest": "ReduceMin"}
 
 
@@ -61,9 +59,8 @@ class _Writer:
             value = value.astype(self.type)
         key = value.tobytes(), value.shape, str(value.dtype)
         if key not in self.constants:
-            tensor = numpy_helper.from_array(np.ascontiguousarray(value).reshape(value.shape),
-                                             f"w{len(self.constants)}")  # fmt: skip
-            self.constants[key] = tensor
+            whole = np.ascontiguousarray(value).reshape(value.shape)
+            self.constants[key] = numpy_helper.from_array(whole, f"w{len(self.constants)}")
         return str(self.constants[key].name)
 
     def whole(self, *numbers: int) -> str:
@@ -260,8 +257,8 @@ def _step(program: Program, writer: _Writer) -> Any:
 
 def _model(graph: Any, program: Program) -> bytes:
     opset = [helper.make_opsetid("", OPSET)]
-    model = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION,
-                              producer_name="splitband")  # fmt: skip
+    model = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION)
+    model.producer_name = "splitband"
     record = program.record
     facts = {
         "model": program.forecaster.name,

@@ -14,6 +14,7 @@ from splitband.data import Record
 from splitband.data.preparation import seconds
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.simulation import simulations
 from splitband.forecasters.stepping import State, program_of
 from splitband.runtime.arrays import Array
@@ -87,7 +88,7 @@ class Program:
 
 def holds_equation(forecaster: Forecaster) -> bool:
     """Return whether a program of the forecaster holds an equation, which it integrates."""
-    return any(getattr(part, "_writable", False) for part in simulations(forecaster))
+    return any(isinstance(part, GreyBox) and part.writable for part in simulations(forecaster))
 
 
 def program(

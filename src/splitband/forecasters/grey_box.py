@@ -204,7 +204,7 @@ class GreyBox(Forecaster):
 
     def _part(self, outside: bool = False) -> Part:
         """Return the simulator, integrated from the first state of the training record on."""
-        if outside and self._writable:
+        if outside and self.writable:
             return self._written()
         if outside:
             ny = self.require_fitted().record.ny
@@ -250,7 +250,7 @@ class GreyBox(Forecaster):
         return Part(row, initial)
 
     @property
-    def _writable(self) -> bool:
+    def writable(self) -> bool:
         """Return whether a program can hold its simulator: an equation that can be integrated."""
         return isinstance(self.simulator, Ode) and self.simulator.advances
 
@@ -323,7 +323,7 @@ class GreyBox(Forecaster):
         record = self.require_fitted().record
         if isinstance(self.simulator, Absent):
             self.simulator.simulate(None)  # raises the error that asks for it
-        if not self._writable:
+        if not self.writable:
             method = getattr(self.simulator, "method", None)
             why = f"with the method {method} " if method else ""
             raise NotSteppedError(

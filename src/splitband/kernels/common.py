@@ -7,6 +7,7 @@ import logging
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -65,7 +66,8 @@ def kernel(function: F) -> F:
             compiled._cache._impl.locator.ensure_cache_path()
             lock.acquire()
         try:
-            return compile_or_load(signature)
+            with event.install_listener("numba:compile", _Announcement()):
+                return compile_or_load(signature)
         finally:
             lock.release()
 
@@ -74,24 +76,20 @@ def kernel(function: F) -> F:
 
 
 class _Announcement(event.Listener):
-    """Say once in a process that kernels are compiled; where they are on disk, say nothing."""
-
-    said = False
+    """Announce that kernels are compiled; where they are on disk, there is no such event."""
 
     def on_start(self, event: Any) -> None:
-        module = event.data["dispatcher"].py_func.__module__
-        # What is compiled for a user's own equation is not kept, and not announced.
-        ours = module.startswith("splitband.") and not module.endswith(".ode")
-        if ours and not self.said:
-            _Announcement.said = True
-            # A warning, as Python prints these even where no logging has been set up.
-            _LOG.warning("splitband: compiling kernels, once after installation (some seconds)")
+        announce()
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-event.register("numba:compile", _Announcement())  # type: ignore[no-untyped-call]
+@cache
+def announce() -> None:
+    """Say once in a process that kernels are compiled."""
+    # A warning, as Python prints these even where no logging has been set up.
+    _LOG.warning("splitband: compiling kernels, once after installation (some seconds)")
 
 
 def tanh(x: float) -> float:

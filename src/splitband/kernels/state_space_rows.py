@@ -124,20 +124,19 @@ def backward(  # noqa: PLR0915
             _through(ds[a:b], dg[a:b], dseen[a:b], gs[first:end], units_of_y, s_of_units, s_of_y)
         for t in range(end - 1, begin - 1, -1):
             i = t - begin
-            copy(dx[i : i + 1], now)
+            e = i + 1
+            copy(dx[i:e], now)
             if t < last:
-                matmul(df[i : i + 1], now, units_of_x, False)
+                matmul(df[i:e], now, units_of_x, False)
                 tanh_back(fs[t], df[i])
-                matmul(dz, df[i : i + 1, :hidden], z_of_units, False)
+                matmul(dz, df[i:e, :hidden], z_of_units, False)
                 matmul(dz, now, z_of_x, True)
             if t < warmup:
-                matmul(dseen[i : i + 1], now, e_of_x, False)
-                copy(dy_warmup[:, t], dseen[i : i + 1, :ny])
+                matmul(dseen[i:e], now, e_of_x, False)
+                copy(dy_warmup[:, t], dseen[i:e, :ny])
                 dseen[i] *= -1
-                _through(
-                    ds[i : i + 1], dg[i : i + 1], dseen[i : i + 1], gs[t : t + 1],
-                    units_of_y, s_of_units, s_of_y,
-                )  # fmt: skip
+                g = gs[t : t + 1]
+                _through(ds[i:e], dg[i:e], dseen[i:e], g, units_of_y, s_of_units, s_of_y)
             for j in range(size):
                 now[0, j] = dz[0, j] + ds[i, nu + j]
             if wanted:

@@ -145,11 +145,13 @@ class Model(nn.Module, ABC):
         inputs = [record.u for record in records if record.u is not None]
         if not normalize or self.units_kept:
             return
-        for name, signals in (("y", [record.y_with_gaps for record in records]), ("u", inputs)):
+        outputs = [record.y_with_gaps for record in records]
+        of_y, of_u = (self.y_mean, self.y_std, outputs), (self.u_mean, self.u_std, inputs)
+        for mean, std, signals in (of_y, of_u):
             if signals:
                 values = np.concatenate(signals)
-                getattr(self, f"{name}_mean").copy_(torch.from_numpy(np.nanmean(values, axis=0)))
-                getattr(self, f"{name}_std").copy_(torch.from_numpy(spread(values)))
+                mean.copy_(torch.from_numpy(np.nanmean(values, axis=0)))
+                std.copy_(torch.from_numpy(spread(values)))
 
     def normalised(self, record: Record) -> Signals:
         """Return the normalised signals of a record, each `(time, n)`."""
@@ -160,18 +162,18 @@ class Model(nn.Module, ABC):
         return with_next_input(u) if self.feedthrough and u is not None else u
 
     def _signals(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
+        of_y, of_u = (self.y_mean, self.y_std), (self.u_mean, self.u_std)
         return Signals(
-            self._to_network(y, "y"),
-            None if u is None else self._to_network(u, "u"),
-            None if y_sim is None else self._to_network(y_sim, "y"),
+            self._to_network(y, *of_y),
+            None if u is None else self._to_network(u, *of_u),
+            None if y_sim is None else self._to_network(y_sim, *of_y),
         )
 
     def _batch_of_one(self, y: Array, u: Array | None, y_sim: Array | None) -> Signals:
         return self._signals(y, u, y_sim).map(lambda signal: signal[None])
 
-    def _to_network(self, x: Array, kind: str) -> Tensor:
+    def _to_network(self, x: Array, mean: Tensor, std: Tensor) -> Tensor:
         # Subtract in float64: with a large offset, float32 has too few digits for the signal.
-        mean, std = getattr(self, f"{kind}_mean"), getattr(self, f"{kind}_std")
         values = torch.from_numpy(np.array(x, dtype=np.float64)).to(mean)
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 

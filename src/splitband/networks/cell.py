@@ -3,12 +3,13 @@
 Any `nn.Module` with the methods of `Cell` and `Template` works wherever a `GRU` does. State is
 passed and returned, never kept on the module. The cells of this package have further, optional
 members: `label` and `words` (names in tables and sentences), `variants` and `size_in_words`
-(sizes that a search may try), `stable`, `in_numpy` (streams and exports), `fusable` and
-`fused_rollout` (a compiled kernel).
+(sizes that a search may try), `stable`, `penalised`, `in_numpy` (streams and exports), `fusable`
+and `fused_rollout` (a compiled kernel).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from splitband.runtime.arguments import LARGEST_SIZE, whole
@@ -51,6 +52,14 @@ class Template(Protocol):
         """
 
 
+@runtime_checkable
+class Penalised(Protocol):
+    """Describe a network of which some weights only are penalised."""
+
+    def penalised(self) -> Sequence[Tensor]:
+        """Return the weights to which the penalty applies."""
+
+
 def as_template(cell: Any) -> Template:
     """Return the cell as a template; raises TypeError if no cells can be made from it."""
     if isinstance(cell, type):
@@ -79,12 +88,16 @@ def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
     """Return whether each module has exactly the given type, biases, and no hooks."""
     return all(
         type(module) is kind
-        and getattr(module, "bias", True) is not None
-        and getattr(module, "bias", True) is not False
+        and _biased([name for name, _ in module.named_parameters(recurse=False)])
         and not module._forward_hooks
         and not module._forward_pre_hooks
         for module, kind in modules
     )
+
+
+def _biased(names: Sequence[str]) -> bool:
+    """Return whether a bias is among the parameters of a layer, if it has any."""
+    return not names or any(name.startswith("bias") for name in names)
 
 
 def check_sizes(nu: int, **sizes: int) -> tuple[int, ...]:

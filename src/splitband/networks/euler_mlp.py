@@ -42,10 +42,9 @@ class EulerMLP(WithRepr, nn.Module):
         nu: int = 0,
     ) -> None:
         super().__init__()
-        nu, ny, warmup, state_size, hidden_size, recognition_size = check_sizes(
-            nu, ny=ny, warmup=warmup, state_size=state_size, hidden_size=hidden_size,
-            recognition_size=recognition_size,
-        )  # fmt: skip
+        sizes = {"ny": ny, "warmup": warmup, "state_size": state_size, "hidden_size": hidden_size}
+        sizes["recognition_size"] = recognition_size
+        nu, ny, warmup, state_size, hidden_size, recognition_size = check_sizes(nu, **sizes)
         if state_size < ny:
             raise InputError(f"state_size must be at least ny = {ny}, got {state_size}")
         self.ny, self.nu, self.warmup = ny, nu, warmup

@@ -101,9 +101,8 @@ class StateSpace(WithRepr, nn.Module):
 
     def variants(self) -> list[StateSpace]:
         """Return templates of this size, and with fewer and with more states and units."""
-        n, hidden = self.states, self.hidden
-        sizes = ((n, hidden), (n + 2, hidden + hidden // 2), (max(1, n // 2), hidden),
-                 (n, 2 * hidden))  # fmt: skip
+        n, units = self.states, self.hidden
+        sizes = (n, units), (n + 2, units + units // 2), (max(1, n // 2), units), (n, 2 * units)
         return [StateSpace(*size, self.ny, self.nu, self.layers) for size in sizes]
 
     def set_linear(

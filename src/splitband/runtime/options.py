@@ -13,6 +13,10 @@ from pathlib import PurePath
 from types import FunctionType
 from typing import Any, TypeVar
 
+import numpy as np
+
+import splitband
+
 UNKNOWN = "..."
 """Stands for a value without a short expression, such as an array."""
 
@@ -51,12 +55,13 @@ def options(value: object) -> dict[str, Any]:
                 f"the constructor of {kind.__name__} must name its arguments, got *{name}"
             )
         attribute = f"_{name}" if isinstance(getattr(kind, name, None), property) else name
-        if not hasattr(value, attribute):
+        try:
+            found[name] = getattr(value, attribute)
+        except AttributeError:
             raise TypeError(
                 f"{kind.__name__} must keep its constructor's argument {name} in the attribute "
                 f"{attribute}, it has none"
-            )
-        found[name] = getattr(value, attribute)
+            ) from None
     return found
 
 
@@ -89,13 +94,13 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
     if isinstance(value, PurePath):
         return repr(str(value))
     if value is None or isinstance(value, bool | int | float | str):
-        return repr(getattr(value, "item", lambda: value)())
+        return repr(value.item() if isinstance(value, np.generic) else value)
     return UNKNOWN
 
 
 def _call(value: object) -> str:
     kind: Any = type(value)
-    package = "sb." if kind.__module__.startswith("splitband.") else ""
+    package = "sb." if getattr(splitband, kind.__name__, None) is kind else ""
     try:
         given = options(value)
     except TypeError:

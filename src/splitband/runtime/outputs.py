@@ -25,10 +25,9 @@ FACTS = "results.json"
 FORMAT = 2
 """Version of this file; results of 0.2 have none."""
 TEST_PREDICTIONS = "predictions-test-{}.csv"
-RESULT_FILES = (
-    FACTS, "predictions.csv", "rollouts.png", "report.html", "recommended.json", "forecast.csv",
-    "forecast.png", "spectrum.png", "table.csv",
-)  # fmt: skip
+_TABLES = "predictions.csv", "forecast.csv", "table.csv"
+_PICTURES = "rollouts.png", "forecast.png", "spectrum.png"
+RESULT_FILES = (FACTS, *_TABLES, *_PICTURES, "report.html", "recommended.json")
 """Files of results. With an earlier result, only these, predictions of test records and weights of
 its model are removed."""
 DESCRIPTION, WEIGHTS = "forecaster.json", "weights-{}.safetensors"

@@ -6,6 +6,7 @@ where it is an array, they simply run.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,6 +14,20 @@ import numpy as np
 
 Tree = Any
 """Nested dicts, tuples and lists of arrays."""
+Body = Callable[[Tree, Tree], tuple[Tree, Tree]]
+"""What a loop does to its carry with a row of each array; it returns the carry and an output."""
+
+
+class Traced(ABC):
+    """Stand for an array in a function that is traced."""
+
+    @abstractmethod
+    def branch(self, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
+        """Record a branch, whose condition this flag is."""
+
+    @abstractmethod
+    def loop(self, body: Body, carry: Tree, xs: Sequence[Any]) -> tuple[Tree, Tree]:
+        """Record a loop, see `scan`."""
 
 
 def leaves(tree: Tree) -> list[Any]:
@@ -52,22 +67,19 @@ def rebuilt(tree: Tree, new: Sequence[Any]) -> Tree:
 
 def cond(flag: Any, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
     """Return `yes()` if the flag is true, else `no()`; both need the same shapes."""
-    if hasattr(flag, "branch"):
+    if isinstance(flag, Traced):
         return flag.branch(yes, no)
     return yes() if flag else no()
 
 
-def scan(
-    body: Callable[[Tree, Tree], tuple[Tree, Tree]], carry: Tree, xs: Sequence[Any]
-) -> tuple[Tree, Tree]:
+def scan(body: Body, carry: Tree, xs: Sequence[Any]) -> tuple[Tree, Tree]:
     """Call `carry, out = body(carry, x)` for the rows x of each array of `xs` in turn.
 
     Returns the last carry, and the outputs stacked; `out` may be None.
     """
-    traced = next((leaf for leaf in leaves((carry, list(xs))) if hasattr(leaf, "loop")), None)
-    if traced is not None:
-        found: tuple[Tree, Tree] = traced.loop(body, carry, list(xs))
-        return found
+    for leaf in leaves((carry, list(xs))):
+        if isinstance(leaf, Traced):
+            return leaf.loop(body, carry, list(xs))
     outs = []
     for rows in zip(*xs, strict=True):
         carry, out = body(carry, rows)

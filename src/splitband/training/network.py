@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from splitband.models import Task
+from splitband.networks.cell import Penalised
 from splitband.runtime.deadlines import Deadline
 from splitband.runtime.threads import one_torch_thread
 from splitband.training import quasi_newton
@@ -216,7 +217,7 @@ class NetworkTraining:
         if not self.settings.penalty:
             return 0.0
         network = self.task.network
-        weights = getattr(network, "penalised", network.parameters)()
+        weights = network.penalised() if isinstance(network, Penalised) else network.parameters()
         return self.settings.penalty * sum(weight.square().sum() for weight in weights)
 
 

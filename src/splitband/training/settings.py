@@ -77,10 +77,10 @@ class Settings(WithRepr):
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        given = [n for n in ("most_batches", "quasi_newton") if getattr(self, n) is not None]
+        own = vars(self)
+        given = [name for name in ("most_batches", "quasi_newton") if own[name] is not None]
         for name in ("window", "warmup", "epochs", "batch_size", "most_samples", *given):
-            least = 0 if name == "epochs" else 1
-            object.__setattr__(self, name, whole(name, getattr(self, name), least))
+            own[name] = whole(name, own[name], 0 if name == "epochs" else 1)
         if not self.epochs and not self.quasi_newton:
             raise InputError("epochs must be positive without quasi_newton, got 0")
         if self.window <= self.warmup:
