@@ -118,21 +118,6 @@ def test_an_fmu_that_is_absent_or_damaged_is_named_and_leaves_nothing_unpacked(
     assert not unpacked(tmp_path)
 
 
-def test_an_fmu_is_cached_by_its_content_and_start_values(
-    van_der_pol_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy = tmp_path / "copy.fmu"
-    copy.write_bytes(van_der_pol_fmu.read_bytes())
-    cache = tmp_path / "cache"
-    with Fmu(van_der_pol_fmu, ["x"]) as fmu:
-        first = run(fmu, 20, DT, cache=cache)
-    with Fmu(copy, ["x"]) as fmu:
-        monkeypatch.setattr(fmu, "simulate", lambda _: pytest.fail("simulated again"))
-        np.testing.assert_array_equal(run(fmu, 20, DT, cache=cache), first)
-    with Fmu(copy, ["x"], {"mu": 3.0}) as fmu:
-        assert np.abs(run(fmu, 20, DT, cache=cache) - first).max() > 0.01
-
-
 def test_an_fmu_that_stops_early_is_refused(van_der_pol_fmu: Path) -> None:
     with (
         Fmu(van_der_pol_fmu, ["x"], {"stop_at": 2.0}) as fmu,

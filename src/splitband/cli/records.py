@@ -272,7 +272,7 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
     if options.parameters is None and (name is None or name in BASES):
         return name
     how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
-    how |= {"columns": names(options.simulator_columns or ""), "reads": how["reads"] or ()}
+    how["columns"] = names(options.simulator_columns or "")
     if inputs is not None:
         how["inputs"] = names(inputs, blank=True) if inputs.strip() else []
     return open_simulator(how.pop("simulator") or "", record, time_column=time_column, **how)
