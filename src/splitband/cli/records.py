@@ -278,6 +278,13 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
     return open_simulator(how.pop("simulator") or "", record, time_column=time_column, **how)
 
 
+def runnable(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
+    """Return the simulator that the options name, which must have nothing to fit."""
+    found = simulator_of(options, record, time_column)
+    _check_run_as_it_is("--simulator", options.simulator, found)
+    return found
+
+
 def _check_run_as_it_is(option: str, given: str | None, simulator: Any) -> None:
     """Raise InputError for a baseline, and for parameters that would have to be fitted."""
     if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):

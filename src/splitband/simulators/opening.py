@@ -238,3 +238,25 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
     said = Absent.of(simulator)
     beyond = rest if len(rest) else None
     return replace(record, y_sim=y_sim[: len(record)], beyond=beyond, simulator=said)
+
+
+def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
+    """Run a simulator beside a record; return its output, with the same channels and time stamps.
+
+    It goes on for `steps` samples after the record, and further, for a calibration of its delay and
+    clock, if it can. As a file, it stands for the simulator from then on.
+
+    Raises
+    ------
+    ValueError
+        As `simulators.run`, and for `steps` of a simulator that the record's inputs drive.
+    """
+    if steps and is_driven(matched(simulator, record.columns, record.inputs)):
+        raise InputError(
+            "steps (--steps) must be left out for a simulator that the record's inputs drive, as "
+            f"they end with it; got {steps}"
+        )
+    whole = simulated(record, simulator, steps, longer=True)
+    assert whole.y_sim is not None
+    y = whole.y_sim if whole.beyond is None else np.concatenate([whole.y_sim, whole.beyond])
+    return Record(y, record.sampling_time, start=record.start, columns=record.columns)
