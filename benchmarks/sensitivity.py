@@ -34,7 +34,6 @@ from benchmarks.recommendation import BASELINES, RecordJob, _comparison
 from docs.constants import SOURCE, constants
 from splitband.filters.cutoff import choose
 from splitband.metrics import rmse
-from splitband.runtime.caching import KEPT
 
 FILE = Path(__file__).parents[1] / "docs/results/benchmarks/constants.jsonl"
 FACTORS = 0.5, 2.0
@@ -193,7 +192,6 @@ class Moved:
             for name, module in [*sys.modules.items()]
             if name.startswith("splitband") and vars(module).get(self.name) is before
         ]
-        KEPT.clear()
         try:
             for module in with_it:
                 setattr(module, self.name, moved(before, self.factor))
@@ -201,7 +199,6 @@ class Moved:
         finally:
             for module in with_it:
                 setattr(module, self.name, before)
-            KEPT.clear()
 
 
 def moved(value: Any, factor: float) -> Any:

@@ -23,20 +23,6 @@ def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
     assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(0.1)
 
 
-def test_a_slow_function_is_kept_by_its_content(tmp_path: Path) -> None:
-    code = (
-        "def simulate(time):\n    with open('calls', 'a') as file:\n        file.write('x')\n"
-        "    return {} * time\n"
-    )
-    line = f"spectrum record.csv --columns a --simulator f.py:simulate --simulator-cache {tmp_path}"
-    for slope in (1, 1, 2):
-        Path("f.py").write_text(code.format(slope))
-        call(line, tmp_path / "out")
-    assert Path("calls").read_text() == "xx"
-    Path("calls").unlink()
-    Path("f.py").unlink()
-
-
 @pytest.mark.parametrize("simulator", ["simulated.csv", "periodic"])
 def test_python_takes_what_the_command_line_names(simulator: str) -> None:
     reading, methods = RecordOptions(columns="a", inputs=""), ["filtered-gru", "mean"]

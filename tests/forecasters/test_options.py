@@ -94,7 +94,7 @@ def test_its_repr_and_its_clone_make_the_same_forecaster(name: str) -> None:
     [
         (sb.GRU(32, 2, 1), "sb.GRU(32, ny=2, nu=1)"),
         (sb.Bands(0.5, 2, 3).chosen(record().y, 10.0, 20), repr(sb.Bands(0.5, 2, 3))),
-        (sb.Function(rig, key="1"), "sb.Function(rig, key='1')"),
+        (sb.Function(rig, start=1), "sb.Function(rig, start=1)"),
         (sb.Function(lambda t: t), "sb.Function(...)"),
         (sb.Ode(rig, [0.0, 1.0], method="BDF"), "sb.Ode(rig, [0.0, 1.0], method='BDF')"),
         (sb.Recorded(np.zeros(3), 0.1), "sb.Recorded(..., 0.1)"),

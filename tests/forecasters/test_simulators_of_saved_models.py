@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,7 @@ def test_an_fmu_is_opened_only_where_it_is_given(
 
 
 def test_saving_what_was_loaded_keeps_what_is_known_of_the_simulator(tmp_path: Path) -> None:
-    model = sb.Simulation(sb.Function(sine, key="sine")).fit(RECORD)
+    model = sb.Simulation(sb.Function(sine)).fit(RECORD)
     model.save(tmp_path / "one")
     sb.load(tmp_path / "one").save(tmp_path / "two")
     one, two = ((tmp_path / name / "forecaster.json").read_text() for name in ("one", "two"))
@@ -82,10 +83,23 @@ def test_saving_what_was_loaded_keeps_what_is_known_of_the_simulator(tmp_path: P
     np.testing.assert_array_equal(found.y, model.predict(STEPS).y)
 
 
-def test_another_simulator_than_the_one_of_the_model_is_said_to_be(tmp_path: Path) -> None:
-    sb.Simulation(sb.Function(sine, key="one")).fit(RECORD).save(tmp_path)
-    with pytest.warns(UserWarning, match="another one than of the kind Function.* is two, not one"):
-        sb.load(tmp_path, simulator=sb.Function(sine, key="two"))
+@pytest.mark.parametrize("how", [{"parameters": {"mu": 3.0}}, {"outputs": ["v"]}, {}])
+def test_another_fmu_than_the_one_of_the_model_is_said_to_be(
+    how: dict[str, Any], van_der_pol_fmu: Path, tmp_path: Path
+) -> None:
+    """With another value of a parameter, another variable, or another content."""
+    file = tmp_path / "rig.fmu"
+    shutil.copy(van_der_pol_fmu, file)
+    with sb.Fmu(file, ["x"]) as fmu:
+        sb.Simulation(fmu).fit(RECORD).save(tmp_path / "model")
+    if not how:
+        with zipfile.ZipFile(file, "a") as archive:
+            archive.writestr("documentation/notes.txt", "changed")
+    with (
+        sb.Fmu(file, **{"outputs": ["x"], **how}) as fmu,
+        pytest.warns(UserWarning, match=r"another one than rig\.fmu, .* fingerprint is"),
+    ):
+        sb.load(tmp_path / "model", simulator=fmu)
 
 
 @pytest.mark.parametrize(("saved", "given"), [(3.0, None), (None, 3.0), ("record", 0)])

@@ -1,5 +1,6 @@
 """Ordinary differential equations: the compiled solver, the plain one, and SciPy's."""
 
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy.typing as npt
 import pytest
 import scipy
 
-from splitband.kernels.ode import Solver
+from splitband.kernels.ode import Solver, solver
 from splitband.simulators.parameters import parameters_class
 
 Array = npt.NDArray[np.float64]
@@ -68,6 +69,33 @@ def test_what_cannot_be_compiled_or_would_be_wrong_stays_as_it_is(
         again, *_ = solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT)
     for each in (found, again):
         np.testing.assert_allclose(each[:, 0], np.exp(-TIME), atol=1e-8)
+
+
+def test_compiled_code_follows_the_values_that_it_refers_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the notebook, in a module, and in a table, which changes in place."""
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10)
+    rig, table = ModuleType("rig"), np.array([1.0])
+    cell: dict[str, Any] = {"__name__": "cell", "rig": rig, "G": 1.0, "table": table}
+    rig.H = 1.0  # type: ignore[attr-defined]
+    exec("def rhs(t, x): return [-G * rig.H * table[0] * x[0]]", cell)
+    solve = solver(cell["rhs"], 2)
+
+    def rates() -> list[float]:
+        ran = [
+            solve((), np.array([1.0]), TIME, (ALONE, False), (NONE, 0.0), TIGHT) for _ in range(2)
+        ]
+        assert "CPUDispatcher" in repr(solve.solve)
+        return [-np.log(x[-1, 0]) / TIME[-1] for x, *_ in ran]
+
+    assert rates() == pytest.approx([1.0, 1.0])
+    cell["G"] = 0.5
+    assert rates() == pytest.approx([0.5, 0.5])
+    table[0] = 3.0
+    assert rates() == pytest.approx([1.5, 1.5])
+    rig.H = 0.1  # type: ignore[attr-defined]
+    assert rates() == pytest.approx([0.15, 0.15])
 
 
 def test_a_hard_saturation_of_a_number_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

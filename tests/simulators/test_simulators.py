@@ -1,7 +1,6 @@
 """Simulators against closed forms and solvers; what `run` checks, gives up on and keeps."""
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,20 +27,6 @@ def oscillator(mu: float, start: tuple[float, float], grid: Array = GRID) -> Arr
         (0, grid[-1]), start, "DOP853", t_eval=grid, rtol=1e-12, atol=1e-13,
     )  # fmt: skip
     return np.asarray(solution.y.T)
-
-
-class Counted:
-    """A simulator that counts its calls, and answers in multiples of `gain`."""
-
-    def __init__(self, gain: float = 1.0) -> None:
-        self.gain, self.calls = gain, 0
-
-    def simulate(self, grid: Array) -> Array:
-        self.calls += 1
-        return self.gain * np.cos(grid)
-
-    def fingerprint(self) -> str:
-        return f"gain {self.gain}"
 
 
 # ---------------------------------------------------------------- Recorded and Function
@@ -176,71 +161,6 @@ def test_what_a_simulator_raises_is_passed_on_with_the_call() -> None:
     assert isinstance(caught.value.__cause__, KeyError)
 
 
-# ---------------------------------------------------------------- the cache
-
-
-def test_a_cached_trajectory_is_not_simulated_again(tmp_path: Path) -> None:
-    simulator = Counted(2.0)
-    first, second = (run(simulator, 50, DT, cache=tmp_path / "new") for _ in range(2))
-    assert simulator.calls == 1
-    np.testing.assert_array_equal(first, second)
-    np.testing.assert_array_equal(first[:, 0], 2 * np.cos(GRID[:50]))
-    assert run(Counted(2.0), 50, DT, cache=tmp_path / "new").shape == (50, 1)
-
-
-@pytest.mark.parametrize("kept", [0, 100, -8])
-def test_a_damaged_file_of_the_cache_is_written_again(tmp_path: Path, kept: int) -> None:
-    whole = run(Counted(2.0), 50, DT, cache=tmp_path)
-    (stored,) = tmp_path.iterdir()
-    content = stored.read_bytes()
-    stored.write_bytes(content[:kept])
-    np.testing.assert_array_equal(run(Counted(2.0), 50, DT, cache=tmp_path), whole)
-    assert len(stored.read_bytes()) == len(content)
-
-
-def test_a_cache_that_is_a_file_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(ValueError, match="cache must be a folder that can be written, got"):
-        run(Counted(2.0), 50, DT, cache=tmp_path / "file")
-
-
-@pytest.mark.parametrize("change", ["fingerprint", "samples", "sampling time"])
-def test_whatever_the_trajectory_depends_on_makes_another_cache_entry(
-    tmp_path: Path, change: str
-) -> None:
-    run(Counted(1.0), 50, DT, cache=tmp_path)
-    other = Counted(3.0 if change == "fingerprint" else 1.0)
-    samples = 51 if change == "samples" else 50
-    step = 2 * DT if change == "sampling time" else DT
-    found = run(other, samples, step, cache=tmp_path)
-    assert other.calls == 1
-    np.testing.assert_array_equal(found[:, 0], other.gain * np.cos(step * np.arange(samples)))
-
-
-def test_a_refused_trajectory_is_not_cached(tmp_path: Path) -> None:
-    simulator = Counted(np.nan)
-    with pytest.raises(ValueError, match="finite"):
-        run(simulator, 50, DT, cache=tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_crash_while_writing_leaves_nothing_in_the_cache(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def crash(path: Path, **_: Array) -> None:
-        path.write_bytes(b"PK half of it")
-        raise OSError("disk full")
-
-    simulator = Counted()
-    with monkeypatch.context() as patched:
-        patched.setattr(np, "savez", crash)
-        with pytest.raises(OSError, match="disk full"):
-            run(simulator, 50, DT, cache=tmp_path)
-    assert not list(tmp_path.iterdir())
-    np.testing.assert_array_equal(run(simulator, 50, DT, cache=tmp_path)[:, 0], np.cos(GRID[:50]))
-    assert simulator.calls == 2
-
-
 # ---------------------------------------------------------------- the driven Van der Pol system
 
 
@@ -273,20 +193,3 @@ def test_a_loose_tolerance_moves_the_simulators_error_to_the_papers(system_v: Re
     np.testing.assert_array_equal(loose.y, system_v.y)
     assert loose.y_sim is not None
     assert rmse(loose.y, loose.y_sim) == pytest.approx(0.4185, abs=2e-4)
-
-
-def test_a_function_and_an_ode_are_cached_by_their_keys(tmp_path: Path) -> None:
-    calls: list[float] = []
-
-    def function(time: Any) -> Any:
-        calls.append(time[-1])
-        return np.sin(time)
-
-    for key in ("one", "one", "another", None, None):
-        run(Function(function, key), 30, DT, cache=tmp_path)
-    assert len(calls) == 4
-    loose, tight = (
-        run(Ode(lambda _, x: -x, [1.0], tolerances=(rtol, rtol), key="x"), 30, 1.0, cache=tmp_path)
-        for rtol in (1e-2, 1e-10)
-    )
-    assert np.abs(loose - tight).max() > 1e-6

@@ -15,7 +15,6 @@ import scipy
 
 import splitband as sb
 from splitband.cli import main
-from splitband.simulators.code import code_digest
 from tests.simulators.fmus import COMPILES, built
 
 Array = npt.NDArray[np.float64]
@@ -162,38 +161,6 @@ def test_the_remedies_work() -> None:
     np.testing.assert_array_equal(simulated(Tolerant(), ALONE), 0 * ALONE.y)
     np.testing.assert_allclose(simulated(sb.Function(np.sin, start=7), DATED)[:, 0],
                                np.sin(TIME + 7))  # fmt: skip
-
-
-def test_what_a_function_holds_or_reads_from_a_table_is_part_of_it() -> None:
-    table = pd.Series([1.0, 2.0], ["a", "b"])
-
-    def rhs(t: float, x: Any, u: Any, p: Any) -> list[float]:
-        return [-rhs.k * table["a"] * x[0]]  # type: ignore[attr-defined]
-
-    digests = []
-    for k, labels in ((1.0, "ab"), (2.0, "ab"), (2.0, "ba")):
-        rhs.k = k  # type: ignore[attr-defined]
-        table.index = pd.Index([*labels])
-        digests.append(code_digest(rhs))
-    assert len({*digests}) == 3
-
-
-def test_an_abstract_class_does_not_hide_what_a_function_is(tmp_path: Path) -> None:
-    """Of installed code as of the user's own, the code itself counts."""
-    digests = []
-    for k in (1, 2):
-        source = (
-            "from abc import ABC\n\n\nclass Rig(ABC):\n    def rate(self, x):\n"
-            f"        return -{k} * x\n\n\ndef rhs(t, x):\n    return [Rig().rate(x[0])]\n"
-        )
-        path = tmp_path / f"of{k}" / "site-packages" / "rig.py"
-        path.parent.mkdir(parents=True)
-        path.write_text(source, encoding="utf-8")
-        space: dict[str, Any] = {"__name__": "rig"}
-        exec(compile(source, str(path), "exec"), space)
-        digests.append(code_digest(space["Rig"].rate))
-    assert None not in digests
-    assert len({*digests}) == 2
 
 
 @compiled

@@ -356,12 +356,6 @@ class SimulatorOptions:
     simulator_timeout: float = _simulator(
         600.0, "Give up on a simulator after this time.", "SECONDS", min=0.0
     )
-    simulator_cache: Path | None = _simulator(
-        None, "Keep the output of a slow simulator here.", "DIR", "not kept"
-    )
-    simulator_reads: list[str] | None = _simulator(
-        None, "A file that it reads: when this changes, the cache is renewed.", "FILE", False
-    )
     parameters: str | None = _simulator(
         None,
         "Fit the simulator's parameters in these ranges, or set them. The simulator is an "

@@ -272,10 +272,17 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
     if options.parameters is None and (name is None or name in BASES):
         return name
     how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
-    how |= {"columns": names(options.simulator_columns or ""), "reads": how["reads"] or ()}
+    how["columns"] = names(options.simulator_columns or "")
     if inputs is not None:
         how["inputs"] = names(inputs, blank=True) if inputs.strip() else []
     return open_simulator(how.pop("simulator") or "", record, time_column=time_column, **how)
+
+
+def runnable(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
+    """Return the simulator that the options name, which must have nothing to fit."""
+    found = simulator_of(options, record, time_column)
+    _check_run_as_it_is("--simulator", options.simulator, found)
+    return found
 
 
 def _check_run_as_it_is(option: str, given: str | None, simulator: Any) -> None:

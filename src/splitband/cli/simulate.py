@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
@@ -11,15 +15,37 @@ from splitband.metrics import leaves_range
 from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import is_stream, output_folder
+from splitband.simulators.opening import trajectory
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @options.with_groups
 def simulate(
-    model_dir: options.ModelArgument,
-    steps: Annotated[int, options.plain("Samples to simulate after them.", None, False, min=1)],
     out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv", False)],
     simulator: options.SimulatorOptions,
-    files: options.FileOptions,
+    files: options.RecordOptions,
+    model_dir: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[MODEL_DIR]",
+            help="What `fit`, `compare` or `forecast` wrote; without it, --record.",
+            show_default=False,
+        ),
+    ] = None,
+    steps: Annotated[
+        int | None, options.plain("Samples to simulate after them.", None, False, min=1)
+    ] = None,
+    record: Annotated[
+        str | None,
+        options.plain(
+            "Run --simulator beside this record, in place of a model. What was written is then "
+            "given as --simulator FILE.csv, so that a slow simulator runs once.",
+            "RECORD",
+            False,
+        ),
+    ] = None,
     history: options.History = None,
     future_inputs: options.FutureInputs = None,
     other_run: options.OtherRun = False,
@@ -34,7 +60,7 @@ def simulate(
     ] = None,
     device: options.Device = "cpu",
 ) -> None:
-    """Simulate a saved model beyond a measured history, or beyond its training record.
+    """Simulate a saved model beyond a measured history, or a simulator beside a record.
 
     A model with a simulator also needs --simulator, which must reach --steps samples beyond the
     history. If training record and history have time stamps, the offset between them is known: a
@@ -44,15 +70,29 @@ def simulate(
     stamps. The CSV has a column `time`, which continues the time stamps of the history (without
     any: seconds after its last sample), and one for each output; with --level also the limits of
     its interval.
+
+    Without a model, --record and --simulator give the simulator's output at the samples of the
+    record, driven by its inputs, and with --steps that of so many samples after it.
     """
     if out.is_dir():
         raise InputError(f"--out must be a file, got the folder {out}")
+    own = {field.name for field in fields(options.FileOptions)}
+    reading = {f"--{k.replace('_', '-')}": v for k, v in vars(files).items() if k not in own}
+    if model_dir is None:
+        of_model = {"--history": history, "--future-inputs": future_inputs, "--level": level,
+                    "--other-run": other_run}  # fmt: skip
+        _refuse(of_model, "without MODEL_DIR")
+        _simulate_beside(record, simulator, files, steps or 0, out)
+        return
+    _refuse({"--record": record, **reading}, "with MODEL_DIR")
+    if steps is None:
+        raise InputError("--steps must be given: the samples to simulate")
     forecaster = forecasters.load(model_dir)
-    record = forecaster.require_fitted().record
-    past = record
+    past = forecaster.require_fitted().record
+    trained = len(past)
     if history is not None:
         past = records.history_of(history, "--history", forecaster, files)
-    since = 0 if history else forecaster.require_fitted().begin + len(record)
+    since = 0 if history else forecaster.require_fitted().begin + trained
     u = records.inputs_ahead(future_inputs, past, steps, files, since)
     forecaster = records.with_simulator(
         forecaster, model_dir, simulator, past, steps, files.time_column
@@ -66,11 +106,46 @@ def simulate(
         found = forecaster.predict(
             steps, past if history else None, u, level=level, other_record=other_run
         )
-    if not is_stream(out):
-        output_folder(out.parent, "--out")
-    write_csv(out, found.to_frame())
+    _write(out, found.to_frame())
     showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
     for reason in found.warnings:
         showing.warn(reason)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
     showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
+
+
+def _simulate_beside(
+    name: str | None,
+    how: options.SimulatorOptions,
+    reading: options.RecordOptions,
+    steps: int,
+    out: Path,
+) -> None:
+    """Write what a simulator returns at the samples of a record, and after them."""
+    if name is None or how.simulator is None:
+        raise InputError(
+            "MODEL_DIR must be given, or --record and --simulator: a saved model, or a simulator "
+            f"to run beside a record; got --record {name or 'none'}, --simulator "
+            f"{how.simulator or 'none'}"
+        )
+    record = records.load_record(name, reading)
+    simulator = records.runnable(how, record, reading.time_column)
+    with showing.warnings_as_lines():
+        found = trajectory(record, simulator, steps)
+    _write(out, found.to_frame())
+    showing.console.print(f"{len(found)} samples of {how.simulator}: {out}")
+    written = {"simulator": how.simulator, "record": name, "samples": len(found)}
+    showing.as_json({**written, "file": str(out)})
+
+
+def _refuse(given: Mapping[str, Any], where: str) -> None:
+    """Raise InputError for an option that is given, although it is for another use."""
+    for option, value in given.items():
+        if value not in (None, False):
+            raise InputError(f"{option} must be left out {where}, got {value}")
+
+
+def _write(out: Path, table: pd.DataFrame) -> None:
+    if not is_stream(out):
+        output_folder(out.parent, "--out")
+    write_csv(out, table)

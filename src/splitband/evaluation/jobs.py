@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -19,10 +19,9 @@ from splitband.forecasters.backtest import (
     backtest,
     for_trial,
 )
-from splitband.forecasters.base import Forecaster, all_parts, cells_of
+from splitband.forecasters.base import Forecaster, all_parts, cells_of, fitted_like, same
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.networks.cell import label_of
-from splitband.runtime.caching import KEPT, Kept, keep
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.workers import Queue, Workers, ended_from_outside
 
@@ -49,6 +48,7 @@ class Job:
     needed: bool = False  # whether it starts even after the deadline, so that there is a result
     seconds: float = 0.0  # that it is expected to take
     limit: float = math.inf  # seconds from its start after which its fits end with what they have
+    bases: Sequence[Forecaster] = ()  # fitted ones, see `backtest`
 
     @property
     def method(self) -> str:
@@ -61,7 +61,7 @@ class Job:
         try:
             if not self.trains and self.start is not None:
                 return as_it_is(self.start, self.spec, self.seed)
-            return backtest(self.forecaster, self.spec, self.seed, self.start)
+            return backtest(self.forecaster, self.spec, self.seed, self.start, bases=self.bases)
         except DeadlineError:
             return self.late()
         except (FloatingPointError, ValueError) as error:
@@ -85,11 +85,10 @@ def held_out_job(
     return Job(shorter, plan.held_out_spec(shorter), seed, start)
 
 
-def _run(known: Mapping[str, Kept], deadline: Deadline, job: Job) -> Fit:
-    """Run a job in any process, with the simulators' fits that are `known`, for all jobs."""
+def _run(deadline: Deadline, job: Job) -> Fit:
+    """Run a job in any process."""
     if deadline.over and job.trains and not job.needed:
         return job.late()
-    keep(known)
     with within(min(deadline, Deadline.after(job.limit))):
         fit = job.run()
     if fit.model is not None and job.trains:  # the process that asked has the records
@@ -212,7 +211,7 @@ class Runner:
             else:
                 todo.append(job)
         patience = patience or deadline.earlier(-GRACE)
-        self._queue.begin(partial(_run, {**KEPT}, deadline), todo, patience, first)
+        self._queue.begin(partial(_run, deadline), todo, patience, first)
 
     def ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
         """Yield every job that was begun with its fit, as it ends, until all of these have."""
@@ -252,14 +251,33 @@ class Runner:
         self._queue.drop()
 
 
-def prepare(
-    forecasters: Sequence[Forecaster], records: Sequence[Record], runner: Runner, deadline: Deadline
-) -> None:
-    """Fit, once, the simulators that several methods share, side by side on all cores.
+class Bases:
+    """Fit the simulators that several methods share, once for each span of the records.
 
-    What fails here is not lost: the job that needs it computes it again and says why.
+    The fitted forecasters are part of the jobs that need them.
     """
-    for forecaster in forecasters:
-        with suppress(Exception), within(deadline):
-            for part in all_parts(forecaster):
-                part._prepare(records, runner.executor or 1)
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._fitted: list[Forecaster] = []
+
+    def fit(self, forecaster: Forecaster, records: Sequence[Record], deadline: Deadline) -> None:
+        """Fit what a method has of them, from starting points side by side on all cores.
+
+        What fails here is not lost: the job that needs it fits it again and says why.
+        """
+        for part in all_parts(forecaster):
+            if part._fits_simulator and fitted_like(part, records, self._fitted) is None:
+                with suppress(Exception), within(deadline):
+                    workers = self._runner.executor or 1
+                    self._fitted.append(part.clone()._fit(records, workers=workers))
+
+    def given_to(self, job: Job) -> Job:
+        """Return a job with those that were fitted to its spans."""
+        spans, parts = {at.fitted for at in job.spec.origins}, [*all_parts(job.forecaster)]
+        bases = [
+            each
+            for each in self._fitted
+            if len(each.require_fitted().record) in spans and any(same(each, p) for p in parts)
+        ]
+        return replace(job, bases=bases)

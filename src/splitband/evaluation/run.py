@@ -17,7 +17,7 @@ from splitband.evaluation.clock import (
     Clock,
 )
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import GRACE, LATE, Job, Runner, held_out_job, prepare
+from splitband.evaluation.jobs import GRACE, LATE, Bases, Job, Runner, held_out_job
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
 from splitband.forecasters.backtest import HELD_OUT_SHARE, BacktestSpec, Fit, Origin
@@ -150,8 +150,11 @@ class Run:
         self._trial: Trial | None = None  # of the trials so far
         self._quick: list[Job] = []  # of methods without networks, which have not ended
         self._partly: dict[str, str] = {}  # why finals are fits to three quarters
-        self._ready = [ready for f in plan.methods if (ready := self._simulated(f)) is not None]
+        ran: dict[Any, Any] = {}
+        ready = (self._simulated(method, ran) for method in plan.methods)
+        self._ready = [method for method in ready if method is not None]
         self._search: Search | None = None
+        self._bases = Bases(runner)
 
     @property
     def trial(self) -> Trial:
@@ -224,7 +227,7 @@ class Run:
             spec = self.plan.held_out_spec(forecaster)
             for samples in sorted({origin.fitted for origin in spec.origins}):
                 records = [spec.record[:samples], *spec.others]
-                prepare([forecaster], records, self._runner, until)
+                self._bases.fit(forecaster, records, until)
         self._try([f for f in prepared if not f.random])
         if self._runner.executor is None:
             self._await_quick()
@@ -240,7 +243,7 @@ class Run:
             with one_thread():
                 self._take(job, job.run())
             return
-        job = replace(job, limit=self._limit(job.forecaster))
+        job = replace(self._bases.given_to(job), limit=self._limit(job.forecaster))
         self._quick.append(job)
         self._runner.begin([job], self._half(), first=True)
 
@@ -258,8 +261,7 @@ class Run:
             method = next(f for f in self._ready if f.name == name)
             job = Job(method, self.plan.spec(method))
             if method._at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
-                records = [self.plan.training, *self.plan.others]
-                prepare([method], records, self._runner, self._half())
+                self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
             else:
                 job = replace(job, start=fit.model, trains=False)
             self._begin(job)
@@ -342,7 +344,7 @@ class Run:
         jobs = [] if self._search is None else self._search.finals()
         for forecaster in {job.method: job.forecaster for job in jobs}.values():
             records = [self.plan.training, *self.plan.others]
-            prepare([forecaster], records, self._runner, self.clock.deadline)
+            self._bases.fit(forecaster, records, self.clock.deadline)
         until = self.clock.deadline.earlier(self._forecasting())
         fits = self._trained(jobs, until, "final trainings")
         for job, fit in zip(jobs, fits, strict=True):
@@ -427,6 +429,7 @@ class Run:
         ready = next(f for f in self._ready if f.name == name)
         if not ready.random:
             jobs = [Job(ready, spec, needed=True, limit=self._limit(ready))]
+        self._bases.fit(ready, [record, *others], self.clock.deadline)
         fits = self._trained(jobs, self.clock.deadline, "refit")
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
@@ -442,19 +445,24 @@ class Run:
             with_simulators_of(model, method)
         return fitted_ensemble(models, trial.held_out.get(name))
 
-    def _simulated(self, forecaster: Forecaster) -> Forecaster | None:
-        """Return a method with its own simulator run once for all jobs; None where that fails."""
+    def _simulated(self, forecaster: Forecaster, ran: dict[Any, Any]) -> Forecaster | None:
+        """Return a method with its own simulator run once for all jobs; None where that fails.
+
+        What `ran` for another method is not run again.
+        """
         plan, others = self.plan, self.plan.others
         try:
             try:
                 return with_simulators_run(
-                    forecaster, plan.training, plan.horizon, *others, *plan.tests
+                    forecaster, plan.training, plan.horizon, *others, *plan.tests, ran=ran
                 )
             except ValueError:
                 if not plan.tests:
                     raise
                 # It may fail for the test records only, which are then left out.
-                return with_simulators_run(forecaster, plan.training, plan.horizon, *others)
+                return with_simulators_run(
+                    forecaster, plan.training, plan.horizon, *others, ran=ran
+                )
         except ValueError as error:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None
@@ -478,6 +486,7 @@ class Run:
         doing: str,
     ) -> list[Fit]:
         """Return the fits of jobs, in their order."""
+        jobs = [self._bases.given_to(job) for job in jobs]
         fits: dict[Job, Fit] = {}
         try:
             self._runner.begin(jobs, until, self._patience(until))

@@ -14,7 +14,12 @@ import numpy as np
 
 from splitband.data import Record
 from splitband.data.signals import first_after
-from splitband.forecasters.base import AnyForecaster, Forecaster, with_parts_changed
+from splitband.forecasters.base import (
+    AnyForecaster,
+    Forecaster,
+    fitted_like,
+    with_parts_changed,
+)
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.network import Network
@@ -163,26 +168,25 @@ def backtest(
     seed: int = 0,
     start: Forecaster | None = None,
     progress: Callable[[Progress], None] | None = None,
+    bases: Sequence[Forecaster] = (),
 ) -> Fit:
     """Forecast a record from several origins, with copies of a forecaster.
 
     The copies are fitted in the order of the origins. If the deadline of the job comes before the
     last fit, the result holds the forecasts so far; DeadlineError is raised where there are none.
 
-    `seed`, `start` and `progress` are those of `Forecaster.fit`.
+    `seed`, `start` and `progress` are those of `Forecaster.fit`; `bases` are fitted forecasters, of
+    which it, or a part of it, may be one for some of the origins.
     """
     began, found = now(), Fit(forecaster.name, seed)
     left = len({origin.fitted for origin in spec.origins})
     for samples, of_fit in groupby(spec.origins, key=lambda origin: origin.fitted):
         try:
             with within(Deadline.after(current().left / left)):  # each fit has its share
-                fitted = forecaster.clone().fit(
-                    spec.record[:samples],
-                    *spec.others,
-                    seed=seed,
-                    start=start,
-                    progress=progress,
-                )
+                records = [spec.record[:samples], *spec.others]
+                fitted = fitted_like(forecaster, records, bases)
+                if fitted is None:
+                    fitted = forecaster.clone()._fit(records, seed, start, progress, bases)
         except DeadlineError:
             if found.model is None:
                 raise

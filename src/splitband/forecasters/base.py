@@ -43,7 +43,7 @@ from splitband.networks.cell import Template
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import WithRepr, options
+from splitband.runtime.options import UNKNOWN, WithRepr, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
 from splitband.training import Progress, Settings
@@ -59,11 +59,17 @@ AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
 
 class Training(TypedDict):
-    """Hold the options that `fit` passes to `learn`."""
+    """Hold the options that `fit` passes to `learn`.
+
+    `bases`: fitted forecasters, of which a part may be one that need not be fitted again;
+    `workers`: number of processes, or an executor, that fit a simulator's parameters.
+    """
 
     seed: int
     start: Forecaster | None
     progress: Callable[[Progress], None] | None
+    bases: Sequence[Forecaster]
+    workers: int | Executor
 
 
 def titled(name: str, words: str) -> str:
@@ -211,6 +217,19 @@ class Forecaster(WithRepr, ABC):
         FloatingPointError
             When a training diverges.
         """
+        return self._fit(records, seed, start, progress)
+
+    @final
+    def _fit(
+        self,
+        records: Sequence[Record],
+        seed: int = 0,
+        start: Forecaster | None = None,
+        progress: Callable[[Progress], None] | None = None,
+        bases: Sequence[Forecaster] = (),
+        workers: int | Executor = 1,
+    ) -> Self:
+        """Fit to the records, see `fit` and `Training`."""
         self.check(*records)
         seed = whole("seed", seed, None)
         before = {**vars(self)}
@@ -218,10 +237,11 @@ class Forecaster(WithRepr, ABC):
         try:
             self.set_params()  # removes what an earlier fit has found
             self.fitted = Fitted.of(records, seed)
+            how = Training(seed=seed, start=start, progress=progress, bases=bases, workers=workers)
             began = time.perf_counter()
             # Closed forms work on small matrices, where the threads of BLAS wait for each other.
             with contextlib.nullcontext() if self.random else one_thread():
-                self.learn(records, seed=seed, start=start, progress=progress)
+                self.learn(records, **how)
             # The training of a network has set its own time.
             seconds = self.fitted.report.seconds or time.perf_counter() - began
             self.fitted = self.fitted.reporting(seconds=seconds, parameters=self.parameters)
@@ -527,8 +547,10 @@ class Forecaster(WithRepr, ABC):
         """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
 
-    def _prepare(self, records: Sequence[Record], workers: int | Executor = 1) -> Any:
-        """Compute once what the fits of several forecasters share."""
+    @property
+    def _bases(self) -> list[Forecaster]:
+        """Return the fitted forecasters that a network in it learns the error of."""
+        return []
 
     @property
     def _slow_label(self) -> str:
@@ -610,6 +632,26 @@ def with_parts_changed(
         new = forecaster._with_parts(lambda part: with_parts_changed(part, changed))
     found: Any = changed(new)
     return found
+
+
+def fitted_like(
+    template: Forecaster, records: Sequence[Record], fitted: Sequence[Forecaster]
+) -> Forecaster | None:
+    """Return a copy of the forecaster with these options that was fitted to the same records."""
+    for each in fitted:
+        if same(each, template) and each.require_fitted().is_of(records):
+            return copy(each)
+    return None
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two options are known to be the same; simulators are so as objects alone."""
+    if one is other or type(one) is not type(other) or hasattr(one, "simulate"):
+        return one is other
+    if isinstance(one, Forecaster):
+        ours, theirs = one.get_params(), other.get_params()
+        return all(same(option, theirs[name]) for name, option in ours.items())
+    return UNKNOWN not in repr(one) and repr(one) == repr(other)
 
 
 def cells_of(forecaster: Forecaster) -> dict[str, Template]:

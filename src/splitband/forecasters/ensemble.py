@@ -159,14 +159,17 @@ class Ensemble(Forecaster):
         starts = [None] * self.count if start is None else [*getattr(start, "members", ())]
         if len(starts) != self.count:
             raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
+        bases = [*how["bases"]]
         for i, template in enumerate(self.templates):
-            member = template.clone().fit(
-                *records,
+            member = template.clone()._fit(
+                records,
                 seed=seed * (max(self.seeds) + 1) + self.seeds[i],
                 start=starts[i],
                 progress=None if progress is None else _shifted(progress, i, self.count),
+                bases=bases,
             )
             self.members.append(member)
+            bases += [each for each in member._bases if not each.random]
         self._take(self.members, seed)
 
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:

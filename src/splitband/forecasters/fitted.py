@@ -110,6 +110,11 @@ class Fitted:
         first, *others = records
         return cls(first, 0, first.start, y_range, u_summary, tuple(others), FitReport(seed))
 
+    def is_of(self, records: Sequence[Record]) -> bool:
+        """Return whether these records are all that were fitted to, sample by sample."""
+        own = [self.record, *self.others]
+        return self.whole and len(own) == len(records) and all(map(_alike, own, records))
+
     def begins_and_ends_like(self, other: Fitted) -> bool:
         """Return whether both are of the same first record, of which each may hold an end."""
         kept = min(len(self.record), len(other.record))
@@ -167,6 +172,16 @@ class Fitted:
         low, high = self.y_range
         found = extrapolations(low, high, y)
         return [replace(each, kind="output") for each in found]
+
+
+def _alike(one: Record, other: Record) -> bool:
+    """Return whether two records are equal in all that a fit sees of them."""
+    names = "y_with_gaps", "u", "y_sim", "beyond", "u_beyond"
+    pairs = [(getattr(one, name), getattr(other, name)) for name in names]
+    return one.grid == other.grid and all(
+        a is b or (a is not None and b is not None and np.array_equal(a, b, equal_nan=True))
+        for a, b in pairs
+    )
 
 
 def first_only(fitted: Fitted) -> str:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Unpack, final
-from uuid import uuid4
 
 import numpy as np
 
@@ -23,7 +21,6 @@ from splitband.forecasters.stepping import (
 )
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
-from splitband.runtime.caching import cached
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import cond
 from splitband.simulators.base import Absent, matched, origin
@@ -31,7 +28,7 @@ from splitband.simulators.fixed_steps import FixedSteps, enough_steps
 from splitband.simulators.functions import Ode
 from splitband.simulators.identification import Effort, check_runs, identify
 from splitband.simulators.parameters import Adjustable, Estimate, Response
-from splitband.simulators.shooting import Adjusted, Experiment, fit_key
+from splitband.simulators.shooting import Adjusted, Experiment
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
@@ -40,28 +37,6 @@ SHORTEST, GROWTH = 20, 4
 MAX_ERROR_SHARE = 0.9
 """A memory is used if its error is below this share of that of the simulation from the start.
 By eye."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Describe a fit that several forecasters share; its result depends on its `repr` alone."""
-
-    simulator: Any
-    records: tuple[Record, ...]
-    effort: Effort
-
-    def result(self) -> Estimate:
-        """Fit the parameters."""
-        return identify(self.simulator, *self.records, effort=self.effort)
-
-    def __repr__(self) -> str:
-        experiments = [Experiment.of(record, self.simulator) for record in self.records]
-        key = fit_key(self.simulator, experiments, self.effort.starts)
-        return f"{key or uuid4().hex} {self.effort.seconds}"  # without a key none is like it
-
-
-estimated = cached(_Fit.result)
-"""Fits a simulator once: hybrids, seeds and trials need the same fit, which takes seconds."""
 
 
 @final
@@ -158,19 +133,15 @@ class GreyBox(Forecaster):
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
-        self.estimate = self._prepare(records)
         simulator = self._matched(records[0])
+        effort = Effort(self.starts, self.seconds, how["workers"])
+        self.estimate = identify(simulator, *records, effort=effort)
         experiments = [Experiment.of(record, simulator) for record in records]
         adjusted = Adjusted.of(simulator, self.estimate, experiments)
         self.adjusted = replace(adjusted, simulator=None)
         self.u, self.y = records[0].u, records[0].y_with_gaps
         self.memory = self._chosen_memory(experiments[0])
         self.fitted = self.require_fitted().reporting(cut=self.estimate.cut)
-
-    def _prepare(self, records: Sequence[Record], workers: int | Executor = 1) -> Estimate:
-        """Return the parameters, fitted once for all hybrids, seeds and trials."""
-        effort = Effort(self.starts, self.seconds, workers)
-        return estimated(_Fit(self._matched(records[0]), tuple(records), effort))
 
     def _matched(self, record: Record) -> Any:
         """Return the simulator for the channels and inputs of a record."""

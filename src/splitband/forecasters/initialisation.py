@@ -13,10 +13,10 @@ import numpy as np
 
 from splitband import models
 from splitband.baselines.identification import identified
-from splitband.baselines.linear import LinearModel, Realisation, realised
+from splitband.baselines.linear import Realisation, realised
 from splitband.data import Record
 from splitband.runtime.arrays import Array
-from splitband.runtime.caching import cached
+from splitband.runtime.threads import one_thread
 
 if TYPE_CHECKING:
     from splitband.models import Model
@@ -39,12 +39,6 @@ class LinearPart(Protocol):
 
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
         """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
-
-
-@cached  # all seeds and sizes of a search start from it
-def _fitted(most: int, *records: tuple[Array, Array]) -> LinearModel:
-    delay = np.zeros((records[0][0].shape[1], records[0][1].shape[1]), int)
-    return identified(records, delay=delay, most=most)
 
 
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
@@ -81,7 +75,9 @@ def _set(
     seed: int,
 ) -> None:
     """Set the linear part of one network, which predicts `targets`."""
-    linear = _fitted(cell.states, *zip(targets, inputs, strict=True))
+    delay = np.zeros((targets[0].shape[1], inputs[0].shape[1]), int)
+    with one_thread():
+        linear = identified([*zip(targets, inputs, strict=True)], delay=delay, most=cell.states)
     found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
     nu = inputs[0].shape[1]
     # A row of the network's inputs is [u of this sample, u of the next one, other inputs].

@@ -22,7 +22,13 @@ from splitband.data import Record, check_alike
 from splitband.data.signals import first_after, last_before
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import Forecaster, Training, cells_of, with_parts_changed
+from splitband.forecasters.base import (
+    Forecaster,
+    Training,
+    cells_of,
+    fitted_like,
+    with_parts_changed,
+)
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.linear import Linear
@@ -33,10 +39,8 @@ from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
-from splitband.runtime.caching import cached, key_of
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import UNKNOWN
-from splitband.runtime.threads import seeded
+from splitband.runtime.threads import one_thread, seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
 from splitband.training.settings import checked_starts, recipe_settings
@@ -46,8 +50,6 @@ if TYPE_CHECKING:
 
     from splitband.models import Model
 
-delays_of = cached(input_delays)
-"""Estimates the delays once, as many trainings need those of the same records."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
 
@@ -249,7 +251,7 @@ class Network(Forecaster):
         seed, start = how["seed"], self._start(how["start"], records[0])
         settings = self._settings_for(records[0], records[1:])
         self._trained_by = settings if start is None else settings.after(start._trained_by)
-        seen = self._seen(records, seed, start)
+        seen = self._seen(records, start, how)
         if self.bands is not None:
             self._trained_in = (
                 self._bands_for(seen[0], settings) if start is None else start._trained_in
@@ -354,27 +356,28 @@ class Network(Forecaster):
         check_alike(seen, record, "start")
         return start
 
-    def _seen(self, records: Sequence[Record], seed: int, start: Self | None) -> list[Record]:
+    def _seen(self, records: Sequence[Record], start: Self | None, how: Training) -> list[Record]:
         """Return the records for the model: with the base's output, and with delayed inputs."""
         seen = [*records]
         if self.base is not None:
-            base = None if start is None else start._base_of(self.base, records)
+            fitted = [*how["bases"], *([] if start is None else start._bases)]
+            base = fitted_like(self.base, records, fitted)
             if base is None:
-                base = self.base.clone().fit(*records, seed=seed)
+                base = self.base.clone()._fit(records, how["seed"], bases=fitted)
                 base = base._as_simulator() if isinstance(base, Linear) else base
             self._fitted_base = base
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
         if records[0].u is not None:
             driven = [(r.y_with_gaps, r.u) for r in records if r.u is not None]
-            self.delays = delays_of(driven) if start is None else start.delays
+            with one_thread():
+                self.delays = input_delays(driven) if start is None else start.delays
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
-    def _base_of(self, base: Forecaster, records: Sequence[Record]) -> Forecaster | None:
-        """Return its base where the same one was fitted to the same samples; that saves a fit."""
-        fitted = self.require_fitted()
-        alike = _samples([fitted.record, *fitted.others]) == _samples(records)
-        return self._fitted_base if alike and _same(self.base, base) else None
+    @property
+    def _bases(self) -> list[Forecaster]:
+        """Return the fitted base, and that of the base."""
+        return [] if self._fitted_base is None else [self._fitted_base, *self._fitted_base._bases]
 
     def _remarks(self, record: Record) -> list[str]:
         """Return remarks for the user on a training record with the base's output."""
@@ -491,20 +494,3 @@ def with_defaults(
         return part.clone().set_params(**shared) if shared else part
 
     return with_parts_changed(forecaster, changed)
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Return whether two options are known to be the same; of functions, only by their key."""
-    if one is other or type(one) is not type(other):
-        return one is other
-    if isinstance(one, Forecaster):
-        ours, theirs = one.get_params(), other.get_params()
-        return all(_same(option, theirs[name]) for name, option in ours.items())
-    if callable(getattr(one, "fingerprint", None)):
-        return one.fingerprint() is not None and one.fingerprint() == other.fingerprint()
-    return UNKNOWN not in repr(one) and repr(one) == repr(other)
-
-
-def _samples(records: Sequence[Record]) -> str:
-    """Return a hash of what a base is fitted to: times, outputs, inputs, the simulator's output."""
-    return key_of(*(part for r in records for part in (r.grid, r.y_with_gaps, r.u, r.y_sim)))

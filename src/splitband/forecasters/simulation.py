@@ -18,14 +18,11 @@ from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.stepping import NotSteppedError, Part, State
 from splitband.models.labels import SIMULATOR
 from splitband.runtime.arrays import Array
-from splitband.runtime.caching import cached, key_of
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator, run
 from splitband.simulators.base import Absent, is_driven, matched
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
-calibrated = cached(calibrate)
-"""Calibrates once: forecasters, seeds and trials need the same calibration, which takes seconds."""
 MAX_SIMULATED_SAMPLES = 10**8
 """Most samples of a simulator's run, counted from the first training sample: bounds the memory."""
 ON_A_SAMPLE = 1e-6
@@ -36,7 +33,7 @@ MARGIN = 30
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Runs:
     """Hold a simulator's runs, computed once for all processes.
 
@@ -47,10 +44,6 @@ class _Runs:
     runs: Sequence[tuple[Grid, Array | None, Array]]
     driven: bool
     ran: int
-
-    def fingerprint(self) -> str:
-        """Return a hash of all outputs."""
-        return key_of(*(y for _, _, y in self.runs))
 
     def reach(self, grid: Grid, u: Array | None = None) -> int:
         """Return the number of samples that are available from the start of the grid on."""
@@ -94,14 +87,17 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
 
 
 def with_simulators_run(
-    method: Forecaster, record: Record, horizon: int, *others: Record
+    method: Forecaster, record: Record, horizon: int, *others: Record, ran: dict[Any, _Runs]
 ) -> Forecaster:
-    """Return a method whose simulators have been run, see `SimulatorForecaster._simulated`."""
+    """Return a method whose simulators have been run, see `SimulatorForecaster._simulated`.
+
+    What `ran` for another method is not run again; what runs is added.
+    """
 
     def changed(part: Forecaster) -> Forecaster:
         if not isinstance(part, SimulatorForecaster):
             return part
-        return part._simulated(record, horizon, *others)
+        return part._simulated(record, horizon, *others, ran=ran)
 
     return with_parts_changed(method, changed)
 
@@ -161,7 +157,9 @@ class SimulatorForecaster(Forecaster):
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
 
-    def _simulated(self, record: Record, horizon: int, *others: Record) -> Self:
+    def _simulated(
+        self, record: Record, horizon: int, *others: Record, ran: dict[Any, _Runs]
+    ) -> Self:
         """Return it with its simulator's output computed once, for all processes.
 
         The output covers the training record and `horizon` samples more, and other records.
@@ -176,8 +174,12 @@ class SimulatorForecaster(Forecaster):
             key = each.start, each.sampling_time, None if u is None else u.tobytes()
             if key not in longest or longest[key][0].samples < needed:
                 longest[key] = Grid(each.start, each.sampling_time, needed), each, u
-        runs = [(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
-        return self.clone().set_params(simulator=_Runs(runs, self._driven, id(self.simulator)))
+        spans = [(id(each), grid.samples) for grid, each, _ in longest.values()]
+        own = id(self.simulator), *spans
+        if own not in ran:
+            runs = [(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
+            ran[own] = _Runs(runs, self._driven, id(self.simulator))
+        return self.clone().set_params(simulator=ran[own])
 
     def _to_dict(self) -> dict[str, Any]:
         """Return what is saved; a simulator that is not recorded output becomes a description."""
@@ -469,16 +471,12 @@ class Calibrated(SimulatorForecaster):
     def learn(self, records: Sequence[Record], **how: Any) -> None:
         """Fit the terms to the first record."""
         super().learn(records, **how)
-        self.applied = self._prepare(records)
-
-    def _prepare(self, records: Sequence[Record], *_: Any) -> Calibration:
-        """Return the terms, fitted once for all seeds and trials."""
         first, terms = records[0], () if self.terms is None else (self.terms,)
         y, y_sim = first.y_with_gaps, self._output(first)
         if self.below is not None:
             low = ComplementaryPair.butterworth(self.below, first.sampling_rate).lowpass
             y, y_sim = np.where(np.isnan(y), np.nan, low(first.y)), low(y_sim)
-        return calibrated(y_sim, y, first.sampling_time, *terms)
+        self.applied = calibrate(y_sim, y, first.sampling_time, *terms)
 
     def describe(self) -> str:
         """Return the fitted terms."""

@@ -8,9 +8,11 @@ parameters and states, so that finite differences see a smooth function.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable
 from functools import cache, partial
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -149,8 +151,10 @@ class Solver:
 
     def __init__(self, rhs: Rhs, arguments: int) -> None:
         self.rhs, self.arguments = rhs, arguments
-        self.solve: Rhs = partial(solve, _prefixed(rhs, arguments))
+        self.python: Rhs = partial(solve, _prefixed(rhs, arguments))
+        self.solve: Rhs = self.python
         self.taken, self.tried = 0, False
+        self.kept: list[Any] = []
 
     def __call__(
         self,
@@ -163,6 +167,8 @@ class Solver:
     ) -> tuple[Array, Array, float]:
         """Return what `solve` returns."""
         with np.errstate(all="ignore"):
+            if self.solve is not self.python and self.kept != referred(self.rhs):
+                self.solve, self.taken, self.tried = self.python, 0, False
             if self.taken > WORTH_COMPILING and not self.tried:
                 probe = p, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
                 self._compile(*probe, tolerances)
@@ -174,8 +180,8 @@ class Solver:
 
     def _compile(self, *probe: Any) -> None:
         """Use compiled code if it agrees on a short simulation: it does not check indices."""
-        self.tried = True
-        expected = self.solve(*probe)[0]
+        self.tried, self.kept = True, referred(self.rhs)
+        expected = self.python(*probe)[0]
         try:
             fast = wrapped = njit(**_OPTIONS)(getattr(self.rhs, "py_func", self.rhs))
             if self.arguments <= 3:
@@ -200,15 +206,39 @@ class Solver:
 
 
 @cache
-def solver(rhs: Rhs, arguments: int, code: str | None) -> Solver:
-    """Return the solver of an equation, one for all that solve it.
+def solver(rhs: Rhs, arguments: int) -> Solver:
+    """Return the solver of an equation, one for all that solve it."""
+    return Solver(rhs, arguments)
 
-    `code`: digest of the equation, with the values that it refers to, which compiled code keeps; an
-    equation without one is not compiled.
+
+def referred(function: Any) -> list[Any]:
+    """Return the values that the names in a function stand for now, which compiled code keeps.
+
+    Attributes of modules are among them. What an object does that is no function is not known.
     """
-    made = Solver(rhs, arguments)
-    made.tried = code is None
-    return made
+    function = getattr(function, "py_func", function)
+    if not isinstance(function, FunctionType):
+        return []
+    codes, names = [function.__code__], set[str]()
+    for code in codes:  # to which those of functions in it are added
+        names |= {*code.co_names}
+        codes += [const for const in code.co_consts if isinstance(const, CodeType)]
+    spaces, found = [function.__globals__], list[Any]()
+    for space in spaces:
+        values = [space[name] for name in sorted(names & space.keys())]
+        inner = [vars(value) for value in values if isinstance(value, ModuleType)]
+        spaces += [each for each in inner if not any(each is other for other in spaces)]
+        found += [value for value in values if not isinstance(value, ModuleType)]
+    cells = (cell.cell_contents for cell in function.__closure__ or ())
+    return [_content(value) for value in [*found, *cells]]
+
+
+def _content(value: Any) -> Any:
+    """Return what tells a value from others, also from itself after a change in place."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.shape, value.tobytes()
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        return repr(value)
 
 
 def _prefixed(rhs: Rhs, arguments: int) -> Rhs:

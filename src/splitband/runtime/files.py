@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import secrets
@@ -54,6 +55,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
 def is_stream(path: Path) -> bool:
     """Return whether a path names a pipe or a device, which a file must not replace."""
     return str(path) in STANDARD or (path.exists() and not (path.is_file() or path.is_dir()))
+
+
+def sha256_of(path: str | Path) -> str:
+    """Return the SHA-256 of a file's content."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Any, ClassVar, Literal, NoReturn, Protocol, TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -24,11 +24,9 @@ from splitband.data.alignment import reach
 from splitband.data.signals import as_float
 from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
-from splitband.runtime.caching import key_of
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import output_folder, replacing
 from splitband.runtime.options import WithRepr, saved
-from splitband.simulators.code import check_open, content_digest, count_arguments
+from splitband.simulators.code import check_open, count_arguments
 
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
@@ -52,12 +50,11 @@ class Simulator(Protocol):
     - `driven`: whether it takes the record's inputs, if the arguments of `simulate` do not tell;
       `needs_inputs`: whether it cannot run without; `matched(columns, inputs)`: the simulator for a
       record with these names; `code`: functions whose open arguments might be meant for inputs.
-    - `fingerprint()`: a text that changes with everything on which the output depends; with it a
-      folder `cache` keeps outputs, and a saved model knows its simulator again. `files`: names of
-      files that were read in a run.
+    - `fingerprint()`: a text by which a saved model knows its simulator again, such as the SHA-256
+      of an FMU with the variables that are used. Values of parameters are no part of it.
     - `own_times`: whether its output has times of its own, and is interpolated to the record's.
-    - `adjustable`, with `digest()` and `known`: whether it has parameters to fit, what it is
-      without their values, and their ranges (see `splitband.simulators.parameters`).
+    - `adjustable`, with `known`: whether it has parameters to fit, and their ranges (see
+      `splitband.simulators.parameters`).
     - `advances`: whether it can be stepped from any state.
     """
 
@@ -107,17 +104,6 @@ def matched(
     return found
 
 
-def identity(simulator: Any) -> str | None:
-    """Return what tells a simulator, with the ranges of its parameters, from all others.
-
-    It is equal in every process; None for a simulator that nothing is known of, or whose code
-    cannot be told.
-    """
-    adjustable = hasattr(simulator, "digest")
-    said = simulator.digest() if adjustable else getattr(simulator, "fingerprint", lambda: None)()
-    return None if said is None else f"{said} {simulator.known}" if adjustable else str(said)
-
-
 def check_undriven(simulator: Any, name: str, inputs: Sequence[str] = ()) -> None:
     """Raise ValueError for a simulator that is not driven, but may be meant to take the inputs."""
     own = [] if hasattr(simulator, "driven") else [getattr(simulator, "simulate", None)]
@@ -154,7 +140,6 @@ def run(  # noqa: PLR0913
     samples: int,
     sampling_time: float,
     ny: int = 1,
-    cache: str | Path | None = None,
     name: str | None = None,
     start: Stamp | None = None,
     u: Array | None = None,
@@ -166,10 +151,6 @@ def run(  # noqa: PLR0913
     simulator : Anything with a `simulate(time)`, or with a `simulate(time, u)`.
     samples, sampling_time : Number of samples, and the time between two of them in s.
     ny : Number of channels of the record.
-    cache : Folder to store outputs in, for a simulator whose `fingerprint()` returns a string that
-        changes with everything its output depends on, such as the content of an FMU. By default
-        the simulator's own `cache`, if it has one. An attribute `files`, read after a run, names
-        files on which the output depends, too.
     name : Name of the simulator in messages, by default its `name`, or its class.
     start : The record's first time stamp, by which an exported output is aligned. Other simulators
         are called with the times t, t + dt, t + 2 dt, ... for t = 0, or as they say themselves, see
@@ -188,15 +169,8 @@ def run(  # noqa: PLR0913
         not finite. The message names the simulator.
     """
     name = name or getattr(simulator, "name", "") or type(simulator).__name__
-    cache = cache or getattr(simulator, "cache", None)
     begin = 0.0 if isinstance(simulator, Recorded) else origin(simulator, start)
     u = _driving(name, simulator, u, samples)
-    fingerprint, stored = getattr(simulator, "fingerprint", lambda: None)(), None
-    if cache is not None and fingerprint is not None:
-        key = key_of(str(fingerprint), samples, sampling_time, ny, begin, u)
-        stored = Path(cache) / f"{key[:32]}.npz"
-        if (known := _read_whole(stored, (samples, ny))) is not None:
-            return known
     # A grid has two points at least, from which a simulator can derive the step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
     try:
@@ -226,11 +200,6 @@ def run(  # noqa: PLR0913
             f"simulator {name} must return finite values: {bad.sum()} samples are not, "
             f"the first at {time[:samples][bad][0]:g} s"
         )
-    if stored is not None:
-        files = [*getattr(simulator, "files", ())]
-        output_folder(stored.parent, "cache")
-        with replacing(stored) as temporary:
-            np.savez(temporary, y=y, files=np.array(files, str), content=content_digest(files))
     return y
 
 
@@ -247,18 +216,6 @@ def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> 
             f"u must hold the inputs of {samples} samples for simulator {name}, got {len(u)}"
         )
     return u[:samples]
-
-
-def _read_whole(stored: Path, shape: tuple[int, int]) -> Array | None:
-    """Return the stored output; None without one, if the file is damaged, or its files changed."""
-    try:
-        with stored.open("rb") as file, np.load(file, allow_pickle=False) as found:
-            y: Array = found["y"]
-            same = str(found["content"]) == content_digest(found["files"].tolist())
-    except (OSError, ValueError, EOFError, KeyError, TypeError, BadZipFile):
-        return None
-    whole = y.shape == shape and y.dtype == np.float64 and np.isfinite(y).all()
-    return y if same and whole else None
 
 
 # ---------------------------------------------------------------- simulators that do not run
@@ -341,8 +298,8 @@ class Absent:
     Attributes
     ----------
     kind, file : Names of its class and of its file, without the folder; empty without a file.
-    fingerprint : Result of the simulator's `fingerprint()` (or `digest()` if fitted), by which a
-        different simulator is detected; None without one.
+    fingerprint : Result of the simulator's `fingerprint()`, with the values of its parameters
+        unless they are fitted, by which a different simulator is detected; None without one.
     fitted : Whether its parameters were fitted; other parameter values are then no difference.
     start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
         has time stamps of its own.
@@ -380,9 +337,11 @@ class Absent:
         if isinstance(simulator, cls):
             return simulator
         file = PurePath(str(getattr(simulator, "path", ""))).name
-        said = getattr(simulator, "fingerprint", lambda: None)()
-        if said is not None and fitted and hasattr(simulator, "digest"):
-            said = simulator.digest()
+        said = None
+        with suppress(OSError):  # its file may be gone by now
+            said = getattr(simulator, "fingerprint", lambda: None)()
+        if said is not None and not fitted:
+            said = f"{said} {getattr(simulator, 'known', '')}".strip()
         own = getattr(simulator, "own_times", False)
         start = None if own else getattr(simulator, "start", None) or 0.0
         held = getattr(simulator, "held", None) if getattr(simulator, "driven", False) else None

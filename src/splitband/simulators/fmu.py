@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.files import sha256_of
 from splitband.simulators.base import Start, check_start
-from splitband.simulators.code import content_digest
 from splitband.simulators.fmu_running import (
     CoSimulation,
     Exchange,
@@ -253,20 +253,16 @@ class Fmu(Adjustable):
         exchange = self.driven and self._unit.kind == EXCHANGE
         return self._with(held=not self.held) if exchange else None
 
-    def digest(self) -> str:
-        """Return an identifier of the response, without the values of parameters."""
-        content = content_digest([self.path])
+    def fingerprint(self) -> str:
+        """Return the SHA-256 of its file, and what is used of it; see `Simulator`."""
         step = "" if self.step is None else f" {self.step}"
-        return f"{content} {self.outputs} {self.inputs} {self.start} {self.held}{step}"
+        used = f"{self.outputs} {self.inputs} {self.start} {self.held}{step}"
+        return f"{sha256_of(self.path)} {used}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments, with which another process opens it."""
         outputs, rest = self.outputs if self._named else None, (self.start, self.held, self.step)
         return type(self), (self.path, outputs, self.parameters, self.inputs, *rest)
-
-    def fingerprint(self) -> str:
-        """Return the cache key: everything the output depends on except the time grid."""
-        return f"{self.digest()} {sorted(self.known.middle().items())}"
 
     def close(self) -> None:
         """Free the instance and remove the unpacked files."""

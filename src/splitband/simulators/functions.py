@@ -16,7 +16,7 @@ import scipy
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Start, check_start
-from splitband.simulators.code import arguments, check_arguments, code_digest, count_arguments
+from splitband.simulators.code import arguments, check_arguments, count_arguments
 from splitband.simulators.parameters import (
     INITIAL,
     Adjustable,
@@ -96,10 +96,6 @@ class UserCode(Adjustable):
             return super().__reduce_ex__(protocol)
         return self._opened_by, (dict(self.parameters or {}),)
 
-    @property
-    def _begins(self) -> str:
-        return f" from {self.start}" if self.start else ""
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Function(UserCode):
@@ -109,7 +105,6 @@ class Function(UserCode):
     ----------
     function : `function(time, u, p) -> (time,) or (time, ny)`, or without the last or the last two
         arguments: times in s `(time,)`, inputs `(time, nu)`, and parameters by name (`p.k`).
-    key : Identifier of the function in the cache of `run`; without a key nothing is cached.
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
         this order. Those whose names begin with `x0_` are fitted for each record separately.
     start : Time of a record's first sample in s, by default 0, or "record" for its time stamp. A
@@ -117,7 +112,6 @@ class Function(UserCode):
     """
 
     function: Callable[..., npt.ArrayLike]
-    key: str | None = None
     parameters: Given | None = None
     start: Start | None = None
 
@@ -144,15 +138,6 @@ class Function(UserCode):
             found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
         return found
 
-    def fingerprint(self) -> str | None:
-        """Return the cache key, or None without a `key`."""
-        return self.key and f"{self.key} {self.known}".strip() + self._begins
-
-    def digest(self) -> str | None:
-        """Return an identifier of code and start; None for code that cannot be told."""
-        code = self.key or code_digest(self.function)
-        return code and code + self._begins
-
     def _called(self, time: Array, u: Array | None, values: Mapping[str, float]) -> npt.ArrayLike:
         u = np.empty((len(time), 0)) if u is None else u
         p = parameters_class(tuple(self.known.given))(*(values[n] for n in self.known.given))
@@ -178,7 +163,6 @@ class Ode(UserCode):
     method : "RK45", the method of Dormand and Prince, compiled where it can be; or another one of
         `scipy.integrate.solve_ivp`, such as "Radau" and "BDF" for stiff equations.
     tolerances : Relative and absolute tolerance of a step.
-    key : Identifier of `rhs` and `observe` in the cache, as for `Function`.
     start : t at a record's first sample in s, or "record" for its time stamp.
 
     Examples
@@ -201,7 +185,6 @@ class Ode(UserCode):
     held: bool = False
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
     tolerances: tuple[float, float] = (1e-8, 1e-10)
-    key: str | None = None
     start: Start = 0.0
 
     def __post_init__(self) -> None:
@@ -347,28 +330,12 @@ class Ode(UserCode):
         if self.method == "RK45":
             from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
 
-            solve = solver(self.rhs, count_arguments(self.rhs) or 2, code_digest(self.rhs))
+            solve = solver(self.rhs, count_arguments(self.rhs) or 2)
             p = self.p(values)
             x, taken, size = solve(p, begin, time, (u, self.held), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
-
-    def fingerprint(self) -> str | None:
-        """Return the cache key: the key, the parameters and the solver's settings."""
-        x0 = np.asarray(self.x0, float).tolist()
-        held = " held" if self.held else ""
-        return self.key and f"{self.key} {x0} {self.known} {self._precision}{held}"
-
-    def digest(self) -> str | None:
-        """Return an identifier of code and settings; None for code that cannot be told."""
-        code = self.key or code_digest(self.rhs, self.observe)
-        fixed = {name: x for name, x in self._fixed.items() if name not in self.known.given}
-        return code and f"{code} {fixed} {self._precision} {self.held}"
-
-    @property
-    def _precision(self) -> str:
-        return f"{self.method} {self.tolerances}{self._begins}"
 
     @property
     def _states(self) -> list[str]:

@@ -12,7 +12,7 @@ import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,11 @@ from pebble import ProcessExpired
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError, one_line
+from splitband.runtime.files import sha256_of
 from splitband.runtime.system import end_group, lead_group
 from splitband.runtime.workers import Workers, ended_from_outside, result_of
 from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Start
-from splitband.simulators.code import content_digest, count_arguments, loaded_files
+from splitband.simulators.code import count_arguments
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of
 from splitband.simulators.functions import Function, Ode, UserCode
@@ -41,24 +42,19 @@ results."""
 class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
-    `timeout`: seconds to wait; `reads`: other files that the output depends on; `cache`: see `run`;
-    `outputs`, `inputs`, `start`, `held`, `step`: see `Fmu` and `Function`; `driven`: whether it
-    takes the record's inputs, set for an FMU by `matched`; `files`: those of the modules that it
-    had imported after its last run.
+    `timeout`: seconds to wait; `outputs`, `inputs`, `start`, `held`, `step`: see `Fmu` and
+    `Function`; `driven`: whether it takes the record's inputs, set for an FMU by `matched`.
     """
 
     path: str
     function: str | None = None
     outputs: tuple[str, ...] = ()
     timeout: float | None = None
-    reads: tuple[str, ...] = ()
-    cache: str | None = None
     inputs: tuple[str, ...] | None = None
     driven: bool = False
     start: Start | None = None
     held: bool = False
     step: float | None = None
-    files: Sequence[str] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         """Check that it can hold its inputs, if it is to."""
@@ -95,7 +91,7 @@ class Isolated:
         try:
             head = result_of(workers.submit(lead_group))
             task = workers.submit(_simulated, self, time, u)
-            values, self.files, said = result_of(task, self.timeout)
+            values, said = result_of(task, self.timeout)
         except TimeoutError:
             raise SimulatorTimeoutError(f"within {self.timeout:g} s") from None
         except ProcessExpired as error:
@@ -113,18 +109,13 @@ class Isolated:
         return values
 
     def fingerprint(self) -> str:
-        """Return an identifier of everything the output depends on except the time grid.
-
-        It covers the content of the file and of those it `reads`; a cached output also depends on
-        the `files` of the run.
-        """
-        content = content_digest([self.path, *self.reads])
+        """Return the SHA-256 of its file, and what is used of it; see `Simulator`."""
+        content = sha256_of(self.path)
         if self.function is not None:
             return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
-        # Without values of parameters, as that of an `Fmu`.
         step = "" if self.step is None else f" {self.step}"
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held}{step} []"
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held}{step}"
 
 
 def _how(code: int) -> str:
@@ -136,8 +127,8 @@ def _how(code: int) -> str:
 
 def _simulated(
     task: Isolated, time: Array, u: Array | None = None
-) -> tuple[npt.NDArray[Any], Sequence[str], Sequence[str]]:
-    """Return the output, the files of the user's modules that were imported for it, warnings."""
+) -> tuple[npt.NDArray[Any], Sequence[str]]:
+    """Return the output and the warnings."""
     with contextlib.suppress(OSError):  # a program without a console has neither
         os.dup2(_STDERR, _STDOUT)
     try:
@@ -153,7 +144,7 @@ def _simulated(
     finally:
         if sys.stdout is not None:
             sys.stdout.flush()
-    return values, loaded_files(), [*dict.fromkeys(str(each.message) for each in caught)]
+    return values, [*dict.fromkeys(str(each.message) for each in caught)]
 
 
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
@@ -206,9 +197,7 @@ def adjustable_from(  # noqa: PLR0913
     if not name:
         return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held, step)
     file = str(Path(file).resolve())
-    _defined(file, name, content_digest([file]))  # which imports what it needs
-    key = f"{content_digest([file, *loaded_files()])} {name}"
-    simulator: Adjustable = _of_file(file, name, start, held, key, given)
+    simulator: Adjustable = _of_file(file, name, start, held, given)
     return simulator
 
 
@@ -221,31 +210,31 @@ def _not_an_equation(name: str) -> InputError:
 
 
 def _of_file(
-    file: str, name: str, start: Start | None, held: bool, key: str, given: Mapping[str, Any]
+    file: str, name: str, start: Start | None, held: bool, given: Mapping[str, Any]
 ) -> Any:
     """Return a simulator of a Python file, in any process."""
-    found = _defined(file, name, content_digest([file]))
+    found = _defined(file, name, Path(file).read_bytes())
     if isinstance(found, UserCode):
         parameters = {**(found.parameters or {}), **given}
-        simulator: Any = replace(found, parameters=parameters, key=key)  # type: ignore[type-var]
+        simulator: Any = replace(found, parameters=parameters)  # type: ignore[type-var]
     elif not callable(found):
         raise InputError(f"{file} must define a function, an Ode or a Function {name}")
     elif count_arguments(found) == 4:
-        simulator = Ode(found, _initial(given), parameters=dict(given), key=key)
+        simulator = Ode(found, _initial(given), parameters=dict(given))
     else:
-        simulator = Function(found, key, dict(given))
+        simulator = Function(found, dict(given))
     if start is not None:
         simulator = replace(simulator, start=start)
     if held:
         if not isinstance(simulator, Ode):
             raise _not_an_equation(name)
         simulator = replace(simulator, held=True)
-    return simulator.opened_by(partial(_of_file, file, name, start, held, key))
+    return simulator.opened_by(partial(_of_file, file, name, start, held))
 
 
 @lru_cache(maxsize=16)
-def _defined(file: str, name: str, content: str) -> Any:
-    """Return the object of that name; cached, so that a function is compiled once per process."""
+def _defined(file: str, name: str, content: bytes) -> Any:
+    """Return the object of that name, one for a content, so that it is compiled once a process."""
     return named_in(file, name)
 
 

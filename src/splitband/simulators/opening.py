@@ -49,8 +49,6 @@ def open_simulator(  # noqa: PLR0913
     step: float | None = None,
     parameters: str | Mapping[str, Any] | None = None,
     timeout: float | None = None,
-    cache: str | Path | None = None,
-    reads: Sequence[str] = (),
     time_column: str | None = None,
 ) -> Any:
     """Return the simulator that a text stands for, as `--simulator` does.
@@ -68,8 +66,6 @@ def open_simulator(  # noqa: PLR0913
     step : Communication step of an FMU in s, see `Fmu`.
     parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
     timeout : Seconds after which a run is given up; None for no limit.
-    cache : Folder that keeps its outputs.
-    reads : Files on which its output depends, too.
     time_column : Of an exported trajectory, if it has such a column.
 
     Returns
@@ -123,15 +119,12 @@ def open_simulator(  # noqa: PLR0913
     if parameters is not None:
         given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
         return adjustable_from(file, function, given, columns, inputs, begin, held, step)
-    for each in reads:
-        if not Path(each).is_file():
-            raise FileNotFoundError(f"reads (--simulator-reads) must be a file, got {each}")
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
     made = Isolated(
-        file, function or None, () if function else tuple(columns), timeout, tuple(reads),
-        None if cache is None else str(cache), None if inputs is None else tuple(inputs), driven,
+        file, function or None, () if function else tuple(columns), timeout,
+        None if inputs is None else tuple(inputs), driven,
         begin if function else begin or 0.0, held, step,
     )  # fmt: skip
     # Not before it is matched does an FMU say whether inputs drive it.
@@ -227,7 +220,7 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
 
     def output(samples: int) -> Any:
         if not isinstance(simulator, Recorded):
-            return run(simulator, samples, grid.step, record.ny, None, None, grid.start, u)
+            return run(simulator, samples, grid.step, record.ny, None, grid.start, u)
         found = simulator.on(replace(grid, samples=samples))
         if found.note:
             log.info("%s: %s", name, found.note)
@@ -245,3 +238,25 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
     said = Absent.of(simulator)
     beyond = rest if len(rest) else None
     return replace(record, y_sim=y_sim[: len(record)], beyond=beyond, simulator=said)
+
+
+def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
+    """Run a simulator beside a record; return its output, with the same channels and time stamps.
+
+    It goes on for `steps` samples after the record, and further, for a calibration of its delay and
+    clock, if it can. As a file, it stands for the simulator from then on.
+
+    Raises
+    ------
+    ValueError
+        As `simulators.run`, and for `steps` of a simulator that the record's inputs drive.
+    """
+    if steps and is_driven(matched(simulator, record.columns, record.inputs)):
+        raise InputError(
+            "steps (--steps) must be left out for a simulator that the record's inputs drive, as "
+            f"they end with it; got {steps}"
+        )
+    whole = simulated(record, simulator, steps, longer=True)
+    assert whole.y_sim is not None
+    y = whole.y_sim if whole.beyond is None else np.concatenate([whole.y_sim, whole.beyond])
+    return Record(y, record.sampling_time, start=record.start, columns=record.columns)

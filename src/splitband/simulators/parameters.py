@@ -224,10 +224,6 @@ class Adjustable(WithRepr, ABC):
         """
 
     @abstractmethod
-    def digest(self) -> str | None:
-        """Return an identifier of the response, without the values of parameters, if it has one."""
-
-    @abstractmethod
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed options."""
 

@@ -19,11 +19,10 @@ import scipy
 
 from splitband.data import Record
 from splitband.runtime.arrays import Array
-from splitband.runtime.caching import key_of
 from splitband.runtime.deadlines import DeadlineError, check
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
-from splitband.simulators.base import identity, origin
+from splitband.simulators.base import origin
 from splitband.simulators.code import failure, place
 from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Point, Response
 
@@ -69,12 +68,6 @@ class Experiment:
         """Return the samples from `begin` to before `end`."""
         u = None if self.u is None else self.u[begin:end]
         return Experiment(self.time[begin:end], self.y[begin:end].copy(), u)
-
-
-def fit_key(simulator: Adjustable, experiments: Sequence[Experiment], starts: int) -> str | None:
-    """Return a digest of simulator, experiments and number of starts; None without an identity."""
-    known = identity(simulator)
-    return known and key_of(known, starts, *(a for e in experiments for a in (e.time, e.y, e.u)))
 
 
 class Window(NamedTuple):
