@@ -4,11 +4,12 @@
     python -m benchmarks.families --times 0.25 0.5 1 2 4 --budget 30s [--draws 3]
     python -m benchmarks.families --table
 
-Each run is the plain command with a drawn record and its simulator's output, if any, as in
-`benchmarks.clock`; a run is a line of OUT, and what is there is not run again. Errors are those of
-the forecast of the last quarter. `--times` runs the filtered hybrid alone, with the chosen cut-off
-times these factors; `--table` prints all of it as Markdown and draws the picture. Code is changed
-by what is found on `--development` draws alone.
+Each run is the plain command with a drawn record and its simulator's output, as in
+`benchmarks.clock`, or without one with split models beside the default methods; a run is a line of
+OUT, and what is there is not run again. Errors are those of the forecast of the last quarter.
+`--times` runs the filtered hybrid alone, with the chosen cut-off times these factors; `--table`
+prints all of it as Markdown and draws the picture. Code is changed by what is found on
+`--development` draws alone.
 """
 
 from __future__ import annotations
@@ -181,6 +182,9 @@ def measured(row: Row, folder: Path) -> Row:
     if record.y_sim is not None:
         simulated = Record(record.y_sim, record.sampling_time, columns=record.columns)
         words += ["--simulator", *written(simulated, folder / "simulator.csv")]
+    else:
+        names = [*plan(record).names, "split-gru", "split-gru-conditioned"]
+        words += ["--methods", ",".join(names)]
     if row["times"] is not None:
         planned = plan(record)
         method = next(name for name in planned.names if name.startswith("filtered"))

@@ -184,7 +184,7 @@ def bands_of(training: sb.Record, calibrated: bool, band: Band) -> sb.Bands:
     if band == "high":
         return high_bands(OPEN, training)
     base = sb.Calibrated() if calibrated else sb.Simulation()
-    return chosen_bands(OPEN, training, None, [sb.Filtered(base, sb.StateSpace(4, 10))])
+    return chosen_bands(OPEN, training, [sb.Filtered(base, sb.StateSpace(4, 10))])
 
 
 def arm(row: Row, record: sb.Record, bands: sb.Bands) -> tuple[Network, sb.Record]:

@@ -546,6 +546,10 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
+WITH_SIMULATOR = [kind for kind in families.COLUMNS if kind != "split"]
+"""Kinds of methods on records with a simulator."""
+
+
 def families_table(file: str, with_simulator: bool, kinds: Sequence[str] = families.COLUMNS) -> str:
     """Return what the families of drawn records came to, with a simulator or without."""
     named = [name for name in families.FAMILIES if (name in families.SPLIT) != with_simulator]
@@ -562,7 +566,7 @@ TABLES: dict[str, Callable[[], str]] = {
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
-    "families": partial(families_table, families.FILE, True),
+    "families": partial(families_table, families.FILE, True, WITH_SIMULATOR),
     "families-before": partial(families_table, families.BEFORE, True, families.COLUMNS[:2]),
     "families-split": partial(families_table, families.FILE, False),
 }  # fmt: skip

@@ -39,6 +39,7 @@ SETTINGS = [
     bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
     bad(SPLIT + "--methods splt-gru,mean", "--methods", "'splt-gru' (did you mean split-gru?)"),
     bad(GRU + "--cutoff 7", "cutoff", "got 7"),
+    bad("compare record.csv --columns a --order 2", "--order must be left out", "--methods"),
     bad(SPLIT + "--cutoff 1 --downsampling 5", "downsampling by 5", "1 Hz", "at most 4"),
     bad(SPLIT + "--warmup many", "--warmup", "a whole number of samples or auto", "got many"),
     bad(SPLIT + "--lr-milestones 20:fast", "--lr-milestones", "EPOCH:RATE", "20:fast"),
@@ -96,6 +97,7 @@ SIMULATORS = [
 MODELS = [
     bad(f"{FIT} --method simulator", "--simulator", "must be given for simulator"),
     bad(FIT + "--method filtered-gru --calibrate", "filtered-gru-calibrated", "--simulator"),
+    bad("fit record.csv --columns a --out out", "--method must be named", "compare", "methods"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
     bad("fit record.csv --inputs b --like driven --out m", "is for inputs: force; outputs: a",

@@ -12,7 +12,7 @@ from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import BacktestSpec, Origin, backtest, for_trial
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import HYBRIDS, Sizes
+from splitband.forecasters.names import Sizes
 from splitband.forecasters.network import Network
 from tests.records import Setup
 from tests.support import compare
@@ -94,17 +94,29 @@ def test_bands_that_are_given_hold_on_every_base(base: str | None) -> None:
     assert method.bands.cutoff == 1.5
 
 
-def test_a_simulator_that_does_not_help_leaves_the_learned_models() -> None:
+def test_a_simulator_that_does_not_help_leaves_what_needs_none_and_no_bands() -> None:
     useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
     r = replace(record(), y_sim=useless)
-    planned = plan(r, TRAIN)
+    planned, alone = plan(r, TRAIN), plan(replace(r, y_sim=None), TRAIN)
     assert planned.bands.choice is not None
     assert planned.bands.choice.simulator_helps is False
-    assert planned.bands.cutoff == plan(replace(r, y_sim=None), TRAIN).bands.cutoff
-    assert "split-gru-conditioned" in planned.names
-    assert "simulator" in planned.names
-    assert not {*planned.names} & {*HYBRIDS}
+    assert planned.bands.cutoff is None
+    assert {*planned.names} - {*alone.names} == {"simulator", "simulator-calibrated"}
+    assert planned.names[0] == alone.names[0] == "gru"
     assert plan(record(), TRAIN).names == default_names(with_simulator=True)
+
+
+def test_two_networks_are_compared_by_name_alone() -> None:
+    alone = replace(record(), y_sim=None)
+    driven = replace(alone, u=np.cumsum(alone.y, axis=0))
+    for r in (alone, driven, record()):
+        assert not [name for name in plan(r, TRAIN).names if name.startswith("split")]
+    assert plan(alone, TRAIN).bands == Bands()
+    says = r"cutoff must be left out .* two bands, got 0\.6: methods .* such as split-gru"
+    with pytest.raises(sb.InputError, match=says):
+        plan(alone, TRAIN, bands=Bands(0.6))
+    (method,) = plan(alone, TRAIN, "split-gru", bands=Bands(0.6)).methods
+    assert method.get_params()["bands"].cutoff == 0.6
 
 
 def test_a_simulator_that_helps_in_the_high_band_alone_is_tried_there() -> None:
@@ -169,7 +181,7 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
 
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
-    alone = plan(replace(record(), y_sim=None), TRAIN).bands
+    alone = plan(replace(record(), y_sim=None), TRAIN, ["split-gru"]).bands
     assert plan(record(), TRAIN, ["split-gru", "mean"]).bands == alone
     assert plan(record(), TRAIN, ["filtered-gru"]).bands != alone
 

@@ -56,8 +56,8 @@ def planned(
     """Read the records and simulators that the options name, and return the plan for them.
 
     To forecast, all of the record is training data, and `future_inputs` names the file of the
-    inputs of `steps` samples beyond it. `fitting` is for a single method, by default fitted to the
-    whole record.
+    inputs of `steps` samples beyond it. `fitting` is for a single method, which must be named, by
+    default fitted to the whole record.
     """
     reading, simulated = asked.reading, asked.simulator
     model = None if asked.like is None else _like(asked)
@@ -82,8 +82,8 @@ def planned(
         usual = default_names(record.y_sim is not None, record.nu > 0)
         chosen = [model.untrained(), *(n for n in usual if not fitting and n not in TRAINED)]
         calibrate = conditioned = False
-    elif asked.methods is not None or fitting:
-        listed = options.names("split-gru" if asked.methods is None else asked.methods)
+    elif asked.methods is not None:
+        listed = options.names(asked.methods)
         if not listed:
             raise InputError(f"methods must be one or several names, got {asked.methods!r}")
         if fitting and len(listed) == 1:

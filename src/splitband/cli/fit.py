@@ -40,9 +40,9 @@ def fit(
     method: Annotated[
         str | None,
         options.plain(
-            "The method to fit; see `splitband methods`.",
+            "The method to fit, as `compare` recommends one; see `splitband methods`.",
             None,
-            "that of --like, or split-gru",
+            "that of --like",
         ),
     ] = None,
     train: Annotated[
@@ -69,6 +69,11 @@ def fit(
 
     MODEL_DIR gets the weights of networks (safetensors), everything else (JSON) and results.json.
     """
+    if method is None and like is None:
+        raise InputError(
+            "method must be named: `splitband compare` recommends one, `splitband methods` lists "
+            "them, and --like takes that of an earlier result; got none"
+        )
     asked = Request(
         record, reading, simulator, further, model=model, train=train, methods=method,
         calibrate=calibrate, conditioned=conditioned, like=like,

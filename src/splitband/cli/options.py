@@ -399,7 +399,10 @@ class ModelOptions:
         None, "Later rates by epoch: 20:1e-4,500:1e-5.", "LIST", False
     )
     hidden: str | None = _training(
-        None, "Hidden units of the fast and the slow network.", "HIGH,LOW", "32,16"
+        None,
+        "Hidden units of the fast and the slow network; one GRU has their sum.",
+        "HIGH,LOW",
+        "32,16",
     )
     budget: Budget = None
     rounds: Rounds = None

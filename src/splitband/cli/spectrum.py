@@ -17,6 +17,7 @@ from splitband.evaluation.checks import check_train
 from splitband.evaluation.plan import TRAINING_SHARE, chosen_bands
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.names import known
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import results
@@ -52,9 +53,9 @@ def spectrum(
     check: the RMSE that a hybrid could reach at each cut-off. OUT gets results.json and plots
     (report.html).
 
-    The cut-off is the one that `compare` chooses with the same --train; for the paper's records it
-    is the paper's, unless --cutoff is auto. With --test, `compare` trains on the whole record: give
-    --train the number of all samples then.
+    The cut-off is the one that `compare` chooses with the same --train for methods of two bands:
+    filtered hybrids, or without a simulator split-gru. With --test, `compare` trains on the whole
+    record: give --train the number of all samples then.
     """
     whole = records.load_record(record, reading)
     opened = records.simulator_of(simulator, whole, reading.time_column)
@@ -71,7 +72,8 @@ def spectrum(
     trained = int(TRAINING_SHARE * len(whole)) if trained is None else trained
     check_train(whole, trained, 0)
     given = Bands(cutoff, order)
-    bands = chosen_bands(given, whole[:trained])
+    method = "split-gru" if whole.y_sim is None else "filtered-gru-calibrated"
+    bands = chosen_bands(given, whole[:trained], [known(method)])
     shown = whole[:train]
     rate = shown.sampling_rate
     pair = bands.pair(rate)

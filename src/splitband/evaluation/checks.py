@@ -11,7 +11,9 @@ import numpy as np
 from splitband.data import Record, check_alike
 from splitband.data.signals import first_after
 from splitband.forecasters.backtest import first_held_out, for_trial
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster, all_parts
+from splitband.forecasters.network import Network
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -59,6 +61,19 @@ def check_needs(methods: Sequence[Forecaster], record: Record, others: Sequence[
             f"further records (others, --more) must each have a simulator's output "
             f"(--more-simulator) for {hybrid.name}, {without.name or 'one'} has none"
         )
+
+
+def check_bands(bands: Bands, methods: Sequence[Forecaster]) -> None:
+    """Raise ValueError if parameters of two bands are given, and none of the methods has any."""
+    parts = [part for method in methods for part in all_parts(method)]
+    if any(isinstance(part, Network) and part.bands is not None for part in parts):
+        return
+    for name in ("cutoff", "order", "downsampling"):
+        if (value := getattr(bands, name)) is not None:
+            raise InputError(
+                f"{name} must be left out where no default method has two bands, got {value}: "
+                "methods (--methods) takes those that have, such as split-gru"
+            )
 
 
 def check_train(record: Record, train: int, horizon: int = 1) -> None:

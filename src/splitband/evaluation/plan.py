@@ -10,7 +10,14 @@ from functools import cached_property, partial
 from typing import Any
 
 from splitband.data import Record, require_records
-from splitband.evaluation.checks import check, check_limits, check_needs, check_train, check_trial
+from splitband.evaluation.checks import (
+    check,
+    check_bands,
+    check_limits,
+    check_needs,
+    check_train,
+    check_trial,
+)
 from splitband.filters import Band
 from splitband.forecasters.backtest import BacktestSpec, Origin, first_origin, held_out_origins
 from splitband.forecasters.bands import OPEN, Bands
@@ -20,8 +27,7 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.names import (
     BASES,
     GREY_BOX,
-    NAMES,
-    QUICK,
+    HYBRIDS,
     Sizes,
     known,
     named,
@@ -260,18 +266,15 @@ def plan(  # noqa: PLR0913
         shortest = default_warmup(min(map(len, tests)))
         decided = replace(decided, warmup=min(decided.warmup, shortest))
     searched = recipe == "default" and given is None and not {*changes} - {"warmup"}
-    asked = default_names(record.y_sim is not None, record.nu > 0) if names is None else names
-    listed = [_known(each) for each in asked]
-    if names is not None:
-        check_needs(listed, record, others)
-    chosen = chosen_bands(bands or OPEN, training, decided, listed)
-    high = OPEN
-    beside = names is None and chosen.choice is not None and record.y_sim is not None
-    if beside or _any_takes_bands(listed, "high"):
-        high = high_bands(bands or OPEN, training, decided)
-    usual = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     if names is None:
-        asked = _default_methods(record, chosen, high, fitted)
+        asked, chosen, high = _default_methods(bands or OPEN, training, decided, fitted)
+    else:
+        asked, listed = names, [_known(each) for each in names]
+        check_needs(listed, record, others)
+        chosen = chosen_bands(bands or OPEN, training, listed, decided)
+        above = _any_takes_bands(listed, "high")
+        high = high_bands(bands or OPEN, training, decided) if above else OPEN
+    usual = Sizes(hidden_high=32, hidden_low=16) if recipe == "default" else Sizes()
     if fitted is not None:
         check_runs(fitted, record)
     found = Plan(
@@ -392,17 +395,14 @@ def _settings(usual: Settings, changes: Mapping[str, Any]) -> Settings:
 def chosen_bands(
     given: Bands,
     training: Record,
+    methods: Sequence[Forecaster],
     settings: Settings | None = None,
-    methods: Sequence[Forecaster] | None = None,
 ) -> Bands:
-    """Return the bands, for hybrids where the simulator helps, else for networks alone.
+    """Return the bands of these methods: of hybrids where the simulator helps, else of networks.
 
-    What is given stays. Settings and methods are by default the usual ones for such a record.
+    What is given stays. Settings are by default the usual ones for such a record.
     """
     settings = settings or recipe_settings("default", training)
-    if methods is None:
-        usual = default_names(training.y_sim is not None, training.nu > 0)
-        methods = [known(name) for name in usual]
     if given.cutoff is None and not _any_takes_bands(methods, "low"):
         return given
     methods = [method for method in methods if not _any_takes_bands([method], "high")]
@@ -447,21 +447,19 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     if with_inputs:
         naive, first = ["linear", "mean", "persistence"], ["state-space", "gru"]
     if not with_simulator:
-        return [*first, "split-gru", "split-gru-conditioned", *naive]
+        return [*first, *naive]
     hybrids = [f"{kind}-state-space-calibrated-conditioned" for kind in ("filtered", "residual")]
     trained = [hybrids[1], first[0], hybrids[0], *first[1:]] if with_inputs else [*first, *hybrids]
     return [*trained, "simulator", "simulator-calibrated", *naive]
 
 
-def usual_names(record: Record, bands: Bands, high: Bands = OPEN) -> list[str]:
-    """Return `default_names`, with hybrids of the bands in which the record's simulator helps.
+def usual_names(names: list[str], bands: Bands, high: Bands) -> list[str]:
+    """Return default names, with hybrids of the bands in which the record's simulator helps.
 
     A hybrid with the simulator in the high band, as of a sensor that drifts, is tried where a lower
     error is expected of it than of one with the low band. Without such a band, there are no
     hybrids.
     """
-    driven = record.nu > 0
-    names = default_names(record.y_sim is not None, driven)
     if bands.choice is None or bands.choice.simulator_helps is None:
         return names
     below, above = bands.choice, high.choice
@@ -472,22 +470,31 @@ def usual_names(record: Record, bands: Bands, high: Bands = OPEN) -> list[str]:
         hybrids = ["filtered-high-state-space-conditioned", *hybrids]
     if hybrids:
         return [*names[:at], *hybrids, *names[at + 1 :]]
-    learned = default_names(False, driven)
-    trained = next(i for i, name in enumerate(learned) if name in QUICK)
-    kept = [name for name in names if name in QUICK and "simulator" in NAMES[name].needs]
-    return [*learned[:trained], *kept, *learned[trained:]]
+    return [name for name in names if name not in HYBRIDS]
 
 
 def _default_methods(
-    record: Record, bands: Bands, high: Bands, simulator: Adjustable | None
-) -> list[Forecaster | str]:
-    """Return the default methods for a record; a simulator is also compared before its fit."""
-    if simulator is None:
-        return [*usual_names(record, bands, high)]
-    middle = simulator.fixed(simulator.known.middle())
-    names = with_base(default_names(True, record.nu > 0), GREY_BOX)
-    at = names.index(GREY_BOX)
-    return [*names[:at], GreyBox(middle, name=UNFITTED_SIMULATOR), *names[at:]]
+    given: Bands, training: Record, settings: Settings, simulator: Adjustable | None
+) -> tuple[Sequence[Forecaster | str], Bands, Bands]:
+    """Return the default methods for a record, and their bands, low and high.
+
+    A simulator with parameters is also compared before its fit.
+    """
+    driven = training.nu > 0
+    if simulator is not None:
+        names = with_base(default_names(True, driven), GREY_BOX)
+        middle, at = simulator.fixed(simulator.known.middle()), names.index(GREY_BOX)
+        unfitted = GreyBox(middle, name=UNFITTED_SIMULATOR)
+        return [*names[:at], unfitted, *names[at:]], OPEN, OPEN
+    names = default_names(training.y_sim is not None, driven)
+    listed = [known(name) for name in names]
+    check_bands(given, listed)
+    low = chosen_bands(given, training, listed, settings)
+    high = OPEN if low.choice is None else high_bands(given, training, settings)
+    names = usual_names(names, low, high)
+    if any(_any_takes_bands([known(name)], "low") for name in names):
+        return names, low, high
+    return names, Bands(choice=low.choice), high  # which says why the simulator does not help
 
 
 def _cut_to_horizon(

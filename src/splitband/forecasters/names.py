@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from splitband import networks
@@ -198,8 +199,11 @@ def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> l
         ("conditioned", conditioned, lambda variant: getattr(variant, "conditioned", False)),
     ):
         if wanted and not any(map(has, found.values())):
-            able = [n for n in NAMES if len(variants(NAMES[n], **_only(argument))) > 1]
-            raise InputError(f"{argument} needs one of {', '.join(able)}, got {', '.join(names)}")
+            able = (n for n in NAMES if len(variants(NAMES[n], **_only(argument))) > 1)
+            raise InputError(
+                f"{argument} needs a method that has it, such as {', '.join(islice(able, 3))} "
+                f"(splitband methods lists them), got {', '.join(names)}"
+            )
     return [*found]
 
 

@@ -220,7 +220,7 @@ def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[S
 def _bands(result: Comparison) -> Section:
     """Return the section of the spectrum and the cut-offs between the bands."""
     bands, part = result.plan.bands, result.record[: result.plan.train]
-    text, choices = [words.of_bands(bands, part)], [bands.choice]
+    text, choices = [words.of_bands(bands, part)], [bands.choice if bands.cutoff else None]
     for name, fits in result.fits.items():
         own: Bands | None = getattr(fits[0].fitted, "_trained_in", None)
         if own is not None and own.cutoff != bands.cutoff:
