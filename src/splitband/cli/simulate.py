@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaves_range
 from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
@@ -62,15 +64,24 @@ def simulate(
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
         showing.console.print(begins)
     forecaster.to(device)
-    with showing.without_warnings():
-        found = forecaster.predict(
-            steps, past if history else None, u, level=level, other_record=other_run
-        )
     if not is_stream(out):
         output_folder(out.parent, "--out")
-    write_csv(out, found.to_frame())
-    showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
-    for reason in found.warnings:
-        showing.warn(reason)
+    found = predicted(
+        out, history or "the training record", forecaster, steps,
+        history=past if history else None, u=u, level=level, other_record=other_run,
+    )  # fmt: skip
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
     showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
+
+
+def predicted(
+    file: Path, after: Path | str, model: Forecaster, steps: int, **known: Any
+) -> Prediction:
+    """Write what a model predicts `after` a record; `known`: further arguments of `predict`."""
+    with showing.without_warnings():
+        found = model.predict(steps, **known)
+    write_csv(file, found.to_frame())
+    showing.console.print(f"{steps} samples after {after}: {file}")
+    for reason in found.warnings:
+        showing.warn(reason)
+    return found

@@ -69,7 +69,7 @@ def spectrum(
         whole = simulated(whole, opened, longer=True)
     trained = RECORDS[record].train if train is None and record in RECORDS else train
     trained = int(TRAINING_SHARE * len(whole)) if trained is None else trained
-    check_train(whole, trained, 0)
+    check_train(whole, trained)
     given = Bands(cutoff, order)
     bands = chosen_bands(given, whole[:trained])
     shown = whole[:train]
