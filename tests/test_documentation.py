@@ -25,7 +25,7 @@ from splitband.forecasters.names import NAMES
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = (
     "ComplementaryPair", "Ensemble", "Filtered", "Residual", "Single", "Split", "Record",
-    "compare", "forecast", "load", "read", "rmse", "rollout",
+    "compare", "load", "read", "rmse", "rollout",
 )  # fmt: skip
 """Public names whose docstrings must have an example."""
 EXECUTED = f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n" + (

@@ -7,10 +7,6 @@ from .data import (
 )
 from .evaluation.clock import Clock as Clock
 from .evaluation.comparison import Comparison as Comparison
-from .evaluation.forecast import (
-    Forecast as Forecast,
-    forecast as forecast,
-)
 from .evaluation.plan import (
     Plan as Plan,
     plan as plan,

@@ -243,7 +243,7 @@ _COMMANDS = (
     "simulate model --history {record} --steps 3 --out out/ahead.csv",
     "export model out/model.c",
     "forecast {record} --out out --steps 4 --method persistence --jobs 1",
-    "data list",
+    "data",
     "{record}",
     "",
 )

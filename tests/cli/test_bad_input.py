@@ -34,7 +34,7 @@ RECORDS = [
 ]
 
 SETTINGS = [
-    bad(SPLIT + "--train 200", "train", "199", "got 200"),
+    bad(SPLIT + "--train 201", "--train must be between 2 and 200", "got 201"),
     bad(SPLIT + "--train 20", "window", "20 samples", "got 30"),
     bad(SPLIT + "--horizon 51", "--horizon", "at most 50", "got 51"),
     bad(SPLIT + "--methods splt-gru,mean", "--methods", "'splt-gru' (did you mean split-gru?)"),
@@ -48,7 +48,7 @@ SETTINGS = [
     bad(SPLIT + "--methods ''", "--methods must be", "got ''"),
     bad(SPLIT + "--methods ,", "--methods must be", "got ','"),
     bad("compare record.csv --columns a --inputs force --methods mean --train 200 --horizon 5",
-        "--horizon must be left out", "200 samples", "got 5"),
+        "--horizon must end within the record", "got 5", "splitband forecast"),
     bad("compare record.csv --columns a --methods mean --train 100 --horizon 50 --refit",
         "--refit must be left out", "got 50", "splitband fit"),
     bad("spectrum record.csv --columns a --train 0 --out out", "--train must be", "got 0"),
@@ -58,12 +58,11 @@ SETTINGS = [
 ]  # fmt: skip
 
 WORDS = [
-    bad(SPLIT + "--train abc", "--train", "abc"),
+    bad(SPLIT + "--train abc", "--train", "a whole number of samples or all", "got abc"),
     bad(SPLIT + "--speed 3", "--speed"),
     bad("compare", "RECORD"),
     bad("learn record.csv", "learn"),
     bad("", "command"),
-    bad("data fetch moon", "'moon'", "drill_string_data"),
     bad("compare '[/b] :car:.csv'", "[/b] :car:.csv"),
     bad(f"{GRU} --effort 60s", "--rounds", "--budget"),
     bad(f"{GRU} --settings x.json", "--like"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from splitband import load
 from tests.cli.support import (
     DT,
     FAST,
@@ -118,6 +119,18 @@ def test_the_answer_comes_first_and_reasons_only_where_asked_for(
     assert "linear model: " in loud[loud.index("┃ method") :]
     assert "Lowest score" in loud
     assert "residual tests: " in loud
+
+
+def test_all_samples_train_and_held_out_forecasts_choose(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call("compare record.csv --columns a --methods persistence,harmonic --train all", tmp_path)
+    assert "a: held-out RMSE " in capsys.readouterr().out
+    found = results(tmp_path)
+    assert (found["settings"]["train"], found["recommended"]) == (SAMPLES, "harmonic")
+    fitted = load(tmp_path / "model").require_fitted()
+    assert fitted.begin + len(fitted.record) == SAMPLES
+    assert not [name for name in written(tmp_path / "predictions.csv") if "forecast" in name]
 
 
 def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:

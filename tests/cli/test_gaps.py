@@ -116,7 +116,7 @@ def test_fit_and_simulate_go_around_gaps(
 def test_forecast_goes_on_from_a_record_that_ends_in_a_gap(tmp_path: Path) -> None:
     line = "forecast ended.csv --gaps mask --columns a --steps 7 --method mean"
     call(line, tmp_path / "out")
-    assert results(tmp_path / "out")["gaps"] == len(BAD_ROWS)
+    assert results(tmp_path / "out")["record"]["gaps"] == len(BAD_ROWS)
     table = written(tmp_path / "out" / "forecast.csv")
     np.testing.assert_allclose(table["time"], DT * np.arange(166, 173))
     np.testing.assert_allclose(table["a"], np.nanmean(SEEN[:166]), atol=1e-3)

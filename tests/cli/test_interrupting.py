@@ -122,7 +122,7 @@ def test_ctrl_c_stops_it_while_it_loads(tmp_path: Path, monkeypatch: pytest.Monk
         "import pathlib, time\npathlib.Path(__file__).with_name('here').touch()\ntime.sleep(600)\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    with command_line("data list") as running:
+    with command_line("data") as running:
         eventually((tmp_path / "here").exists)
         assert interrupted(running) == ["error: stopped before anything was begun"]
 

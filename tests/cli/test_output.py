@@ -172,7 +172,7 @@ def test_nothing_of_an_earlier_result_stays_but_what_is_the_users() -> None:
     assert not (out / "predictions-test-1.csv").exists()
     call("forecast record.csv --method mean --steps 3", out)
     assert {path.name for path in out.iterdir()} == {
-        "results.json", "forecast.csv", "report.html", "model", *own
+        "results.json", "predictions.csv", "forecast.csv", "report.html", "model", *own
     }  # fmt: skip
     assert {name: (out / name).read_text() for name in own} == own
 

@@ -85,8 +85,8 @@ def test_forecast_goes_on_from_the_end_of_a_record(
     table, found = written(tmp_path / "out" / "forecast.csv"), results(tmp_path / "out")
     assert list(table) == ["time", "a", "a, lower", "a, upper"]
     np.testing.assert_allclose(table["time"], DT * np.arange(150, 200))
-    assert found["method"] == min(found["held_out_rmse"], key=found["held_out_rmse"].get)
-    assert found["method"] == "harmonic"
+    errors = {name: of["held_out_rmse"] for name, of in found["methods"].items()}
+    assert found["recommended"] == min(errors, key=errors.__getitem__) == "harmonic"
     assert (found["command"], found["arguments"]["steps"]) == ("forecast", 50)
     np.testing.assert_allclose(table["a"], A[150:], atol=1e-4)  # the record is two sinusoids
 

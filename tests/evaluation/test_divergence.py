@@ -152,6 +152,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
     assert main(files("forecast begun.csv --steps 50")) == 0
     assert "mean: no result: SVD did not converge" in capsys.readouterr().out
     found = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert (found["method"], found["failed"]) == (CALIBRATED, {"mean": "SVD did not converge"})
+    assert found["recommended"] == CALIBRATED
+    assert found["methods"]["mean"] == {"failed": "SVD did not converge"}
     table = pd.read_csv(tmp_path / "out" / "forecast.csv")
     np.testing.assert_allclose(table["y"], RECORD.y[TRAIN : TRAIN + 50, 0], atol=1e-3)

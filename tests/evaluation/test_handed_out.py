@@ -36,9 +36,9 @@ def compared() -> sb.Comparison:
     return compare(record(), ["split-gru", "gru", "mean"], SETUP, seeds=3)
 
 
-def forecast(methods: Sequence[Forecaster | str] | str, **options: Any) -> sb.Forecast:
-    """30 samples after the record."""
-    return sb.forecast(record(), 30, methods, **SETUP.options, **options)
+def of_all(methods: Sequence[Forecaster | str] | str, **options: Any) -> sb.Comparison:
+    """Trained on the whole record."""
+    return sb.compare(record(), len(record()), methods, **SETUP.options, **options)
 
 
 @pytest.mark.parametrize("name", ["split-gru", "mean"])
@@ -97,17 +97,17 @@ class Wild(Fickle):
 def test_a_failed_training_is_left_out_of_a_comparison_and_of_a_forecast() -> None:
     """By its simulation of the training record."""
     compared = sb.compare(record(), TRAIN, [Wild()], **SETUP.options)
-    found = forecast([Wild()])
+    found = of_all([Wild()])
     assert [fit.seed for fit in compared.fits["wild"]] == [0, 2]
-    assert found.seeds == (0, 2)
-    np.testing.assert_array_equal(found.prediction.y, 0)
-    assert "seed 1 left out: training error" in found.description
-    assert forecast([Wild()], seeds=3).seeds == (0, 1, 2)
+    assert found.model.seeds == (0, 2)
+    np.testing.assert_array_equal(found.model.predict(30).y, 0)
+    assert "seed 1 left out: training error" in found.fits["wild"][0].description
+    assert of_all([Wild()], seeds=3).model.seeds == (0, 1, 2)
 
 
 @pytest.mark.parametrize("methods", [["mean", "persistence"], [Fickle()]])
 def test_a_comparison_beyond_the_record_is_refused_before_anything_is_fitted(methods: Any) -> None:
-    expected = "horizon must be left out where train is the whole record of 200.* got 50.*forecast"
+    expected = "horizon must end within the record: at most 0 .* got 50; `splitband forecast`"
     with pytest.raises(ValueError, match=expected):
         sb.compare(record(), train=200, methods=methods, horizon=50)
 
@@ -128,13 +128,13 @@ def test_the_recommended_method_is_fitted_to_the_whole_record_where_that_is_aske
     np.testing.assert_allclose(result.model.predict(30).y, again.predict(30).y, atol=1e-12)
 
 
-def test_a_forecast_hands_out_its_model_and_what_it_was_made_with() -> None:
-    found = forecast(["gru"], seeds=2)
-    handed_out = found.model.predict(30, level=0.9)
-    np.testing.assert_allclose(handed_out.y, found.prediction.y, atol=1e-12)
-    np.testing.assert_allclose(widths(handed_out), widths(found.prediction), atol=1e-12)
+def test_a_model_of_the_whole_record_forecasts_what_comes_after_it() -> None:
+    found = of_all(["gru"], seeds=2)
+    assert not found.predictions
+    said = found.model.predict(30, level=0.9)
+    assert (widths(said) > 0).all()
     again = found.model.untrained().fit(record(), seed=0)
-    np.testing.assert_allclose(again.predict(30).y, found.prediction.y, atol=1e-12)
+    np.testing.assert_allclose(again.predict(30).y, said.y, atol=1e-12)
 
 
 def test_what_was_not_compared_is_not_handed_out() -> None:
@@ -207,10 +207,10 @@ def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:
     assert result.fits["diverging"][0].description.endswith("seed 1 failed: it diverged")
     again = result.trained("diverging").untrained().fit(record()[:TRAIN], seed=0)
     np.testing.assert_array_equal(again.predict(40).y, result.medians["diverging"].ahead)
-    found = forecast([_Diverging()], seeds=3)
+    found = of_all([_Diverging()], seeds=3).model
     assert found.seeds == (0, 2)
-    again = found.model.untrained().fit(record(), seed=0)
-    np.testing.assert_array_equal(again.predict(30).y, found.prediction.y)
+    again = found.untrained().fit(record(), seed=0)
+    np.testing.assert_array_equal(again.predict(30).y, found.predict(30).y)
 
 
 def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
@@ -226,4 +226,3 @@ def test_a_calibration_is_the_same_wherever_it_is_fitted() -> None:
 
 def test_a_method_goes_by_its_name_alone() -> None:
     assert [*sb.compare(record(), methods="mean").fits] == ["mean"]
-    assert sb.forecast(record(), 30, "mean").method == "mean"

@@ -11,7 +11,6 @@ import pytest
 from splitband import Record
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import forecast
 from splitband.evaluation.plan import plan
 from splitband.evaluation.run import Run, compare, fit, run
 from tests.records import QUICK, SETUP, TRAIN, record
@@ -152,14 +151,6 @@ def test_a_fit_searches_and_ends_with_one_training() -> None:
     assert model.held_out is not None
     assert model.settings == vars(model)["_trained_by"]
     assert len(model.require_fitted().record) == len(RECORD)
-
-
-def test_a_forecast_has_a_result_whatever_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = slowed(monkeypatch, 1.0)
-    for looks in (1, 300):
-        found = forecast(record()[:TRAIN], 10, ["gru", "mean"], budget=looks + clock.tick, **SMALL)  # type: ignore[arg-type]
-        assert found.method in ("gru", "mean")
-        assert found.prediction.y.shape == (10, 1)
 
 
 @pytest.mark.soak

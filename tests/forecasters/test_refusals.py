@@ -197,7 +197,6 @@ def test_the_columns_of_a_table_are_found_by_their_names() -> None:
         ("window", lambda n: sb.Settings(window=n), [3.0]),
         ("order", lambda n: sb.Bands(order=n), ["3"]),
         ("train", lambda n: sb.compare(record(), n, [sb.Mean()]), [True]),
-        ("steps", lambda n: sb.forecast(record(), n, [sb.Mean()]), [None]),
         ("seeds", lambda n: sb.compare(record(), 30, [sb.Mean()], seeds=n), [3.0]),
     ],
 )

@@ -12,7 +12,6 @@ import pandas as pd
 
 from splitband import Record, Settings
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast, forecast
 from splitband.evaluation.run import compare
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.backtest import Fit
@@ -80,8 +79,8 @@ def everything() -> Comparison:
     return as_if_trained(compared(r, methods, tests=[test]))
 
 
-def forecasted() -> Forecast:
-    """Of a record without time stamps whose samples are counted."""
+def of_all() -> Comparison:
+    """Trained on the whole of a record without time stamps whose samples are counted."""
     r = replace(record(), sampling_time=1.0)
     settings, bands = Settings(30, WARMUP, 1), Bands(0.05, 1, 2)
-    return forecast(r, 40, ["mean", "persistence"], settings=settings, bands=bands)
+    return compare(r, len(r), ["mean", "persistence"], settings=settings, bands=bands)

@@ -52,11 +52,11 @@ def written(everything: Comparison, tmp_path_factory: pytest.TempPathFactory) ->
     folder = tmp_path_factory.mktemp("pages")
     used = Usage([("Fit it", "splitband fit 'a <b>'")], "splitband compare 'a <b>'")
     document.of_comparison(everything, folder / "comparison", used)
-    document.of_forecast(comparisons.forecasted(), folder / "forecast", used)
+    document.of_comparison(comparisons.of_all(), folder / "of all", used)
     return {page.name: page for page in folder.iterdir()}
 
 
-@pytest.mark.parametrize("kind", ["comparison", "forecast"])
+@pytest.mark.parametrize("kind", ["comparison", "of all"])
 def test_each_page_is_well_formed_and_readable(written: dict[str, Path], kind: str) -> None:
     """Landmarks, one first heading, no level left out, captions, words for every plot."""
     tree = parsed(written[kind])

@@ -29,8 +29,8 @@ COMMANDS = {
     "check": "Check a saved model: fit, residual tests, stability, responses.",
     "export": "Write a saved model as C, as an FMU, as ONNX or for CasADi.",
     "spectrum": "Show the spectrum of a record, and choose a cut-off.",
-    "methods": "List the methods, and when each is worth trying.",
-    "data": "Download and list the public records.",
+    "methods": "List the methods by name, and what each needs.",
+    "data": "List the public records, and download them.",
     "doctor": "Check that this machine has what the package needs.",
 }
 """A line about each command; the module of the same name is imported when the command runs."""
@@ -81,8 +81,6 @@ class Commands(TyperGroup):
         if self.listing:
             return typer.core.TyperCommand(cmd_name, help=COMMANDS[cmd_name])
         command = getattr(import_module(f"splitband.cli.{cmd_name}"), cmd_name)
-        if isinstance(command, typer.Typer):
-            return typer.main.get_group(command)
         alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
         alone.command(cmd_name, cls=LockedCommand)(command)
         return typer.main.get_command(alone)

@@ -45,7 +45,7 @@ def compare(
     measured.
 
     OUT/model is the recommended method as it was trained, for `splitband simulate`; --refit trains
-    it on the whole record.
+    it on the whole record, --train all every method.
 
     How networks are trained is searched round by round until --budget is over: a table after
     every round, and OUT/model is the best model so far. Ctrl-C stops early and keeps the best so

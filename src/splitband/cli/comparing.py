@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 from splitband.cli import options, records, showing
 from splitband.cli.usage import REPLACED_BY_LIKE
 from splitband.data.named import RECORDS
-from splitband.evaluation.checks import check_ahead
 from splitband.evaluation.plan import Plan, default_names, plan
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -31,9 +29,7 @@ class Request:
     further: options.FurtherRecords = field(default_factory=options.FurtherRecords)
     testing: options.TestRecords = field(default_factory=options.TestRecords)
     model: options.ModelOptions = field(default_factory=options.ModelOptions)
-    train: Annotated[
-        int | None, options.panel("Record")("Train on the first N samples.", "N", "three quarters")
-    ] = None
+    train: options.Train = None
     horizon: Annotated[
         int | None, options.plain("Samples to predict after the training part.", "N", "all", min=1)
     ] = None
@@ -50,14 +46,10 @@ class Request:
     like: options.Like = None
 
 
-def planned(
-    asked: Request, steps: int = 0, future_inputs: Path | None = None, fitting: bool = False
-) -> Plan:
+def planned(asked: Request, fitting: bool = False) -> Plan:
     """Read the records and simulators that the options name, and return the plan for them.
 
-    To forecast, all of the record is training data, and `future_inputs` names the file of the
-    inputs of `steps` samples beyond it. `fitting` is for a single method, which must be named, by
-    default fitted to the whole record.
+    `fitting` is for a single method, which must be named, by default fitted to the whole record.
     """
     reading, simulated = asked.reading, asked.simulator
     model = None if asked.like is None else _like(asked)
@@ -65,9 +57,6 @@ def planned(
     simulator = records.simulator_of(simulated, record, reading.time_column)
     if simulator is not None and not isinstance(simulator, str) and not is_fitted(simulator):
         record = replace(record, y_sim=None, beyond=None)  # the named one counts
-    if steps:
-        coming = records.inputs_ahead(future_inputs, record, steps, reading)
-        record = replace(record, u_beyond=coming)
     more, test = asked.further, asked.testing
     if is_fitted(simulator):
         given = {"--more-simulator": more.more_simulator, "--test-simulator": test.test_simulator}
@@ -93,7 +82,7 @@ def planned(
     if simulator is None and record.y_sim is not None:
         # A named record's own simulator can run for longer.
         fitted = [known(each) if isinstance(each, str) else each for each in chosen or ()]
-        longer = steps or chosen is None or calibrate or any(f._calibrates for f in fitted)
+        longer = chosen is None or calibrate or any(f._calibrates for f in fitted)
         simulator = asked.record if longer else None
     others, tests = (
         records.load_further(option, files, beside, record, reading, simulated)
@@ -102,17 +91,16 @@ def planned(
             ("--test", test.test, test.test_simulator),
         )
     )
-    train = len(record) if steps or (fitting and asked.train is None) else asked.train
-    if train is None and not tests and asked.record in RECORDS:
+    train = len(record) if fitting and asked.train is None else asked.train
+    if train == "all":
+        train = len(record)
+    elif train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
-    if asked.horizon is not None:
-        all_of_it = len(record) if tests else 0
-        check_ahead(record, all_of_it if train is None else train, asked.horizon)
     found = plan(
         record,
         train,
         chosen,
-        horizon=0 if fitting else steps or asked.horizon,
+        horizon=0 if fitting else asked.horizon,
         others=others,
         tests=tests,
         initial=test.initial,

@@ -34,8 +34,8 @@ def doctor() -> None:
     """Show versions, cores, accelerators, the public records, compiled kernels and extras.
 
     The first call after an installation compiles every kernel on all cores, about a minute of work,
-    so that comparisons begin at once. Public records count as there once `splitband data fetch` has
-    stored them; nothing is downloaded.
+    so that comparisons begin at once. Public records count as there once `splitband data --fetch`
+    has stored them; nothing is downloaded.
     """
     found = environment()
     facts = {
@@ -71,7 +71,7 @@ def _state(name: str) -> str:
     """Return whether a public record has been downloaded and is intact; nothing is downloaded."""
     folder = data_folder()
     if not (folder / PUBLIC[name].path).is_file():
-        return "not there: splitband data fetch"
+        return "not there: splitband data --fetch"
     try:
         fetch(name, folder)
     except (InputError, OSError) as error:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
@@ -157,6 +157,14 @@ def _or_auto(kind: type[float] | type[int], what: str) -> Callable[[str], Any]:
     return parsed
 
 
+def _training_samples(value: str) -> int | Literal["all"]:
+    """Return the number of --train, or "all"."""
+    try:
+        return "all" if value == "all" else int(value)
+    except ValueError:
+        raise typer.BadParameter("must be a whole number of samples or all") from None
+
+
 _hertz = _or_auto(float, "a frequency in Hz")
 _samples = _or_auto(int, "a whole number of samples")
 _record, _simulator = _fields("Record"), _fields("Simulator")
@@ -181,6 +189,13 @@ ModelArgument = Annotated[
         show_default=False,
     ),
 ]
+Train = Annotated[
+    Any,  # int, "all" or None
+    panel("Record")(
+        "Train on the first N samples, or on all: methods are then compared by their held-out "
+        "forecasts alone.", "N|all", "three quarters", parser=_training_samples,
+    ),
+]  # fmt: skip
 History = Annotated[
     Path | None,
     plain("Measured samples up to now, with the columns of the training record; the last ones "

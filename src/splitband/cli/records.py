@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.cli import showing
 from splitband.cli.options import (
@@ -31,9 +30,10 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import BASES
 from splitband.forecasters.prediction import continued
 from splitband.forecasters.simulation import description_of, simulations
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
-from splitband.simulators.opening import open_simulator, read_beside, simulated
+from splitband.simulators.opening import is_fitted, open_simulator, read_beside, simulated
 from splitband.simulators.parameters import Adjustable
 
 
@@ -209,7 +209,7 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
 
 def inputs_ahead(
     file: Path | None, known: Record, steps: int, files: FileOptions, since: int = 0
-) -> npt.NDArray[np.float64] | None:
+) -> Array | None:
     """Return the known inputs after a record, `(steps or more, nu)`; None without inputs.
 
     From a named record without time stamps, they are taken from its sample `since` on. Raises
@@ -283,6 +283,23 @@ def runnable(options: SimulatorOptions, record: Record, time_column: str | None 
     found = simulator_of(options, record, time_column)
     _check_run_as_it_is("--simulator", options.simulator, found)
     return found
+
+
+def simulator_ahead(
+    name: str, options: SimulatorOptions, record: Record, steps: int, u: Array | None,
+    time_column: str | None,
+) -> Array | None:  # fmt: skip
+    """Return the simulator's output after a record of this name, `(steps or more, ny)`.
+
+    `u` are the inputs after it. None for a record without a simulator that is run as it is.
+    """
+    if record.y_sim is None:
+        return None
+    simulator = simulator_of(options, record, time_column)
+    if simulator is None or isinstance(simulator, str) or is_fitted(simulator):
+        simulator = open_simulator(name, record)  # a named record's own
+    ahead = replace(record, y_sim=None, beyond=None, u_beyond=u)
+    return simulated(ahead, simulator, steps, longer=True).beyond
 
 
 def _check_run_as_it_is(option: str, given: str | None, simulator: Any) -> None:

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from splitband.cli import options, records, showing
 from splitband.forecasters import saving as forecasters
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaves_range
 from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import is_stream, output_folder
 from splitband.simulators.opening import trajectory
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @options.with_groups
@@ -79,9 +78,8 @@ def simulate(
     own = {field.name for field in fields(options.FileOptions)}
     reading = {f"--{k.replace('_', '-')}": v for k, v in vars(files).items() if k not in own}
     if model_dir is None:
-        of_model = {"--history": history, "--future-inputs": future_inputs, "--level": level,
-                    "--other-run": other_run}  # fmt: skip
-        _refuse(of_model, "without MODEL_DIR")
+        ahead = {"--future-inputs": future_inputs, "--level": level}
+        _refuse({"--history": history, "--other-run": other_run, **ahead}, "without MODEL_DIR")
         _simulate_beside(record, simulator, files, steps or 0, out)
         return
     _refuse({"--record": record, **reading}, "with MODEL_DIR")
@@ -102,14 +100,11 @@ def simulate(
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
         showing.console.print(begins)
     forecaster.to(device)
-    with showing.without_warnings():
-        found = forecaster.predict(
-            steps, past if history else None, u, level=level, other_record=other_run
-        )
-    _write(out, found.to_frame())
-    showing.console.print(f"{steps} samples after {history or 'the training record'}: {out}")
-    for reason in found.warnings:
-        showing.warn(reason)
+    _make_folder(out)
+    known = {"u": u, "level": level, "other_record": other_run}
+    if history:
+        known["history"] = past
+    found = predicted(out, history or "the training record", forecaster, steps, **known)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
     showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
 
@@ -132,7 +127,8 @@ def _simulate_beside(
     simulator = records.runnable(how, record, reading.time_column)
     with showing.warnings_as_lines():
         found = trajectory(record, simulator, steps)
-    _write(out, found.to_frame())
+    _make_folder(out)
+    write_csv(out, found.to_frame())
     showing.console.print(f"{len(found)} samples of {how.simulator}: {out}")
     written = {"simulator": how.simulator, "record": name, "samples": len(found)}
     showing.as_json({**written, "file": str(out)})
@@ -145,7 +141,19 @@ def _refuse(given: Mapping[str, Any], where: str) -> None:
             raise InputError(f"{option} must be left out {where}, got {value}")
 
 
-def _write(out: Path, table: pd.DataFrame) -> None:
+def _make_folder(out: Path) -> None:
     if not is_stream(out):
         output_folder(out.parent, "--out")
-    write_csv(out, table)
+
+
+def predicted(
+    file: Path, after: Path | str, model: Forecaster, steps: int, **known: Any
+) -> Prediction:
+    """Write what a model predicts `after` a record; `known`: further arguments of `predict`."""
+    with showing.without_warnings():
+        found = model.predict(steps, **known)
+    write_csv(file, found.to_frame())
+    showing.console.print(f"{steps} samples after {after}: {file}")
+    for reason in found.warnings:
+        showing.warn(reason)
+    return found

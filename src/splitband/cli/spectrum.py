@@ -70,7 +70,7 @@ def spectrum(
         whole = simulated(whole, opened, longer=True)
     trained = RECORDS[record].train if train is None and record in RECORDS else train
     trained = int(TRAINING_SHARE * len(whole)) if trained is None else trained
-    check_train(whole, trained, 0)
+    check_train(whole, trained)
     given = Bands(cutoff, order)
     method = "split-gru" if whole.y_sim is None else "filtered-gru-calibrated"
     bands = chosen_bands(given, whole[:trained], [known(method)])

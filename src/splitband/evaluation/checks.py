@@ -76,22 +76,11 @@ def check_bands(bands: Bands, methods: Sequence[Forecaster]) -> None:
             )
 
 
-def check_train(record: Record, train: int, horizon: int = 1) -> None:
-    """Check that there is something to train on and `horizon` samples to predict."""
-    if not 2 <= whole("train", train, None) <= len(record) - horizon:
+def check_train(record: Record, train: int) -> None:
+    """Check that there is something to train on."""
+    if not 2 <= whole("train", train, None) <= len(record):
         raise InputError(
-            f"train must be between 2 and {len(record) - horizon} for a record of {len(record)} "
-            f"samples, got {train}"
-        )
-
-
-def check_ahead(record: Record, train: int, horizon: int) -> None:
-    """Check that samples were measured after the training part, if some are to be predicted."""
-    if horizon and train == len(record):
-        raise InputError(
-            f"horizon must be left out where train is the whole record of {train} samples, as "
-            f"nothing was measured after it to compare with, got {horizon}: "
-            "splitband.forecast (splitband forecast) predicts beyond a record"
+            f"train must be between 2 and {len(record)}, the samples of the record, got {train}"
         )
 
 

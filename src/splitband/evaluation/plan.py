@@ -193,12 +193,12 @@ def plan(  # noqa: PLR0913
     Parameters
     ----------
     record : The measured record, with its inputs and simulator's output, if any.
-    train : Samples to train on, by default three quarters; with `tests` all of them.
+    train : Samples to train on, by default three quarters; with `tests` all of them. With
+        `len(record)` nothing is left to compare with but the held-out forecasts.
     methods : Forecasters, or names (`splitband methods`). By default the methods worth comparing on
         such a record.
-    horizon : Samples to predict after the training part, by default to the end of the record. If
-        the whole record is trained on, they lie beyond it, as far as its inputs and its simulator's
-        output are known (`u_beyond`, `beyond`); 0 is for fitting alone.
+    horizon : Samples to predict after the training part, by default to the end of the record; 0 is
+        for fitting alone.
     others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to; each is simulated to its end after
         a warm-up on its first samples. A simulator that inputs drive runs for them and `others`.
@@ -255,10 +255,10 @@ def plan(  # noqa: PLR0913
         )
     names = _asked(record, methods, simulator, calibrate, conditioned)
     fitted: Any = simulator if is_fitted(simulator) else None
-    ahead = (horizon or 0) if train == len(record) else 0
-    record = _with_output(record, simulator, names, ahead)
+    record = _with_output(record, simulator, names)
     others, tests = ([_driven(each, simulator) for each in several] for several in (others, tests))
-    record, horizon = _cut_to_horizon(record, train, horizon, bool(tests), refit)
+    tried = horizon != 0 or bool(tests)
+    record, horizon = _cut_to_horizon(record, train, horizon, refit)
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, Settings) else None
     decided = _settings(given or recipe_settings(recipe, training, others), changes)
@@ -291,7 +291,7 @@ def plan(  # noqa: PLR0913
         extended=bool(names is None and fitted is None and found.searched),
     )
     check(found)
-    if horizon or tests:
+    if tried:
         check_trial(found)
     return replace(found, tests=_with_distinct_names(tests, record.name))
 
@@ -334,7 +334,6 @@ def _with_output(
     record: Record,
     simulator: Simulator | Adjustable | str | None,
     names: Sequence[Forecaster | str] | None,
-    ahead: int,
 ) -> Record:
     """Return the record with the output of a simulator, unless its parameters are fitted."""
     if simulator is None or isinstance(simulator, str) or is_fitted(simulator):
@@ -342,7 +341,7 @@ def _with_output(
     expected = default_names(True, record.nu > 0) if names is None else names
     longer = any(_known(each)._calibrates for each in expected)
     running: Any = simulator
-    return simulated(record, running, ahead, longer)
+    return simulated(record, running, longer=longer)
 
 
 def _driven(further: Record, simulator: Simulator | Adjustable | str | None) -> Record:
@@ -498,29 +497,17 @@ def _default_methods(
 
 
 def _cut_to_horizon(
-    record: Record, train: int, horizon: int | None, tested: bool, refit: bool
+    record: Record, train: int, horizon: int | None, refit: bool
 ) -> tuple[Record, int]:
     """Return the record up to its last sample to predict, and the horizon."""
-    beyond = horizon is not None and train == len(record)
-    check_train(record, train, 0 if tested or beyond or horizon == 0 else 1)
+    check_train(record, train)
     if horizon is None:
         return record, len(record) - train
     whole("horizon", horizon, 0)
-    if beyond:
-        for what, known, coming in (
-            ("known inputs", record.u, record.u_beyond),
-            ("the simulator", record.y_sim, record.beyond),
-        ):
-            reach = 0 if coming is None else len(coming)
-            if known is not None and reach < horizon:
-                raise InputError(
-                    f"{what} must reach {horizon} samples beyond the record, got {reach}"
-                )
-        return record, horizon
     if train + horizon > len(record):
         raise InputError(
             f"horizon must end within the record: at most {len(record) - train} samples after the "
-            f"{train} of train, got {horizon}"
+            f"{train} of train, got {horizon}; `splitband forecast` predicts beyond it"
         )
     if refit and train + horizon < len(record):
         raise InputError(

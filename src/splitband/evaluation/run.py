@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from splitband.data import Record
-from splitband.evaluation.checks import check_ahead
 from splitband.evaluation.clock import (
     BASELINE_SHARE,
     MOST_OF_BASELINE,
@@ -51,7 +50,8 @@ def compare(
     """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
 
     Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
-    of them. Ctrl-C ends it early with the results so far.
+    of them. Ctrl-C ends it early with the results so far. With `train=len(record)`,
+    `result.model.predict(steps, level=0.9)` forecasts what comes after the record.
 
     Parameters
     ----------
@@ -100,10 +100,8 @@ def run(
     Raises
     ------
     ValueError
-        If no method can be fitted; and for a plan that predicts beyond its record, where nothing
-        was measured to compare with.
+        If no method can be fitted.
     """
-    check_ahead(plan.record, plan.train, plan.horizon)
     with Runner(cores, executor) as runner:
         return finished(plan, runner, watch, clock).result()
 

@@ -21,14 +21,13 @@ BEFORE = 8
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Hold a record, and predictions of its last samples or of those after it."""
+    """Hold a record, and predictions of its last samples."""
 
     protocol: Protocol  # how they were made
     says: str  # the same in words, for captions
     record: Record  # the measured record
     predictions: Mapping[str, Prediction]  # medians over trainings; all end at the same sample
     trainings: Mapping[str, Sequence[Prediction]] = field(default_factory=dict)
-    ahead: int = 0  # number of the predicted samples that come after the record
 
     @property
     def steps(self) -> int:
@@ -38,7 +37,7 @@ class Predicted:
     @property
     def begin(self) -> int:
         """Return the index of the first predicted sample."""
-        return len(self.record) + self.ahead - self.steps
+        return len(self.record) - self.steps
 
     @property
     def first(self) -> int:

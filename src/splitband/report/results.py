@@ -16,7 +16,6 @@ import pandas as pd
 from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.run import Run
 from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
@@ -197,46 +196,6 @@ def save_spectrum(
     with staged(folder) as new:
         page.write(page.pages.of_spectrum(record, bands, tables, facts, usage), new / PAGE)
         write_facts(new, facts)
-
-
-def save_forecast(
-    result: Forecast, folder: Path, facts: dict[str, Any] | None = None, usage: Usage | None = None
-) -> None:
-    """Write all files of a forecast in place of an earlier result; on an error none of them.
-
-    They are forecast.csv, the page, the trained model, and results.json, in which `facts` come
-    first. `usage` is shown on the page.
-    """
-    page = _page()
-    with staged(folder) as new:
-        write_csv(new / "forecast.csv", result.prediction.to_frame())
-        page.of_forecast(result, new / PAGE, usage)
-        result.model.save(new / MODEL_FOLDER)
-        found = forecast_facts(result) | {"time": result.clock.as_json()}
-        write_facts(new, (facts or {}) | found)
-
-
-def forecast_facts(result: Forecast) -> dict[str, Any]:
-    """Return what `forecast` writes to results.json."""
-    record, trial = result.record, result.trial
-    return {
-        "record": record.name,
-        "samples": len(record),
-        "gaps": int((~record.complete).sum()),
-        "warnings": result.plan.warnings,
-        "more": [other.name for other in result.plan.others],
-        "leaves_training_range_after": result.leaves,
-        "inputs_beyond_training": [asdict(each) for each in result.inputs_beyond_training],
-        "steps": len(result.prediction),
-        "method": result.method,
-        "description": result.description,
-        "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
-        "held_out_rmse": {name: math.hypot(*each) for name, each in trial.errors.items()},
-        "failed": dict(trial.failed),
-        "interval": asdict(trial.intervals[result.method]),
-        "seeds": [*result.seeds],
-        "environment": environment(),
-    }
 
 
 def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:

@@ -18,7 +18,6 @@ import pandas as pd
 from splitband.baselines.accuracy import NORMAL
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
@@ -62,12 +61,6 @@ def of_trial(
     title = title or f"{_called(record)}: RMSE on its last quarter, fitted to the rest of it"
     listed = tried(trial, record, [*trial.errors])
     return _ranked(Table(title, listed, rows, labels=labels(rows, methods)), trial)
-
-
-def of_forecast(result: Forecast) -> Table:
-    """Return the table of what a forecast has tried."""
-    methods = {method.name: method for method in result.plan.methods}
-    return of_trial(result.trial, result.record, methods | {result.method: result.model})
 
 
 def _ranked(table: Table, trial: Trial | None) -> Table:

@@ -9,7 +9,6 @@ import numpy as np
 from splitband.data import Record
 from splitband.evaluation.checks import repeats_training
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import WORTH_TRAINING, Trial, by_reason
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
@@ -19,7 +18,7 @@ from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import HYBRIDS
 from splitband.forecasters.residuals import ResidualTests
-from splitband.metrics import Extrapolation, leaving
+from splitband.metrics import Extrapolation
 from splitband.report.numbers import number, percent
 from splitband.report.predicted import run_of
 from splitband.report.tables import columns, labels_of, leaving_range
@@ -45,9 +44,18 @@ def sentence(text: str) -> str:
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     """Return each predicted output and record, with fit and error of the recommended method.
 
-    These are the test records, or else the samples after the training part.
+    These are the test records, or else the samples after the training part. Without either, it is
+    the held-out error.
     """
     best = comparison.recommended
+    if not (comparison.tests or comparison.predictions):
+        return [
+            (
+                c.channel or comparison.record.columns[0],
+                [f"held-out RMSE {c.entry(best)} {c.measure}".rstrip()],
+            )
+            for c in columns(comparison, "held-out RMSE")
+        ]
     side = "test" if comparison.medians[best].tests else "forecast"
     fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
     held = {c.channel: c for c in columns(comparison, "in interval")}
@@ -298,13 +306,6 @@ def _left_out(comparison: Comparison) -> list[str]:
             "brings them back."
         )
     return said
-
-
-def of_forecast(result: Forecast) -> list[str]:
-    """Return what readers should know before they rely on a forecast."""
-    said = [f"The model {leaving(result.leaves)}."] if result.leaves is not None else []
-    said += of_inputs(result.inputs_beyond_training, result.record)
-    return [*said, *result.prediction.warnings, *map(sentence, result.clock.notes)]
 
 
 def of_bands(bands: Bands, training: Record) -> str:

@@ -105,9 +105,9 @@ class Axis:
         return cls(values, f"frequency ({unit})", shown, bins, log=True)
 
     @classmethod
-    def over_time(cls, record: Record, ahead: int = 0, name: str = "") -> Axis:
-        """Return the time axis of a record and of `ahead` samples after it."""
-        rows, step = np.arange(len(record) + ahead), record.sampling_time
+    def over_time(cls, record: Record, name: str = "") -> Axis:
+        """Return the time axis of a record."""
+        rows, step = np.arange(len(record)), record.sampling_time
         if record.start is None and step == 1:
             return cls.over(rows.astype(float), "sample", name)
         stamps = stamps_at(0.0 if record.start is None else record.start, step, rows)

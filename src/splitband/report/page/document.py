@@ -14,7 +14,6 @@ from bokeh.document import Document
 from bokeh.embed.util import standalone_docs_json_and_render_items
 
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
 from splitband.report.colors import DARK, PALETTE
 from splitband.report.page import pages
 from splitband.report.page.charts import Chart
@@ -25,11 +24,6 @@ from splitband.runtime.files import write_text
 def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
     """Write the page of a comparison, whole or not at all; `usage` is shown on it."""
     write(pages.of_comparison(result, usage or Usage()), path)
-
-
-def of_forecast(result: Forecast, path: str | Path, usage: Usage | None = None) -> None:
-    """Write the page of a forecast, see `of_comparison`."""
-    write(pages.of_forecast(result, usage or Usage()), path)
 
 
 def write(page: Page, path: str | Path) -> None:

@@ -1,4 +1,4 @@
-"""Lay out the pages of comparisons, forecasts, checks and spectra."""
+"""Lay out the pages of comparisons, checks and spectra."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.forecast import Forecast
-from splitband.evaluation.recommendation import by_reason
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
@@ -29,7 +27,7 @@ from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
 from splitband.report.predicted import Predicted, predicted, what_was_known
 from splitband.report.table import Table
-from splitband.report.tables import ordered, tried
+from splitband.report.tables import ordered
 from splitband.runtime.arrays import Array
 
 MAX_BODE = 4
@@ -267,50 +265,6 @@ def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
         )
         sections.append(Section("search", "What was tried", [text], tables=listed, folded=True))
     return sections
-
-
-def of_forecast(result: Forecast, used: Usage) -> Page:
-    """Return the page of a forecast."""
-    record, trial, method, steps = (
-        result.record,
-        result.trial,
-        result.method,
-        len(result.prediction),
-    )
-    text = [words.sentence(result.description)] if result.description else []
-    items = [*result.plan.warnings, *words.of_forecast(result), *words.of_gaps(record)]
-    items += by_reason(trial.without_result)
-    half = trial.intervals[method].half_widths(steps).mean(axis=0)
-    level = percent(trial.intervals[method].share)
-    held_out = [c for c in tried(trial, record, [method]) if c.heading == "held-out RMSE"]
-    facts = [
-        (
-            name,
-            f"± {number(float(width))} {unit}".rstrip()
-            + f"\nmean {level} interval"
-            + f"\nheld-out RMSE {column.entry(method)} {unit}".rstrip(),
-        )
-        for name, width, unit, column in zip(
-            record.columns, half, record.units, held_out, strict=True
-        )
-    ]
-    shown = Predicted("forecast", "forecast", record, {method: result.prediction}, ahead=steps)
-    listed = tables.of_forecast(result)
-    ahead = plots.OverTime(shown, {method: Method(method, label=listed.label(method))})
-    sections = [
-        Section(
-            "answer", f"Forecast by {result.model._title}", text, items,
-            plots=[*ahead.outputs(), *ahead.inputs()], facts=facts,
-        ),
-        *_next_steps(used),
-        Section("methods", "What was tried",
-                [" ".join(words.why(trial, len(record), listed.labels))], tables=[listed]),
-        Section("spectrum", "Spectrum of the record", plots=plots.spectrum(record, None, {}),
-                folded=True),
-        _settings([("seeds", ", ".join(map(str, result.seeds)))], used),
-    ]  # fmt: skip
-    title = f"{record.name or 'a record'}: {steps:,} samples ahead"
-    return Page(title, words.lead(record), sections)
 
 
 def of_check(

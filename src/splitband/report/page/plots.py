@@ -51,7 +51,7 @@ class OverTime:
 
     def __init__(self, shown: Predicted, styles: Mapping[str, Method], name: str = "") -> None:
         self.shown, self.record, self.styles = shown, shown.record, styles
-        self.axis = Axis.over_time(shown.record, shown.ahead, name)
+        self.axis = Axis.over_time(shown.record, name)
         self.axis.shown.update(start=self.axis.values[shown.first], end=self.axis.values[-1])
         self._length = len(self.axis.values)
 
@@ -61,7 +61,7 @@ class OverTime:
 
     def _output(self, i: int) -> Chart:
         record, shown, column = self.record, self.shown, self.record.columns[i]
-        seen = padded(record.y_with_gaps[:, i], self._length, first=True)
+        seen = record.y_with_gaps[:, i]
         recommended = next(m for m in self.styles.values() if m.recommended)
         best = shown.predictions.get(recommended.name)
         scale = [seen[shown.first :]]
@@ -94,8 +94,6 @@ class OverTime:
     def _legend(self, name: str, i: int) -> str:
         """Return a method in words, with its fit where the output was measured."""
         prediction, label = self.shown.predictions[name], self.styles[name].label or name
-        if self.shown.ahead:
-            return label
         fit = float(fit_percent(self.shown.truth(prediction), prediction.y)[i])
         return f"{label}: {tenths(fit)} %" if np.isfinite(fit) else label
 
@@ -103,13 +101,10 @@ class OverTime:
         """Return a plot for each input, which zooms together with the plots of the outputs."""
         record, plots = self.record, []
         u = np.zeros((len(record), 0)) if record.u is None else record.u
-        if record.u_beyond is not None:
-            u = np.concatenate([u, record.u_beyond])
         for name, values in zip(record.inputs, u.T, strict=True):
-            whole = padded(values[: self._length], self._length, first=True)
-            scale, small = limits([whole[self.shown.first :]]), record.nu > MAX_TALL_CHANNELS
+            scale, small = limits([values[self.shown.first :]]), record.nu > MAX_TALL_CHANNELS
             chart = Chart(self.axis, name, scale, f"Input {name}", SMALL, small=small)
-            chart.line(whole, name, ["truth"], held=True, line_width=1.0)
+            chart.line(values, name, ["truth"], held=True, line_width=1.0)
             plots.append(chart)
         return plots
 
@@ -176,7 +171,7 @@ class OverTime:
         column, parts = self.record.columns[i], predicted.components
         curves = {p: padded(y[:, i] - y[:, i].mean(), self._length) for p, y in parts.items()}
         seen = self.record.y_with_gaps[:, i]
-        about = padded(seen - np.nanmean(seen), self._length, first=True)
+        about = seen - np.nanmean(seen)
         scale, caption = (
             limits([about, *curves.values()]),
             f"{self.styles[name].label or name}, {column}: components",
