@@ -101,8 +101,8 @@ def simulate(
         showing.console.print(begins)
     forecaster.to(device)
     _make_folder(out)
-    known = {"u": u, "level": level, "other_record": other_run}
-    if history:
+    known: dict[str, Any] = {"u": u, "level": level, "other_record": other_run}
+    if history is not None:
         known["history"] = past
     found = predicted(out, history or "the training record", forecaster, steps, **known)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
