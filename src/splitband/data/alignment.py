@@ -89,8 +89,7 @@ def resampled(record: Record, sampling_time: float) -> Record:
         measured = measured[before] & measured[after]
     changed: dict[str, Any] = {"sampling_time": sampling_time, "measured": measured}
     for name, signal in signals_of(record).items():
-        ahead = name in AHEAD
-        changed[name] = None if ahead else interpolated(signal, rows, smooth=name != "u")
+        changed[name] = None if name in AHEAD else interpolated(signal, rows, name != "u")
     return replace(record, **changed)
 
 

@@ -58,10 +58,8 @@ def options(value: object) -> dict[str, Any]:
         try:
             found[name] = getattr(value, attribute)
         except AttributeError:
-            raise TypeError(
-                f"{kind.__name__} must keep its constructor's argument {name} in the attribute "
-                f"{attribute}, it has none"
-            ) from None
+            rule = f"keep its constructor's argument {name} in the attribute {attribute}"
+            raise TypeError(f"{kind.__name__} must {rule}, it has none") from None
     return found
 
 
