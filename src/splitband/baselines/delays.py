@@ -202,10 +202,8 @@ def _compared(
     if not any(best):
         return best, True
     moving = [bool(np.ptp(u) > 0) for u in np.hstack([run.u for run in plain])]
-    late, at_once = (
-        Search(runs_of(delays, max(best)), moving, integrators=0).best()
-        for delays in (best, [0] * len(best))
-    )
+    both = (Search(runs_of(delays, max(best)), moving) for delays in (best, [0] * len(best)))
+    late, at_once = (search.integrating(search.first()) for search in both)
     simpler = late.order < at_once.order and late.error < _ALIKE * at_once.error
     return best, simpler or not at_once.as_good_as(late)
 
@@ -323,7 +321,7 @@ def explains(tested: Array, targets: Array, others: Array) -> bool:
     r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
     explained = (r[both - count : both, both:] ** 2).sum(axis=0)
     left = np.maximum((np.triu(r[both:, both:]) ** 2).sum(axis=0), 1e-18 * freedom)
-    significant = scipy.stats.f.isf(_CHANCE, count, freedom) * count / freedom
+    significant = scipy.special.fdtri(count, freedom, 1 - _CHANCE) * count / freedom
     return bool((explained > max(_EFFECT, significant) * left).any())
 
 
