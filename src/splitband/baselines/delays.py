@@ -159,7 +159,7 @@ def delays_of(records: Sequence[tuple[Array, Array]]) -> Delays:
                 [(y[:, [k]], u) for y, u in records], units.outputs([k]), of_inputs
             )
             (chosen if shown else doubted)[k] = best
-            errors[k] = of_best * shown
+            errors[k] = np.where(shown, of_best, 0.0)
     acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
     # Where an input shows no effect, its delay is that at the other outputs.
     least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)

@@ -98,7 +98,8 @@ def identified(
         parts.append((model, outputs))
     model, (y, u) = assembled(parts, ny), records[0]
     begin = max(len(y) - MOST_SAMPLES, 0)  # with gaps, the filter goes from sample to sample
-    model = replace(model, last=model.continued(u[begin:], y[begin:], u[:begin])[1])
+    before = None if begin else u[:0]
+    model = replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
     if estimated is None:
         return model
     errors = model.accuracy and replace(model.accuracy, delay_errors=estimated.errors)
