@@ -4,8 +4,8 @@ The dead time of a held input is one sample less, as it acts one sample late by 
 many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
 cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); it is then
-moved to where the error of linear models of low order is least. A delay is a claim: without it a
-model of any order must hold out worse, or need more poles on the same samples.
+moved to where the error of linear models of low order is least. A delay is a claim: a model of any
+order without it must hold out worse than these, or need more poles on the same samples.
 """
 
 from __future__ import annotations
@@ -208,8 +208,11 @@ def _compared(
     if not any(best):
         return best, errors, True
     moving = [bool(np.ptp(u) > 0) for u in np.hstack([run.u for run in plain])]
-    both = (Search(runs_of(delays, max(best)), moving) for delays in (best, [0] * len(best)))
-    late, at_once = (search.integrating(search.first()) for search in both)
+    # The delayed model is one of those that found the delays: where they fit far worse than one of
+    # high order, what they say of delays is no evidence.
+    both = ((best, _DELAY_ORDERS[-1]), ([0] * len(best), None))
+    searches = (Search(runs_of(delays, max(best)), moving, most=most) for delays, most in both)
+    late, at_once = (search.integrating(search.first()) for search in searches)
     simpler = late.order < at_once.order and late.error < _ALIKE * at_once.error
     return best, errors, simpler or not at_once.as_good_as(late)
 

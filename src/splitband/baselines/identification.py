@@ -38,7 +38,6 @@ from splitband.baselines.refinement import (
     blocks_of,
     equations,
     evaluated,
-    excerpt,
     linear_solution,
     refined,
     stepped,
@@ -128,7 +127,8 @@ def _of_outputs(
     """Return the model of outputs that have the same delays."""
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
-    some = excerpt(runs, MOST_SAMPLES)
+    cuts = windows(runs, MOST_SAMPLES)
+    some = [Run(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
     search = Search(some, moving, integrators, most)
     if order is None:
         chosen = search.best()

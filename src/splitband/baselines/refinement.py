@@ -389,14 +389,6 @@ def windows(runs: Sequence[Run], most: int) -> list[tuple[int, int, int]]:
     return found
 
 
-def excerpt(runs: Sequence[Run], most: int) -> Sequence[Run]:
-    """Return `windows` of the records; the records themselves where they are short."""
-    cuts = windows(runs, most)
-    if length(runs) <= most:
-        return runs
-    return [Run(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
-
-
 def total(parts: Sequence[Equations]) -> Equations:
     """Return the sum of normal equations."""
     return reduce(Equations.plus, parts)

@@ -10,7 +10,7 @@ Trees, 1984, Sec. 3.4).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -141,6 +141,7 @@ class Search:
     errors: dict[int, float] = field(default_factory=dict)
     _subspaces: list[Subspace] = field(default_factory=list)
     _grid: dict[int, float] = field(default_factory=dict)
+    _starts: dict[int, Solution | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Compute the subspaces."""
@@ -189,7 +190,7 @@ class Search:
         """
         blocks = chosen.solution.blocks
         fitted = with_constant(runs) if blocks.constant else runs
-        if runs is self.runs:
+        if length(runs) == length(self.runs):
             return refined(chosen.solution, fitted, ITERATIONS, self.limit)
         at = begun(blocks, fitted)
         if current().over:
@@ -315,14 +316,21 @@ class Search:
 
     def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:
         """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
-        tried = [*self._matrices(order)]
-        if larger is not None and larger.order <= _MOST_REDUCED:
-            a, _, c, _ = larger.solution.blocks.matrices()
-            tried += reductions(a, c, larger.order - order)
-        starts = [
+        if order not in self._starts:
+            self._starts[order] = self._fitted(self._matrices(order))
+        if larger is None or larger.order > _MOST_REDUCED:
+            return self._starts[order]
+        a, _, c, _ = larger.solution.blocks.matrices()
+        reduced = self._fitted(reductions(a, c, larger.order - order))
+        both = [at for at in (self._starts[order], reduced) if at is not None]
+        return min(both, key=lambda at: at.cost, default=None)
+
+    def _fitted(self, tried: Iterable[tuple[Array, Array]]) -> Solution | None:
+        """Return the best model with one of these A and C, by linear least squares."""
+        starts = (
             linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
             for a, c in tried
-        ]
+        )
         return min(starts, key=lambda at: at.cost, default=None)
 
     def _matrices(self, order: int) -> Iterator[tuple[Array, Array]]:
