@@ -135,7 +135,7 @@ def test_an_integrator_has_its_pole_at_1(chain: int) -> None:
 
 
 def test_an_integrator_does_not_hide_a_lag_in_a_long_record() -> None:
-    """The output wanders: noise of 2 % of its deviation is more than the lag changes in a window."""
+    """The output wanders: noise of 2 % of its deviation hides the lag from a fit without it."""
     rng = np.random.default_rng(0)
     u = rng.choice([-1.0, 1.0], 1200).repeat(50)
     y = scipy.signal.lfilter([0, 0, 0.001], polynomial([1.0, 0.95]), u)[:, None]
