@@ -1,6 +1,7 @@
 """The linear model, against linear systems of SciPy."""
 
 import itertools
+from collections.abc import Iterator
 from typing import Any, cast
 from unittest.mock import patch
 
@@ -16,8 +17,9 @@ from benchmarks.driven import drawn
 from benchmarks.linear import PLANTS
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
+from splitband.baselines.refinement import Blocks
 from splitband.metrics import fit_percent
-from splitband.runtime.deadlines import Deadline, within
+from splitband.runtime.deadlines import Deadline, current, within
 
 Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
@@ -130,6 +132,16 @@ def test_an_integrator_has_its_pole_at_1(chain: int) -> None:
     assert found.integrators == found.order == chain
     ahead, _ = found.continued(u[:, None], seen[:2000], u[:0, None])
     assert fit_percent(level[2000:], ahead[2000:]).min() > 99
+
+
+def test_an_integrator_does_not_hide_a_lag_in_a_long_record() -> None:
+    """The output wanders: noise of 2 % of its deviation hides the lag from a fit without it."""
+    rng = np.random.default_rng(0)
+    u = rng.choice([-1.0, 1.0], 1200).repeat(50)
+    y = scipy.signal.lfilter([0, 0, 0.001], polynomial([1.0, 0.95]), u)[:, None]
+    found = identified([(y + 0.02 * y.std() * rng.standard_normal(y.shape), u[:, None])])
+    assert (found.order, found.integrators, found.delays) == (2, 1, (0,))
+    np.testing.assert_allclose(np.sort(found.poles().real), [0.95, 1.0], atol=2e-3)
 
 
 def test_an_unknown_constant_flow_into_a_tank_is_estimated() -> None:
@@ -355,6 +367,26 @@ def test_a_fit_that_its_deadline_ends_is_nearly_as_good() -> None:
         found = identified([(seen, u)], delay=np.zeros((3, 3), int))
     assert found.accuracy is None
     assert np.min(fit_percent(y, found.simulate(u))) > 90
+
+
+def test_after_the_deadline_no_work_grows_with_the_record_but_a_simulation() -> None:
+    """What a pass of derivatives over all samples takes is not known; two outputs and inputs."""
+    u = inputs(200_000, 2)
+    seen = oscillators(u) + 0.01 * np.random.default_rng(1).standard_normal((200_000, 2))
+    record, samples = sb.Record(seen, 0.2, u=u), 0
+    chunks = Blocks.chunks
+
+    def counted(*of: Any) -> Iterator[Any]:
+        nonlocal samples
+        for chunk in chunks(*of):
+            samples += chunk[1].shape[2] * current().over
+            yield chunk
+
+    with patch.object(Blocks, "chunks", counted), within(Deadline.after(0.2)):
+        late = sb.Linear().fit(record)
+    assert late.require_fitted().report.cut
+    assert samples < 20 * 20_000
+    assert fit_on(late.model, u[:2000], oscillators(u[:2000])).min() > 99
 
 
 def test_after_the_deadline_it_is_the_model_of_the_subspace_and_says_that_it_was_cut() -> None:

@@ -50,7 +50,8 @@ class Accuracy:
     angles : Frequencies in radians per sample, `(frequencies,)`.
     response, response_errors : Absolute value of the response there, `(frequencies, ny, nu)`, and
         its error.
-    delay_errors : Of the delay of each input at each output in samples, `(ny, nu)`; 0 without one.
+    delay_errors : Of the delay of each input at each output in samples, `(ny, nu)`; 0 where none
+        was estimated.
     """
 
     parts: Array

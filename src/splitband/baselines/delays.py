@@ -4,8 +4,8 @@ The dead time of a held input is one sample less, as it acts one sample late by 
 many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
 cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12); it is then
-moved to where the error of linear models of low order is least. A delay is a claim: without it a
-model of any order must hold out worse, or need more poles on the same samples.
+moved to where the error of linear models of low order is least. A delay is a claim: a model of any
+order without it must hold out worse than these, or need more poles on the same samples.
 """
 
 from __future__ import annotations
@@ -138,10 +138,13 @@ class Delays(NamedTuple):
     ----------
     taken : Those that held-out samples show, else 0.
     doubted : Those that explain the outputs best, where they are not taken.
+    errors : Standard errors of those taken, 0 without one: by the curvature of the likelihood of
+        models of low order over the neighbouring delays.
     """
 
     taken: npt.NDArray[np.int_]
     doubted: npt.NDArray[np.int_]
+    errors: Array
 
 
 def delays_of(records: Sequence[tuple[Array, Array]]) -> Delays:
@@ -149,17 +152,18 @@ def delays_of(records: Sequence[tuple[Array, Array]]) -> Delays:
     units = Units.of(records)
     found = candidates(records)
     chosen = np.zeros((len(found), len(found[0])), int)
-    doubted = np.zeros_like(chosen)
+    doubted, errors = np.zeros_like(chosen), np.zeros(chosen.shape)
     for k, of_inputs in enumerate(found):
         if any(lags not in ((), (0,)) for lags in of_inputs) and not current().over:
-            best, shown = _compared(
+            best, of_best, shown = _compared(
                 [(y[:, [k]], u) for y, u in records], units.outputs([k]), of_inputs
             )
             (chosen if shown else doubted)[k] = best
+            errors[k] = np.where(shown, of_best, 0.0)
     acts = np.array([[bool(lags) for lags in of_inputs] for of_inputs in found])
     # Where an input shows no effect, its delay is that at the other outputs.
     least = np.where(acts, chosen, np.iinfo(int).max).min(axis=0)
-    return Delays(np.where(acts, chosen, np.where(acts.any(axis=0), least, 0)), doubted)
+    return Delays(np.where(acts, chosen, np.where(acts.any(axis=0), least, 0)), doubted, errors)
 
 
 def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
@@ -172,15 +176,16 @@ def input_delays(records: Sequence[tuple[Array, Array]]) -> tuple[int, ...]:
 
 def _compared(
     records: Sequence[tuple[Array, Array]], units: Units, lags: Sequence[tuple[int, ...]]
-) -> tuple[list[int], bool]:
+) -> tuple[list[int], list[float], bool]:
     """Return the delays of the inputs of one output with which models of low order fit best.
 
-    And whether a model without delays holds out worse, or as well with more poles.
+    And their standard errors, and whether a model without delays holds out worse, or as well with
+    more poles.
     """
     plain = [units.run(y, u, [0] * len(lags), slice(None)) for y, u in records]
     cuts = windows(plain, MOST_SAMPLES // 2)
     samples = sum(int(plain[i].measured[:, begin:end].sum()) for i, begin, end in cuts)
-    longest, little = max(len(y) for y, _ in records) // 2, np.log(samples) / (2 * samples)
+    longest = max(len(y) for y, _ in records) // 2
 
     def runs_of(delays: Sequence[int], late: int) -> list[Run]:
         """Return the windows with delayed inputs, from where a delay `late` is in the record."""
@@ -195,26 +200,31 @@ def _compared(
     def cost(j: int, others: tuple[int, ...], delay: int) -> float:
         return of_delays(*others[:j], delay, *others[j + 1 :])
 
-    best = [of_input[-1] if of_input else 0 for of_input in lags]
+    best, errors = [of_input[-1] if of_input else 0 for of_input in lags], [0.0] * len(lags)
     for j, of_input in enumerate(lags):
         if of_input not in ((), (0,)):
-            best[j] = _one_delay(partial(cost, j, tuple(best)), of_input, longest, little)
+            with_delay = partial(cost, j, tuple(best))
+            best[j], errors[j] = _one_delay(with_delay, of_input, longest, samples)
     if not any(best):
-        return best, True
+        return best, errors, True
     moving = [bool(np.ptp(u) > 0) for u in np.hstack([run.u for run in plain])]
-    late, at_once = (
-        Search(runs_of(delays, max(best)), moving, integrators=0).best()
-        for delays in (best, [0] * len(best))
-    )
+    # The delayed model is one of those that found the delays: where they fit far worse than one of
+    # high order, what they say of delays is no evidence.
+    both = ((best, _DELAY_ORDERS[-1]), ([0] * len(best), None))
+    searches = (Search(runs_of(delays, max(best)), moving, most=most) for delays, most in both)
+    late, at_once = (search.integrating(search.first()) for search in searches)
     simpler = late.order < at_once.order and late.error < _ALIKE * at_once.error
-    return best, simpler or not at_once.as_good_as(late)
+    return best, errors, simpler or not at_once.as_good_as(late)
 
 
 def _one_delay(
-    cost: Callable[[int], float], first: Sequence[int], longest: int, little: float
-) -> int:
-    """Return the delay where `cost` is least, from first estimates; `little` does not count."""
-    best = min((*first, 0), key=cost)
+    cost: Callable[[int], float], first: Sequence[int], longest: int, samples: int
+) -> tuple[int, float]:
+    """Return the delay where `cost`, a negative log-likelihood per sample, is least, and its error.
+
+    The search begins at first estimates; what a further parameter would explain does not count.
+    """
+    best, little = min((*first, 0), key=cost), np.log(samples) / (2 * samples)
     for step in (8, 4, 2, 1):
         while not current().over:
             near = [d for d in (best - step, best + step) if 0 <= d <= longest]
@@ -224,10 +234,13 @@ def _one_delay(
             best = closer
     # Of delays that explain as much as the best, the longest is where the input acts first.
     least = cost(best)
-    while best < longest and cost(best + 1) < least + little:
+    while best < longest and cost(best + 1) < least + little and not current().over:
         best += 1
     # A delay explains more than a further parameter.
-    return 0 if cost(0) < least + little else best
+    if best == 0 or cost(0) < least + little:
+        return 0, 0.0
+    curvature = samples * (cost(best - 1) + cost(best + 1) - 2 * cost(best))
+    return best, 1 / np.sqrt(curvature) if curvature > 0 else np.nan
 
 
 def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
@@ -262,7 +275,7 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
             continue
         of_input = _whitener(inputs)
         white = [_through(of_input, x) for x in inputs]
-        for k in range(ny):
+        for k in range(ny if not current().over else 0):
             outputs = [_through(of_input, filled(y[:, k])) for y, _ in records]
             of_output = _whitener(outputs)
             left = [_through(of_output, x) for x in outputs]
@@ -323,7 +336,7 @@ def explains(tested: Array, targets: Array, others: Array) -> bool:
     r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
     explained = (r[both - count : both, both:] ** 2).sum(axis=0)
     left = np.maximum((np.triu(r[both:, both:]) ** 2).sum(axis=0), 1e-18 * freedom)
-    significant = scipy.stats.f.isf(_CHANCE, count, freedom) * count / freedom
+    significant = scipy.special.fdtri(count, freedom, 1 - _CHANCE) * count / freedom
     return bool((explained > max(_EFFECT, significant) * left).any())
 
 

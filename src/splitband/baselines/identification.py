@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +38,6 @@ from splitband.baselines.refinement import (
     blocks_of,
     equations,
     evaluated,
-    excerpt,
     linear_solution,
     refined,
     stepped,
@@ -45,7 +45,7 @@ from splitband.baselines.refinement import (
 )
 from splitband.baselines.selection import ITERATIONS, Search, with_constant
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import current
+from splitband.runtime.deadlines import DeadlineError, current
 from splitband.runtime.errors import InputError
 
 _ALIKE = 2
@@ -96,8 +96,14 @@ def identified(
         model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
         parts.append((model, outputs))
     model, (y, u) = assembled(parts, ny), records[0]
-    doubted = () if estimated is None else tuple(estimated.doubted.max(axis=0).tolist())
-    return replace(model, last=model.continued(u, y, u[:0])[1], doubted=doubted)
+    begin = max(len(y) - MOST_SAMPLES, 0)  # with gaps, the filter goes from sample to sample
+    before = None if begin else u[:0]
+    model = replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
+    if estimated is None:
+        return model
+    errors = model.accuracy and replace(model.accuracy, delay_errors=estimated.errors)
+    doubted = tuple(estimated.doubted.max(axis=0).tolist())
+    return replace(model, doubted=doubted, accuracy=errors)
 
 
 def _groups(delays: npt.NDArray[np.int_], alike: int) -> list[list[int]]:
@@ -121,7 +127,8 @@ def _of_outputs(
     """Return the model of outputs that have the same delays."""
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
-    some = excerpt(runs, MOST_SAMPLES)
+    cuts = windows(runs, MOST_SAMPLES)
+    some = [Run(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
     search = Search(some, moving, integrators, most)
     if order is None:
         chosen = search.best()
@@ -136,15 +143,15 @@ def _of_outputs(
     fitted = with_constant(runs) if at.blocks.constant else runs
     model = _model_of(at, runs, delays)
     if not current().over:
-        late = np.tile(_delay_errors(at, records, units, delays), (len(units.y_mean), 1))
-        errors = accuracy_of(at, fitted, at.matrices, longest)
-        model = replace(model, accuracy=replace(errors, delay_errors=late))
+        with suppress(DeadlineError):
+            model = replace(model, accuracy=accuracy_of(at, fitted, at.matrices, longest))
     noisy = at.scale.max() > _EXACT and not current().over
     known = [u[-len(e.T) :].T for (_, u), e in zip(records, at.errors, strict=True)]
     if noisy and not integrators and feedback(at.errors, known):
-        by_prediction = _by_prediction(model, at, runs, longest)
-        if not (_unstable_by_chance(by_prediction) or _of_sensors(model, by_prediction, runs)):
-            model = by_prediction
+        with suppress(DeadlineError):
+            by_prediction = _by_prediction(model, at, runs, longest)
+            if not (_unstable_by_chance(by_prediction) or _of_sensors(model, by_prediction, runs)):
+                model = by_prediction
     model = replace(
         model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
         values=search.values,
@@ -155,33 +162,6 @@ def _of_outputs(
     if not begin:  # fitted from the first sample on, as where nothing is late
         return replace(model, late=(0,) * model.ny)
     return model.begun(u, begin)
-
-
-def _delay_errors(
-    at: Solution, records: Sequence[tuple[Array, Array]], units: Units, delays: Sequence[int]
-) -> Array:
-    """Return the standard error of the delay of each input in samples, `(nu,)`; 0 without one.
-
-    It follows from the curvature of the likelihood over the neighbouring delays.
-    """
-    found, late = np.zeros(len(delays)), max(delays, default=0) + 1
-    samples = sum(float((~np.isnan(y)).any(axis=1).sum()) for y, _ in records)
-    records = [(y, u) for y, u in records if len(y) > late]
-    cuts = windows([units.run(y, u, delays, slice(late, None)) for y, u in records], MOST_SAMPLES)
-
-    def cost(moved: Sequence[int]) -> float:
-        some = [units.run(*records[i], moved, slice(late + a, late + b)) for i, a, b in cuts]
-        fitted = with_constant(some) if at.blocks.constant else some
-        return refined(linear_solution(at.blocks, fitted), fitted, 5, MAX_OBSERVER_POLE).cost
-
-    for j, delay in enumerate(delays):
-        if delay and cuts and not current().over:
-            low, best, high = (
-                cost([*delays[:j], delay + by, *delays[j + 1 :]]) for by in (-1, 0, 1)
-            )
-            curvature = samples * (low + high - 2 * best)
-            found[j] = 1 / np.sqrt(curvature) if curvature > 0 else np.nan
-    return found
 
 
 def _unstable_by_chance(model: LinearModel) -> bool:
@@ -279,8 +259,7 @@ def _by_prediction(
     gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[blocks.kept.ravel()]
     new = _model_of(at, runs, delays, gain, "prediction error")
     errors = accuracy_of(found, both, lambda step: matrices(step)[:4], longest)
-    simple = errors if model.accuracy is None else model.accuracy
-    return replace(new, accuracy=replace(errors, delay_errors=simple.delay_errors))
+    return replace(new, accuracy=errors)
 
 
 def _parts(runs: Sequence[Run], a: Array) -> Sequence[Run]:

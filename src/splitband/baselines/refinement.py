@@ -26,7 +26,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.runtime.arrays import Array, Flags
-from splitband.runtime.deadlines import current
+from splitband.runtime.deadlines import DeadlineError, check, current
 
 _RADIUS = 1 - 1e-9
 """Largest absolute value of a free pole; 1 is an integrator."""
@@ -41,8 +41,8 @@ _CONVERGED = 0.1
 it by 1/2 on average: smaller steps are within the noise."""
 _NEGLIGIBLE = 1e-4
 """It also ends when one lowers the RMS error by a smaller share. Bounds the time."""
-_CHUNK = 16_384
-"""Samples whose derivatives are in memory at once. Bounds the memory."""
+_CHUNK = 4096
+"""Samples whose derivatives are in memory at once. Bounds the memory, and the time by the cache."""
 _LEAST, _EACH = 20_000, 100
 """Fewest samples of the matrix of the normal equations, in all and for each parameter: with fewer,
 steps go astray. Bounds the time."""
@@ -389,14 +389,6 @@ def windows(runs: Sequence[Run], most: int) -> list[tuple[int, int, int]]:
     return found
 
 
-def excerpt(runs: Sequence[Run], most: int) -> Sequence[Run]:
-    """Return `windows` of the records; the records themselves where they are short."""
-    cuts = windows(runs, most)
-    if length(runs) <= most:
-        return runs
-    return [Run(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
-
-
 def total(parts: Sequence[Equations]) -> Equations:
     """Return the sum of normal equations."""
     return reduce(Equations.plus, parts)
@@ -422,9 +414,10 @@ def by_segment(
 ) -> list[Equations]:
     """Return the normal equations of each segment: a record, its first and its last sample + 1.
 
-    N is that of every `thin`-th sample, times `thin`; g is that of all.
+    N is that of every `thin`-th sample, times `thin`; g is that of all. Of long records, raises
+    DeadlineError when the deadline passes: a result of short ones, such as an excerpt, is needed.
     """
-    blocks = solution.blocks
+    blocks, long = solution.blocks, length(runs) > 2 * MOST_SAMPLES
     count, size, kept = 2 * len(blocks.a), len(blocks.values), int(free.sum())
     # The place of each number in the equations; -1 for one that is not free.
     place = np.full(size + count, -1)
@@ -437,11 +430,14 @@ def by_segment(
     for record in {record: None for record, _, _ in cuts}:
         run = runs[record]
         for chunk, states, responses in blocks.chunks(run, solution.first[record]):
+            if long:
+                check()
             constant = np.ones((1, states.shape[2]))
             for k, w in enumerate(weight):
                 columns = np.concatenate([own, c[:, k].ravel(), d[k], offset[[k]]])
                 one, two = blocks.c[:, k].T[:, :, None, None]
-                through = one * responses[:, 0] + two * responses[:, 1]
+                through = one * responses[:, 0]
+                through += two * responses[:, 1]
                 rows = np.concatenate([*through, *states, run.u[:, chunk], constant])[columns >= 0]
                 columns = columns[columns >= 0]
                 if not run.measured[k, chunk].all():
@@ -523,7 +519,10 @@ def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1
     for _ in range(iterations):
         if current().over:
             break
-        found = equations(at, runs, free)
+        try:
+            found = equations(at, runs, free)
+        except DeadlineError:
+            break
         for _ in range(_STEPS):
             new = stepped(at, runs, free, found, damping)
             better = new.blocks.stable(limit) and np.isfinite(new.scale).all()
@@ -537,6 +536,17 @@ def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1
         if gain < max(_CONVERGED / samples, _NEGLIGIBLE):
             break
     return at
+
+
+def begun(blocks: Blocks, runs: Sequence[Run]) -> Solution:
+    """Return the system as it is, from initial states that suit the first samples of each record.
+
+    That takes a simulation of the records, whatever their length.
+    """
+    each, free = MOST_SAMPLES // len(runs) + 1, np.zeros(len(blocks.values), bool)
+    some = [Run(*(signal[:, :each] for signal in run)) for run in runs]
+    at = evaluated(blocks, some, [np.zeros((len(blocks.a), 2)) for _ in runs])
+    return evaluated(blocks, runs, stepped(at, some, free, equations(at, some, free), 0.0).first)
 
 
 def linear_solution(blocks: Blocks, runs: Sequence[Run]) -> Solution:

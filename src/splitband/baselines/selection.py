@@ -10,7 +10,8 @@ Trees, 1984, Sec. 3.4).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from splitband.baselines.accuracy import NORMAL, accuracy_of
 from splitband.baselines.refinement import (
     Run,
     Solution,
+    begun,
     blocks_of,
     by_segment,
     followed,
@@ -32,7 +34,7 @@ from splitband.baselines.refinement import (
 )
 from splitband.baselines.subspace import Subspace, filled, most_rows, stable, subspace
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import current
+from splitband.runtime.deadlines import DeadlineError, current
 
 SEGMENTS = 10
 """Number of segments, over all records. Bounds the time."""
@@ -138,6 +140,8 @@ class Search:
     values: Array = field(default_factory=lambda: np.zeros(0))
     errors: dict[int, float] = field(default_factory=dict)
     _subspaces: list[Subspace] = field(default_factory=list)
+    _grid: dict[int, float] = field(default_factory=dict)
+    _starts: dict[int, Solution | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Compute the subspaces."""
@@ -167,7 +171,7 @@ class Search:
         """Return the refined model of this order; it may begin as a `larger` one, reduced."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
-        iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 2
+        iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 4
         return self._refined(self._start(order, larger), self.runs, iterations)
 
     def _refined(
@@ -186,31 +190,40 @@ class Search:
         """
         blocks = chosen.solution.blocks
         fitted = with_constant(runs) if blocks.constant else runs
-        if runs is self.runs:
+        if length(runs) == length(self.runs):
             return refined(chosen.solution, fitted, ITERATIONS, self.limit)
-        begin = linear_solution(blocks, fitted)
-        whole = Search(runs, self.direct, self.integrators, chosen.order)
-        if not blocks.constant:
-            begin = min(begin, whole._start(chosen.order) or begin, key=lambda at: at.cost)
-        at = refined(begin, fitted, ITERATIONS // 2, whole.limit)
-        if not blocks.constant or self.integrators is not None or current().over:
+        at = begun(blocks, fitted)
+        if current().over:
             return at
-        free = whole.of_order(chosen.order)
-        found = Candidate(at, held_out(at, fitted), chosen.integrators)
-        lasting = free is None or (found.as_good_as(free) and whole._lasts(chosen.order, free))
-        return at if lasting or free is None else free.solution
+        with suppress(DeadlineError):
+            whole = Search(runs, self.direct, self.integrators, chosen.order)
+            if not blocks.constant:
+                at = min(at, whole._start(chosen.order) or at, key=lambda at: at.cost)
+            at = refined(at, fitted, ITERATIONS // 2, whole.limit)
+            if not blocks.constant or self.integrators is not None:
+                return at
+            free = whole.of_order(chosen.order)
+            found = Candidate(at, held_out(at, fitted), chosen.integrators)
+            if free and not (found.as_good_as(free) and whole._lasts(chosen.order, free)):
+                return free.solution
+        return at
+
+    def first(self) -> Candidate:
+        """Return the model of the order with the best information criterion, the first guess."""
+        self._grid = dict(sorted(self._criteria()))
+        least = max(self.integrators or 0, 1)
+        order = min(self._grid, key=lambda n: self._grid[n], default=least)
+        return self.of_order(order) or self.of_order(least) or self._constant()
 
     def best(self) -> Candidate:
         """Return the model of the chosen order; that which the subspace shows comes first.
 
         From the order with the best information criterion on, smaller ones are tried one by one.
         """
-        grid = dict(sorted(self._criteria()))
-        order = min(grid, key=lambda n: grid[n], default=max(self.integrators or 0, 1))
-        first = self.of_order(order)
-        if first is None:
-            return self.of_order(max(self.integrators or 0, 1)) or self._constant()
-        found = {first.order: first}
+        first = self.first()
+        if not (grid := self._grid):
+            return first
+        order, found = first.order, {first.order: first}
 
         def attempt(n: int) -> Candidate:
             if n not in found and not current().over:
@@ -237,21 +250,24 @@ class Search:
     def integrating(self, free: Candidate, given: int | None = None) -> Candidate:
         """Return the model with integrators in place of its slowest poles if it holds out as well.
 
-        It may then need fewer poles, but for a `given` order.
+        It may then need fewer poles, or more, but for a `given` order: a fit without an integrator
+        that belongs there often misses other poles, too. Orders are tried until a larger one is no
+        better, with as many integrators as there are slow poles, and with a further one.
         """
         longest = max(run.u.shape[1] for run in self.runs)
         poles = np.linalg.eigvals(free.solution.blocks.matrices()[0])
         slow = int((abs(1 - poles) < _SLOW / longest).sum())
-        found = [free]
-        for count in range(1, min(slow, len(self.runs[0].y) + 1) + 1):
-            orders = range(count, min(free.order, _MOST_AVERAGED) + 1)
-            for order in orders if given is None else [n for n in [given] if n >= count]:
+        found, least = [free], free
+        for count in range(1, min(slow, len(self.runs[0].y)) + 2 if slow else 1):
+            smaller, largest = None, min(least.order, _MOST_AVERAGED) + 1
+            for order in range(count, largest + 1) if given is None else [given] * (given >= count):
                 more = None if current().over else self._with_integrators(order, count)
                 if more is not None:
                     found.append(more)
-                    if more.as_good_as(min(found, key=lambda c: c.error)):
+                    least = min(found, key=lambda c: c.error)
+                    if smaller is not None and smaller.as_good_as(least):
                         break
-        least = min(found, key=lambda c: c.error)
+                    smaller = more
         good = [c for c in found if c.as_good_as(least)]
         chosen = min(good, key=lambda c: (c.order, -c.integrators))
         return free if chosen.integrators == 1 and not self._lasts(chosen.order, free) else chosen
@@ -300,14 +316,21 @@ class Search:
 
     def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:
         """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
-        tried = [*self._matrices(order)]
-        if larger is not None and larger.order <= _MOST_REDUCED:
-            a, _, c, _ = larger.solution.blocks.matrices()
-            tried += reductions(a, c, larger.order - order)
-        starts = [
+        if order not in self._starts:
+            self._starts[order] = self._fitted(self._matrices(order))
+        if larger is None or larger.order > _MOST_REDUCED:
+            return self._starts[order]
+        a, _, c, _ = larger.solution.blocks.matrices()
+        reduced = self._fitted(reductions(a, c, larger.order - order))
+        both = [at for at in (self._starts[order], reduced) if at is not None]
+        return min(both, key=lambda at: at.cost, default=None)
+
+    def _fitted(self, tried: Iterable[tuple[Array, Array]]) -> Solution | None:
+        """Return the best model with one of these A and C, by linear least squares."""
+        starts = (
             linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
             for a, c in tried
-        ]
+        )
         return min(starts, key=lambda at: at.cost, default=None)
 
     def _matrices(self, order: int) -> Iterator[tuple[Array, Array]]:
@@ -395,3 +418,5 @@ def _subspaces(runs: Sequence[Run], most: int) -> Iterator[Subspace]:
             found = subspace(whole, rows, stride)
         if found is not None:
             yield found
+        if current().over:
+            return
