@@ -212,8 +212,10 @@ def _with_forecasts(
     for origin in origins:
         history = spec.record[: origin.at]
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
-            forecasts[origin] = model.predict(spec.end - origin.at, history)
-        if origin.at < origin.fitted and isinstance(model, Network):
+            found_at = model.predict(spec.end - origin.at, history)
+        simulated = origin.at < origin.fitted  # of others nobody looks at the parts
+        forecasts[origin] = found_at if simulated else replace(found_at, components={})
+        if simulated and isinstance(model, Network):
             unfiltered = model._unfiltered(spec.end - origin.at, history)
     if found.model is not None and _samples(found.model) >= _samples(model):
         model = found.model
@@ -357,9 +359,12 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
 
 def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:
     """Return the median forecast over several fits of a method, by origin."""
+    first, *others = fits
     return {
-        origin: np.median([fit.forecasts[origin].y for fit in fits], axis=0)
-        for origin in fits[0].forecasts
+        origin: np.median([p.y, *(fit.forecasts[origin].y for fit in others)], axis=0)
+        if others
+        else p.y
+        for origin, p in first.forecasts.items()
     }
 
 
