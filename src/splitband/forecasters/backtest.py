@@ -73,6 +73,7 @@ class BacktestSpec:
     warmup : Length of the history at the beginning of a test record, for a forecaster without a
         warm-up (`Forecaster.warmup` is 0).
     initial : Length of that history for all forecasters: overrides every warm-up on test records.
+    components : Whether forecasts keep their components; scores need none.
     """
 
     record: Record
@@ -82,6 +83,7 @@ class BacktestSpec:
     tests: Sequence[Record] = ()
     warmup: int = 1
     initial: int | None = None
+    components: bool = True
 
     def __post_init__(self) -> None:
         """Check that the origins are inside the record."""
@@ -212,10 +214,10 @@ def _with_forecasts(
     for origin in origins:
         history = spec.record[: origin.at]
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
-            found_at = model.predict(spec.end - origin.at, history)
-        simulated = origin.at < origin.fitted  # of others nobody looks at the parts
-        forecasts[origin] = found_at if simulated else replace(found_at, components={})
-        if simulated and isinstance(model, Network):
+            forecasts[origin] = model.predict(spec.end - origin.at, history)
+        if not spec.components:
+            forecasts[origin] = replace(forecasts[origin], components={})
+        if origin.at < origin.fitted and isinstance(model, Network):
             unfiltered = model._unfiltered(spec.end - origin.at, history)
     if found.model is not None and _samples(found.model) >= _samples(model):
         model = found.model
