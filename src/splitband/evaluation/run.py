@@ -28,6 +28,7 @@ from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
 from splitband.runtime.deadlines import NEVER, Deadline, within
 from splitband.runtime.errors import InputError
+from splitband.runtime.memory import return_freed
 from splitband.runtime.threads import one_thread
 
 if TYPE_CHECKING:
@@ -500,6 +501,7 @@ class Run:
         return [fits.get(job) or job.late() for job in jobs]
 
     def _report(self, doing: str, new_table: bool = False) -> None:
+        return_freed()
         self.doing, self.new_table = doing, new_table and bool(self.trials)
         if self._watch is not None and (self.trials or not new_table):
             self._watch(self)
