@@ -1,6 +1,6 @@
 """Trajectories: their signals, their slices and what they refuse."""
 
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,21 @@ def test_signals_become_read_only_matrices() -> None:
     assert trajectory.y[0, 0] == 0.0, "the caller's array must have been copied"
     with pytest.raises(FrozenInstanceError):
         trajectory.name = "other"  # type: ignore[misc]
+
+
+def test_slices_and_replacements_share_what_nobody_can_change() -> None:
+    y, u = np.arange(40.0), np.ones((40, 2))
+    whole = Record(y, 0.1, u=u, y_sim=y)
+    part = replace(whole[5:30], name="part")
+    for name in ("y", "u", "y_sim"):
+        assert np.shares_memory(getattr(part, name), getattr(whole, name))
+    assert part.u_beyond is not None
+    assert np.shares_memory(part.u_beyond, whole.u)
+    seen = y[:, None].view()  # of what its owner can still change
+    seen.setflags(write=False)
+    copied = Record(seen, 0.1)
+    y[:] = -1.0
+    assert copied.y[3] == whole.y[3] == part.y[3] - 5 == 3.0
 
 
 def test_slices_cut_every_signal() -> None:

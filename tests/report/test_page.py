@@ -151,9 +151,10 @@ def test_tooltips_tell_samples_apart_however_short_a_step_is() -> None:
 def test_an_output_and_an_input_called_simulator_keep_their_curves() -> None:
     r = comparisons.record(nu=1, columns=("simulator",), inputs=("simulator",))
     power, *coherences = plots.spectrum(replace(r, y_sim=100 * r.y), None, {})
-    (_, _, own), (name, _, other) = power._curves
-    assert name == "simulator, simulator"
-    np.testing.assert_allclose(other, 1e4 * own)
+    own, other = power.figure.renderers
+    assert other.name == "simulator, simulator"
+    drawn = power.data.data
+    np.testing.assert_allclose(drawn[other.glyph.y], 1e4 * drawn[own.glyph.y], rtol=1e-6)
     assert len(coherences) == 2
 
 

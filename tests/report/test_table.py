@@ -97,7 +97,7 @@ def test_the_text_names_the_method_that_the_table_marks(seeds: Comparison, best:
     """Whichever is recommended: "gru did better (0.345)" stood above a bold 0.373 of linear."""
     other = "persistence" if best == "mean" else "mean"
     trial = seeds.require_trial()
-    final = {best: trial.final[best], other: trial.final[other]}
+    final = best, other
     scores = {best: 0.1, other: 9.0}
     two = {name: seeds.fits[name] for name in final}
     found = replace(seeds, fits=two, trial=replace(trial, final=final, scores=scores))

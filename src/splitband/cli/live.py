@@ -77,13 +77,11 @@ class Display:
         """Write the whole result of the baselines, or the best model so far."""
         if self._facts is None:
             return
-        loading = state.clock.writing
         try:
             if whole:
                 self._written = True
                 facts = self._facts | {"unfinished": state.doing}
                 results.save(state.comparison(), self._out, facts)
-                state.clock.writing += loading  # the last one loads what runs the model
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -56,8 +57,9 @@ from splitband.runtime.options import saved
 class Record:
     """Represent one evenly sampled record.
 
-    Every signal is array-like of shape (time,) or (time, channels); it is copied, and kept as a
-    read-only, C-contiguous float64 array of shape (time, channels).
+    Every signal is array-like of shape (time,) or (time, channels); it is kept as a read-only,
+    C-contiguous float64 array of shape (time, channels): a copy, unless it is one that nobody can
+    change, such as that of another record. A slice holds views.
 
     Parameters
     ----------
@@ -206,7 +208,15 @@ class Record:
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
         beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
-        return replace(self, beyond=beyond, u_beyond=u_beyond, start=start, **parts)
+        if len(parts["y"]) < 2:
+            raise InputError(f"y must have at least 2 samples: it has {len(parts['y'])}")
+        if parts["measured"] is not None and parts["measured"].all():
+            parts["measured"] = None
+        parts["y"].setflags(write=False)
+        # Views of what was checked: copies of a long record would take much memory.
+        part = copy(self)
+        vars(part).update(beyond=beyond, u_beyond=u_beyond, start=start, **parts)
+        return part
 
     def to_frame(self) -> pd.DataFrame:
         """Return a table of time stamps, inputs and outputs, with NaN in gaps."""
@@ -401,8 +411,12 @@ class Record:
 def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:
     """Return a signal and its continuation from row `end` on, (any time, channels), or None."""
     parts = (None if signal is None else signal[end:], beyond)
-    later = [part for part in parts if part is not None]
-    return np.concatenate(later) if sum(map(len, later)) else None
+    later = [part for part in parts if part is not None and len(part)]
+    if not later:
+        return None
+    whole = later[0] if len(later) == 1 else np.concatenate(later)
+    whole.setflags(write=False)
+    return whole
 
 
 def require_records(what: str, *given: Any) -> None:

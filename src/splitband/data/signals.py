@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from mmap import mmap
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -54,19 +55,34 @@ def positive_seconds(value: Any) -> float:
 
 
 def signal_of(what: str, value: Any) -> Array:
-    """Copy `value` into a read-only float64 array (time, channels)."""
+    """Copy `value` into a read-only float64 array (time, channels), if it is not already one."""
+    if type(value) is np.ndarray and value.ndim == 2 and value.shape[1]:
+        as_kept = value.dtype == np.float64 and value.flags.c_contiguous
+        if as_kept and _never_changes(value):
+            return value
     try:
         is_complex = np.iscomplexobj(value)
-        array = np.array(value if not is_complex else [], dtype=np.float64, order="C")
+        array = np.asarray(value if not is_complex else [], dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{what} must be an array of numbers: {one_line(error)}") from error
     if is_complex:
         raise InputError(f"{what} must be real: it holds complex values")
-    array = array[:, None] if array.ndim == 1 else array
+    # The copy, not a view of it: slices of it are sent to other processes as parts of one file.
+    array = np.array(array[:, None] if array.ndim == 1 else array, order="C")
     if array.ndim != 2 or array.shape[1] == 0:
         raise InputError(f"{what} must be (time,) or (time, channels): its shape is {array.shape}")
     array.setflags(write=False)
     return array
+
+
+def _never_changes(array: Array) -> bool:
+    """Return whether an array and what it is a view of are read-only."""
+    base: Any = array
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return base is None or (isinstance(base, mmap) and memoryview(base).readonly)
 
 
 def require_finite(what: str, values: Array, columns: Sequence[str] = ()) -> None:

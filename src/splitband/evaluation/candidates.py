@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -91,6 +91,12 @@ class Candidate:
         """Return whether its last round lowered the error by more than `LEAST_IMPROVEMENT`."""
         before = (1 - LEAST_IMPROVEMENT) * min(self.scores[:-1], default=math.inf)
         return bool(self.scores) and self.scores[-1] < before
+
+    def forget(self, but: Container[int] = ()) -> None:
+        """Drop forecasts, which take most of the memory, but for those of some rounds."""
+        self.fits = [
+            fit if i in but else replace(fit, forecasts={}) for i, fit in enumerate(self.fits)
+        ]
 
     def next(self) -> Network:
         """Return the network with the settings of its next round."""

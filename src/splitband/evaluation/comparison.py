@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from splitband.evaluation.search import Attempt
+    from splitband.report.table import Column
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,11 @@ class Comparison:
         from splitband.report.tables import frame  # noqa: PLC0415  of a higher layer
 
         return frame(self)
+
+    @cached_property
+    def shown(self) -> dict[str, list[Column]]:
+        """Return the columns of tables so far, by heading."""
+        return {}
 
     def covers(self, name: str) -> float:
         """Return the share of the forecast's measured samples inside a method's interval, 0 to 1.

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
@@ -90,11 +90,7 @@ def _run(deadline: Deadline, job: Job) -> Fit:
     if deadline.over and job.trains and not job.needed:
         return job.late()
     with within(min(deadline, Deadline.after(job.limit))):
-        fit = job.run()
-    if fit.model is not None and job.trains:  # the process that asked has the records
-        fitted = fit.model.require_fitted()
-        fit.model.fitted = replace(fitted, record=fitted.record[:2], others=())
-    return fit
+        return job.run()
 
 
 def compile_kernels(
@@ -165,7 +161,6 @@ class Runner:
         self._own = Workers(cores) if executor is None and cores > 1 else None
         self.executor: Executor | None = executor or self._own
         self._queue = Queue[Job, Fit](self.executor, cores + 1)  # none waits for this process
-        self._parts: dict[tuple[int, int], tuple[Record, Record]] = {}
         self._late: list[tuple[Job, Fit]] = []
         self._starting: list[Future[None]] = []
 
@@ -228,22 +223,10 @@ class Runner:
             return job, job.late()
         error = future.exception()
         if error is None:
-            fit = future.result()
-            if fit.model is not None and job.trains:
-                self._put_records(job, fit.model, max(at.fitted for at in fit.forecasts))
-            return job, fit
+            return job, future.result()
         if said := ended_from_outside(error):
             return job, Fit(job.method, job.seed, failure=said)
         raise error
-
-    def _put_records(self, job: Job, model: Forecaster, samples: int) -> None:
-        """Put back the records that a model was fitted to, each of them once for all models."""
-        record = job.spec.record
-        if (key := (id(record), samples)) not in self._parts:
-            self._parts[key] = record, record[:samples]  # while it is kept, nothing has its id
-        others = tuple(job.spec.others)
-        fitted = replace(model.require_fitted(), record=self._parts[key][1], others=others)
-        model.fitted = fitted
 
     def drop(self) -> None:
         """Cancel all jobs that have begun."""

@@ -137,7 +137,8 @@ class Plan:
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
         origins = held_out_origins(forecaster, self.held_out)
-        return BacktestSpec(self.held_out, origins, self.train + self.horizon, self.others)
+        end = self.train + self.horizon
+        return BacktestSpec(self.held_out, origins, end, self.others, components=False)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.

@@ -53,7 +53,7 @@ class Trial:
     errors: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # RMSE of each channel
     scores: Mapping[str, float] = field(default_factory=dict)  # of all channels, each scaled
     trained: frozenset[str] = frozenset()  # methods that are trained: networks
-    final: Mapping[str, Array] = field(default_factory=dict)  # forecasts; only these recommended
+    final: tuple[str, ...] = ()  # methods with a final fit; only these are recommended
     failed: Mapping[str, str] = field(default_factory=dict)  # why methods could not be fitted
     left_out: frozenset[str] = frozenset()  # unable to simulate test records: a last resort
     held_out: Mapping[str, HeldOut] = field(default_factory=dict)  # errors, for intervals
@@ -109,24 +109,23 @@ def judged(
     Its interval is therefore at least as wide as the change of its forecast by the final fit
     requires.
     """
-    record = replace(training, y_true=None)
     held = {name: fits for name, fits in held.items() if fits}
     forecasts = {name: median_forecasts(fits) for name, fits in held.items()}
     trained = frozenset(name for name, fits in held.items() if fits[0].fitted.random)
-    ahead = {name: [fit.ahead for fit in fits] for name, fits in final.items() if name in held}
-    medians = {name: np.median(y, axis=0) for name, y in ahead.items()}
-    held_out = {name: interval_errors(record, said) for name, said in forecasts.items()}
+    finals = {name: fits for name, fits in final.items() if name in held}
+    held_out = {name: interval_errors(training, said) for name, said in forecasts.items()}
     once = {name for name, fits in held.items() if not fits[0].fitted._refits}
-    for name in once & medians.keys():
-        early = [y[len(record) - at.at :] for at, y in sorted(forecasts[name].items())]
-        change = np.mean([(medians[name] - y) ** 2 for y in early], axis=0)
-        apart = np.var(ahead[name], axis=0, ddof=1) if len(ahead[name]) > 1 else 0.0
+    for name in once & finals.keys():
+        ahead = [fit.ahead for fit in finals[name]]
+        early = [y[len(training) - at.at :] for at, y in sorted(forecasts[name].items())]
+        change = np.mean([(np.median(ahead, axis=0) - y) ** 2 for y in early], axis=0)
+        apart = np.var(ahead, axis=0, ddof=1) if len(ahead) > 1 else 0.0
         held_out[name] = replace(held_out[name], doubt=np.sqrt(change + apart))
     return Trial(
-        {name: _of_channels(held_out_errors(record, said)) for name, said in forecasts.items()},
-        {name: held_out_score(record, fits) for name, fits in held.items()},
+        {name: _of_channels(held_out_errors(training, said)) for name, said in forecasts.items()},
+        {name: held_out_score(training, fits) for name, fits in held.items()},
         trained,
-        medians,
+        tuple(finals),
         failed,
         left_out,
         held_out,

@@ -25,8 +25,9 @@ from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.names import BASES, built
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
-from splitband.runtime.deadlines import Deadline, within
+from splitband.runtime.deadlines import NEVER, Deadline, within
 from splitband.runtime.errors import InputError
+from splitband.runtime.memory import return_freed
 from splitband.runtime.threads import one_thread
 
 if TYPE_CHECKING:
@@ -360,11 +361,7 @@ class Run:
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
-        for name, held in self.trials.items():
-            method = next(f for f in self._ready if f.name == name)
-            failed = not method.random and self.failed.get(name, LATE) != LATE
-            if name not in self.finals and not failed:
-                self._predict_by_trials(method, held)
+        self._predict_by_trials()
         self.clock.notes += by_reason(
             {name: self._partly[name] for name in self.plan.names if name in self._partly}
         )
@@ -465,17 +462,28 @@ class Run:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None
 
-    def _predict_by_trials(self, method: Forecaster, held: Sequence[Fit]) -> None:
+    def _predict_by_trials(self) -> None:
         """Predict with models that were fitted to three quarters of the training part."""
-        name, spec = method.name, self.plan.spec(held[0].fitted)
-        best = self._search is not None and name == next(iter(self._search.trials), None)
-        models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
-        jobs = [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
-        # In this process: workers may have been ended with a job that was late.
-        good = [fit for job in jobs if (fit := job.run()).model is not None]
-        if good:
-            self.finals[name] = good
-            self._partly[name] = _of_three_quarters(method, self.failed.pop(name, LATE))
+        jobs = []
+        for name, held in self.trials.items():
+            method = next(f for f in self._ready if f.name == name)
+            failed = not method.random and self.failed.get(name, LATE) != LATE
+            if name in self.finals or failed:
+                continue
+            spec = self.plan.spec(held[0].fitted)
+            best = self._search is not None and name == next(iter(self._search.trials), None)
+            models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
+            jobs += [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
+        # Workers may have been ended with a job that was late, and begin anew within seconds.
+        here = self.clock.interrupted or self._forecasting() < GRACE
+        runner = Runner() if here else self._runner
+        runner.begin(jobs, NEVER, NEVER)
+        fits = dict(runner.ended(jobs))
+        for job in jobs:
+            if fits[job].model is not None:
+                self.finals.setdefault(job.method, []).append(fits[job])
+                why = self.failed.pop(job.method, LATE)
+                self._partly.setdefault(job.method, _of_three_quarters(job.forecaster, why))
 
     def _trained(
         self,
@@ -500,6 +508,7 @@ class Run:
         return [fits.get(job) or job.late() for job in jobs]
 
     def _report(self, doing: str, new_table: bool = False) -> None:
+        return_freed()
         self.doing, self.new_table = doing, new_table and bool(self.trials)
         if self._watch is not None and (self.trials or not new_table):
             self._watch(self)

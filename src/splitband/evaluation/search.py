@@ -73,7 +73,7 @@ class Search:
     def __init__(self, plan: Plan, cores: int = 1) -> None:
         plan = replace(plan, methods=tuple(built(method) for method in plan.methods))
         self._plan, self._cores = plan, cores
-        self._record = replace(plan.training, y_true=None)
+        self._record = plan.held_out
         self._choices: dict[str, list[Candidate]] = {}
         for method in plan.methods:
             if method.name in plan.searched and isinstance(method, Network):
@@ -152,9 +152,7 @@ class Search:
         score = math.inf if fit.model is None else held_out_score(self._record, [fit])
         candidate.fits.append(fit)
         candidate.scores.append(score if math.isfinite(score) else math.inf)
-        for i, other in enumerate(candidate.fits):
-            if i != candidate.best:  # of a long record, forecasts take most of the memory
-                candidate.fits[i] = replace(other, forecasts={}, unfiltered={})
+        candidate.forget({candidate.best})
         trained = candidate.network if fit.model is None else fit.fitted
         said = candidate.method, trained._training_in_words(), candidate.seed
         shown = None if fit.model is None else (1 + WORTH_TRAINING) * score
@@ -179,7 +177,10 @@ class Search:
         They are the n best ones, whatever their settings, where n gives the median with the lowest
         held-out error; on short records at least `LEAST_MEMBERS`.
         """
-        ranked = _ranked(c for c in self._tried if c.method == method)[:SEEDS]
+        ranked = _ranked(c for c in self._tried if c.method == method)
+        for candidate in ranked[SEEDS:]:  # it is none again, unless it is trained further
+            candidate.forget()
+        ranked = ranked[:SEEDS]
         if self._plan.seeds is not None:
             return ranked[: self._plan.seeds]
         least = LEAST_MEMBERS if len(self._record) <= SHORT_RECORD else 1

@@ -78,6 +78,7 @@ class BacktestSpec:
     warmup : Length of the history at the beginning of a test record, for a forecaster without a
         warm-up (`Forecaster.warmup` is 0).
     initial : Length of that history for all forecasters: overrides every warm-up on test records.
+    components : Whether forecasts keep their components; scores need none.
     """
 
     record: Record
@@ -87,6 +88,7 @@ class BacktestSpec:
     tests: Sequence[Record] = ()
     warmup: int = 1
     initial: int | None = None
+    components: bool = True
 
     def __post_init__(self) -> None:
         """Check that the origins are inside the record."""
@@ -217,6 +219,8 @@ def _with_forecasts(
         history = spec.record[: origin.at]
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
             forecasts[origin] = model.predict(spec.end - origin.at, history)
+        if not spec.components:
+            forecasts[origin] = replace(forecasts[origin], components={})
         if origin.at < origin.fitted and isinstance(model, Network):
             unfiltered = model._unfiltered(spec.end - origin.at, history)
     if found.model is not None and _samples(found.model) >= _samples(model):
@@ -361,9 +365,12 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
 
 def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:
     """Return the median forecast over several fits of a method, by origin."""
+    first, *others = fits
     return {
-        origin: np.median([fit.forecasts[origin].y for fit in fits], axis=0)
-        for origin in fits[0].forecasts
+        origin: np.median([p.y, *(fit.forecasts[origin].y for fit in others)], axis=0)
+        if others
+        else p.y
+        for origin, p in first.forecasts.items()
     }
 
 

@@ -158,7 +158,7 @@ def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
                         values = np.full(rows, np.nan)
                         values[max(rows - len(y), 0) :] = y[-rows:, i]
                         table[f"{column}, {name}, {said}"] = values
-    return pd.DataFrame(table)
+    return pd.DataFrame(table, copy=False)
 
 
 def write_csv(path: Path, table: pd.DataFrame) -> None:

@@ -100,12 +100,15 @@ def columns(comparison: Comparison, *headings: str) -> list[Column]:
     Errors are of the median of the seeds' predictions, which is the method's prediction, for each
     output separately. Their spread is the standard deviation of the single seeds' errors.
     """
-    return [
-        column
-        for heading in headings or COLUMNS
-        for numbers in COLUMNS[heading].of(comparison)
-        for column in _columns(heading, numbers)
-    ]
+    return [column for heading in headings or COLUMNS for column in _shown(comparison, heading)]
+
+
+def _shown(comparison: Comparison, heading: str) -> list[Column]:
+    """Return the columns under a heading, computed once: of a long record it takes seconds."""
+    if heading not in comparison.shown:
+        every = COLUMNS[heading].of(comparison)
+        comparison.shown[heading] = [c for each in every for c in _columns(heading, each)]
+    return comparison.shown[heading]
 
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:

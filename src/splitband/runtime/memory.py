@@ -39,4 +39,11 @@ def freed_memory_kept() -> Iterator[None]:
     finally:
         libc.mallopt(_MMAP_THRESHOLD, _USUAL)
         libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
+        return_freed()
+
+
+def return_freed() -> None:
+    """Return the memory of freed arrays to the system, where the C library has kept it."""
+    libc = system.glibc()
+    if libc is not None:
         libc.malloc_trim(0)

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from multiprocessing.connection import wait as wait_for
 from multiprocessing.context import SpawnContext
@@ -53,7 +54,6 @@ class Workers(Executor):
         self._context = _Spawn()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._pool: ProcessPool | None = None
-        self._files: dict[int, tuple[Array, str]] = {}
 
     def submit(
         self,
@@ -74,7 +74,7 @@ class Workers(Executor):
         future: Future[Result] = Future()
         folder = self._folder.name
         try:
-            _Pickler(packed := BytesIO(), folder, self._files).dump((fn, args, kwargs))
+            _Pickler(packed := BytesIO(), folder).dump((fn, args, kwargs))
         except Exception as error:
             future.set_exception(NotSentError(str(error)))
         else:
@@ -89,6 +89,8 @@ class Workers(Executor):
             self._pool.join()
             self._context.locks.clear()
         if self._folder is not None:
+            for path in [path for path in _SHARED if path.startswith(self._folder.name)]:
+                del _SHARED[path]
             self._folder.cleanup()
 
 
@@ -116,31 +118,63 @@ def _begin(folder: str, environment: Mapping[str, str]) -> None:
     tempfile.tempdir = folder
     # By the names that programs look for on POSIX and on Windows.
     os.environ.update(dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
+    ForkingPickler.register(np.ndarray, partial(_sent_back, folder))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+
+
+_SHARED: dict[str, Array] = {}
+"""Arrays that this process shares with its parent or its workers, by their files."""
 
 
 class _Pickler(ForkingPickler):
     """Writes large arrays that never change, such as those of records, to a file, each one once."""
 
-    def __init__(self, packed: BytesIO, folder: str, files: dict[int, tuple[Array, str]]) -> None:
+    def __init__(self, packed: BytesIO, folder: str) -> None:
         super().__init__(packed)
-        self._folder, self._files = folder, files
+        self._folder = folder
 
     def reducer_override(self, value: Any) -> Any:
         """Return how a value is sent: a large array by its file, another value as usual."""
         if type(value) is not np.ndarray or value.nbytes < LARGE or value.flags.writeable:
             return NotImplemented
-        if id(value) not in self._files:  # which no other has while the array is kept
-            path = os.path.join(self._folder, f"{len(self._files)}.npy")
-            np.save(path, value)
-            self._files[id(value)] = value, path
-        return _mapped, (self._files[id(value)][1],)
+        if (found := _by_file(self._folder, value)) is not None:
+            return found
+        whole, base = value, value.base
+        if type(base) is np.ndarray and not base.flags.writeable and _has_rows(base, value):
+            whole = base
+        path = os.path.join(self._folder, f"{len(_SHARED)}.npy")
+        np.save(path, whole)
+        _SHARED[path] = whole
+        return _by_file(self._folder, value)
 
 
-def _mapped(path: str) -> Array:
-    """Return the array of a file, of which all processes share the memory."""
-    return np.asarray(np.load(path, mmap_mode="r"))
+def _by_file(folder: str, value: Array) -> tuple[Any, ...] | None:
+    """Return how an array is sent whose rows are in a file of the folder; None for others."""
+    for path, whole in _SHARED.items():
+        ours = path.startswith(folder) and (whole is value or whole is value.base)
+        if ours and _has_rows(whole, value):
+            begin = (value.ctypes.data - whole.ctypes.data) // whole.strides[0]
+            return _mapped, (path, begin, begin + len(value))
+    return None
+
+
+def _has_rows(whole: Array, part: Array) -> bool:
+    """Return whether a view of an array consists of rows of it, one after the other."""
+    alike = whole.dtype == part.dtype and whole.strides == part.strides
+    return alike and whole.shape[1:] == part.shape[1:]
+
+
+def _sent_back(folder: str, value: Array) -> Any:
+    """Return how a worker sends an array: what came by a file returns as the same array."""
+    return _by_file(folder, value) or value.__reduce__()
+
+
+def _mapped(path: str, begin: int, end: int) -> Array:
+    """Return rows of the array of a file, of which all processes share the memory."""
+    if path not in _SHARED:
+        _SHARED[path] = np.asarray(np.load(path, mmap_mode="r"))
+    return _SHARED[path][begin:end]
 
 
 def _unpacked(packed: bytes) -> Any:

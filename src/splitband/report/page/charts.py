@@ -184,7 +184,7 @@ class Chart:
         self.axis, self.label, self.limits, self.log = axis, label, limits, log
         self.caption, self.small, self.methods = caption, small, methods
         self.data = ColumnDataSource({X: axis.drawn})
-        self._curves: list[tuple[str, list[str], Array]] = []
+        self._curves: list[tuple[str, list[str], str]] = []  # name, tags, and how it is told
         self._said: dict[str, str] = {}
         box = "xbox_zoom" if log else "box_zoom"
         shown = self.figure = figure(
@@ -229,17 +229,18 @@ class Chart:
         Of a curve of few points, all are told.
         """
         said = []
-        for name, _, y in sorted(self._curves, key=lambda each: "hidden" in each[1])[:TOLD]:
-            rows = np.flatnonzero(np.isfinite(y))
-            ends = [float(y[row]) for row in rows[[0, -1][: len(rows)]]]
-            if 0 < len(rows) <= TOLD:
-                x = self.axis.values
-                said += [f"{name} " + ", ".join(f"{x[i]:g}: {number(float(y[i]))}" for i in rows)]
-            elif ends:
-                said += [f"{name} from {number(ends[0])} to {number(ends[-1])}"]
+        for name, _, told in sorted(self._curves, key=lambda each: "hidden" in each[1])[:TOLD]:
+            said += [f"{name} {told}"] if told else []
         scale = ", with a logarithmic axis" if self.log else ""
         what = f"Plot of {self.label} over {self.axis.label}{scale}"
         return f"{self.caption}. {what}: {'; '.join(said)}."
+
+    def _told(self, y: Array) -> str:
+        """Return the values of a curve that are told in words."""
+        rows = np.flatnonzero(np.isfinite(y))
+        if len(rows) > TOLD:
+            return f"from {number(float(y[rows[0]]))} to {number(float(y[rows[-1]]))}"
+        return ", ".join(f"{self.axis.values[i]:g}: {number(float(y[i]))}" for i in rows)
 
     def line(
         self, y: Array, name: str, tags: Sequence[str], held: bool = False, **style: Any
@@ -248,7 +249,7 @@ class Chart:
 
         With `held`, each value stays until the next sample, where every sample is drawn.
         """
-        self._curves.append((name, [*tags], y))
+        self._curves.append((name, [*tags], self._told(y)))
         column = self._kept(self.axis.thinned(self._within(y)))
         if held and self.axis.whole:
             self._add(Step(x=X, y=column, mode="after", **style), name, tags)
@@ -277,7 +278,7 @@ class Chart:
 
     def stems(self, y: Array, name: str, tags: Sequence[str]) -> None:
         """Add a vertical line from 0 for each value."""
-        self._curves.append((name, [*tags], y))
+        self._curves.append((name, [*tags], self._told(y)))
         ends = self._kept(np.zeros(len(self.axis.drawn))), self._kept(self.axis.thinned(y))
         stems = Segment(x0=X, x1=X, y0=ends[0], y1=ends[1], line_width=2)
         self._add(stems, name, tags)
