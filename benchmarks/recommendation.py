@@ -131,7 +131,7 @@ def _comparison(record: Record, job: RecordJob) -> Comparison:
 
 def _of_baselines(trial: Trial) -> str:
     """What would be recommended without networks."""
-    return replace(trial, final={m: y for m, y in trial.final.items() if m in QUICK}).recommended
+    return replace(trial, final=tuple(m for m in trial.final if m in QUICK)).recommended
 
 
 def _method(trial: Trial, method: str, errors: Array) -> Facts:

@@ -150,7 +150,8 @@ def test_tooltips_tell_samples_apart_however_short_a_step_is() -> None:
 
 def test_an_output_and_an_input_called_simulator_keep_their_curves() -> None:
     r = comparisons.record(nu=1, columns=("simulator",), inputs=("simulator",))
-    power, *coherences = plots.spectrum(replace(r, y_sim=100 * r.y), None, {})
+    found: Any = plots.spectrum(replace(r, y_sim=100 * r.y), None, {})
+    power, *coherences = found
     own, other = power.figure.renderers
     assert other.name == "simulator, simulator"
     drawn = power.data.data
