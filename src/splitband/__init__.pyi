@@ -23,7 +23,6 @@ from .evaluation.run import (
 from .filters import ComplementaryPair as ComplementaryPair
 from .forecasters.backtest import (
     Fit as Fit,
-    Origin as Origin,
     BacktestSpec as BacktestSpec,
     backtest as backtest,
 )
@@ -42,6 +41,7 @@ from .forecasters.names import (
     Sizes as Sizes,
     named as named,
 )
+from .forecasters.held_out import Origin as Origin
 from .forecasters.learned import (
     Filtered as Filtered,
     Residual as Residual,

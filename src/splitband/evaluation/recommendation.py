@@ -13,14 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.forecasters.backtest import (
-    Fit,
-    held_out_errors,
-    held_out_score,
-    interval_errors,
-    median_forecasts,
-)
+from splitband.forecasters.backtest import Fit, held_out_score, median_forecasts
 from splitband.forecasters.fitted import UNSTABLE
+from splitband.forecasters.held_out import held_out_errors, interval_errors
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import channel_rmse, rmse, spread
 

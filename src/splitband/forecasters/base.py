@@ -20,6 +20,7 @@ from splitband.baselines.delays import check_delays
 from splitband.data import Record, check_alike, require_records
 from splitband.data.signals import last_before
 from splitband.forecasters.fitted import Fitted
+from splitband.forecasters.held_out import held_out_of
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import (
     ForecastContext,
@@ -298,8 +299,6 @@ class Forecaster(WithRepr, ABC):
         known = known_of(self, steps, history, other_record, u, y_sim)
         prediction = predicted(self, known, fitted.record if history is None else history)
         if level is not None:
-            from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
-
             prediction = held_out_of(self).interval(level).around(prediction)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
@@ -526,6 +525,10 @@ class Forecaster(WithRepr, ABC):
     def _refits(self) -> bool:
         """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
+
+    def _for_trial(self, samples: int) -> Self:
+        """Return it adapted to `samples` without their held-out part."""
+        return self._with_parts(lambda part: part._for_trial(samples)) if parts_of(self) else self
 
     def _prepare(self, records: Sequence[Record], workers: int | Executor = 1) -> Any:
         """Compute once what the fits of several forecasters share."""
