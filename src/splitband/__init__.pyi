@@ -1,5 +1,7 @@
 """Say what the package hands out, and where it is: for type checkers, and when it is loaded."""
 
+from .checks.model import check as check
+from .checks.responses import step_responses as step_responses
 from .data import (
     Grid as Grid,
     Record as Record,
@@ -20,6 +22,7 @@ from .evaluation.run import (
     compare as compare,
     run as run,
 )
+from .export.writing import casadi_step as casadi_step
 from .filters import ComplementaryPair as ComplementaryPair
 from .forecasters.backtest import (
     Fit as Fit,

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from splitband.checks.model import tests_of, tests_on
+from splitband.checks.residuals import ResidualTests
 from splitband.data import Record
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.checking import tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.intervals import Misfit
 from splitband.forecasters.prediction import Prediction, median_of
-from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -191,7 +191,7 @@ class Comparison:
     def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
         """Test the residuals of a method on samples that nothing was fitted to.
 
-        These are those of the first test record, as `Forecaster.check_residuals` tests them, or
+        These are those of the first test record, as `check` tests them, or
         else of the forecast. The result is empty where there are fewer than 2 `LAGS` of them.
 
         Parameters

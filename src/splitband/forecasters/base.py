@@ -52,9 +52,6 @@ from splitband.training import Progress, Settings
 if TYPE_CHECKING:
     import torch
 
-    from splitband.baselines.accuracy import Accuracy
-    from splitband.export.casadi_graph import CasadiStep
-    from splitband.forecasters.checking import ModelCheck, Responses
 
 AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
@@ -320,82 +317,6 @@ class Forecaster(WithRepr, ABC):
         """
         return stream_of(self, history, other_record)
 
-    def check_residuals(self, record: Record) -> ModelCheck:
-        """Check the fitted forecaster on a record, preferably one that it was not fitted to.
-
-        Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
-        residuals, whether a long free run stays in range, and signals beyond their range in
-        training; see `splitband.forecasters.checking`. For an `anchored` forecaster, the time
-        stamps of `record` count from the beginning of the training record.
-
-        Raises
-        ------
-        ValueError
-            For a forecaster that has not been fitted, and a record that does not match it or is too
-            short.
-        """
-        from splitband.forecasters.checking import check  # noqa: PLC0415  it imports this
-
-        return check(self, record)
-
-    def step_responses(
-        self, steps: int = 500, at: npt.ArrayLike | None = None, size: npt.ArrayLike | None = None
-    ) -> Responses:
-        """Return the response of each output to a small step of each input.
-
-        Parameters
-        ----------
-        steps : Samples of the response. The outputs settle for as many samples before it, with
-            constant inputs.
-        at : The operating point, `(nu,)`; by default the means of the training inputs.
-        size : Step sizes, `(nu,)`; by default a tenth of each input's range in training. One run
-            steps up by half of it and one down; `y` is their difference, scaled to a step of 1.
-
-        Raises
-        ------
-        ValueError
-            For a forecaster without inputs, and one that needs a simulator's output from a record.
-        """
-        from splitband.forecasters.checking import respond  # noqa: PLC0415  it imports this
-
-        return respond(self, steps, at, size)
-
-    def _system(self) -> tuple[Array, Array, Array, Array] | None:
-        """Return A, B, C and D of a linear model in state space; None for any other one."""
-        return None
-
-    def accuracy(self) -> Accuracy:
-        """Return poles, gains and delays with standard errors: of `Linear` alone."""
-        raise InputError(
-            f"{self.name} has no accuracy of poles and gains: only a fitted sb.Linear has; "
-            "step_responses() gives the gain of other models"
-        )
-
-    @final
-    def as_casadi(self, history: Record | None = None, other_record: bool = False) -> CasadiStep:
-        """Return the prediction of one sample as a CasADi function, for predictive control.
-
-        `step = model.as_casadi()` is called as `state, y = step(state, u)`, with numbers or with
-        CasADi's expressions, from which CasADi takes derivatives. `step.state()` is the state at
-        the end of the history, a vector; `step.stream.observe(y, u)` takes what is measured next.
-        The numbers are those of `stream`. The equation of an `Ode` is part of the function; the
-        output of any other simulator is its third argument. It needs the extra `casadi`.
-
-        Parameters
-        ----------
-        history, other_record : See `predict`; by default the training record.
-
-        Raises
-        ------
-        ValueError
-            For a part that has no such form, which it names: an EulerMLP, a cell of your own, a
-            conditioned hybrid without inputs; where too few samples have been measured; without
-            CasADi.
-        """
-        from splitband.export.casadi_graph import CasadiStep  # noqa: PLC0415  of a higher layer
-
-        return CasadiStep(self, history, other_record)
-
     @final
     def export(
         self,
@@ -414,7 +335,7 @@ class Forecaster(WithRepr, ABC):
         path : Output file, whose ending sets the format: `.c` is C99, with a header file; `.fmu` is
             a functional mock-up unit for co-simulation (FMI 2.0), for Windows, Linux and macOS with
             the extra `everywhere`, else for this platform; `.onnx` is the graph of a step, with a
-            second graph for a whole simulation; `.casadi` is the function of `as_casadi`, with a
+            second graph for a whole simulation; `.casadi` is the function of `casadi_step`, with a
             second one that returns its state. Of an FMU, set the inputs of a sample, read its
             outputs, and only then make the step to the next sample.
         precision : Of all numbers; an FMU and CasADi compute in double precision.
@@ -525,6 +446,10 @@ class Forecaster(WithRepr, ABC):
     def _refits(self) -> bool:
         """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
+
+    def _system(self) -> tuple[Array, Array, Array, Array] | None:
+        """Return A, B, C and D of a linear model in state space; None for any other one."""
+        return None
 
     def _for_trial(self, samples: int) -> Self:
         """Return it adapted to `samples` without their held-out part."""

@@ -16,13 +16,13 @@ import numpy as np
 import pandas as pd
 
 from splitband.baselines.accuracy import NORMAL
+from splitband.checks.responses import Responses
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
-from splitband.forecasters.checking import Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from splitband.checks.residuals import ResidualTests
 from splitband.data import Record
 from splitband.evaluation.checks import repeats_training
 from splitband.evaluation.comparison import Comparison
@@ -18,7 +19,6 @@ from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import HYBRIDS
-from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, leaving
 from splitband.report.numbers import number, percent
 from splitband.report.predicted import run_of

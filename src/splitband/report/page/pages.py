@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.checks.model import ModelCheck
+from splitband.checks.residuals import CONFIDENCE, ResidualTests
+from splitband.checks.responses import SHARE, Responses, respond_over_range
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.forecast import Forecast
 from splitband.evaluation.recommendation import by_reason
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
-from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
 from splitband.forecasters.linear import Linear
-from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
 from splitband.report import tables, words
