@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from splitband.evaluation.search import Attempt
+    from splitband.report.table import Table
 
 
 @dataclass(frozen=True)
@@ -165,9 +167,7 @@ class Comparison:
         Errors are those of the median prediction over seeds, for each channel; columns that end in
         "spread" hold the standard deviation of the seeds' errors.
         """
-        from splitband.report.tables import frame  # noqa: PLC0415  of a higher layer
-
-        return frame(self)
+        return self._as_table().to_frame()
 
     def covers(self, name: str) -> float:
         """Return the share of the forecast's measured samples inside a method's interval, 0 to 1.
@@ -234,15 +234,17 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the recommendation and the table, which is at most 100 characters wide."""
-        from splitband.report.tables import as_text  # noqa: PLC0415  of a higher layer
-
-        return as_text(self)
+        return f"{self!r}\n\n{self._as_table().as_text()}"
 
     def _repr_html_(self) -> str:
         """Return the recommendation and the table, for notebooks."""
-        from splitband.report.tables import as_html  # noqa: PLC0415  of a higher layer
+        return f"<p>{escape(repr(self))}</p>{self._as_table().as_html()}"
 
-        return as_html(self)
+    def _as_table(self) -> Table:
+        """Return the table that `splitband compare` prints, without its title."""
+        from splitband.report.tables import of_comparison  # noqa: PLC0415  of a higher layer
+
+        return replace(of_comparison(self), title="")
 
     def plot(self) -> Figure:
         """Draw every method's predictions over the record, with intervals."""

@@ -8,12 +8,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from html import escape
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from splitband.baselines.accuracy import NORMAL
 from splitband.checks.responses import Responses
@@ -164,37 +162,6 @@ def labels_of(comparison: Comparison) -> dict[str, str]:
     failed = () if comparison.trial is None else comparison.trial.failed
     names = dict.fromkeys([*comparison.fits, *comparison.methods, *failed])
     return labels(names, comparison.methods | fitted)
-
-
-def frame(result: Comparison) -> pd.DataFrame:
-    """Return a row for each method, see `Comparison.table`."""
-    notes = remarks(result)
-    table: dict[str, Mapping[str, object]] = {}
-    for column in columns(result):
-        table[column.title] = column.values
-        if column.spreads:
-            table[f"{column.title}, spread"] = column.spreads
-    table["note"] = notes
-    if result.trial is not None:
-        table["recommended"] = {name: name == result.recommended for name in result.fits}
-    return pd.DataFrame(table, index=[*notes]).rename_axis("method")
-
-
-def as_text(comparison: Comparison) -> str:
-    """Return the table with as many columns as fit into 100 characters, fit % first."""
-    return f"{comparison!r}\n\n{replace(of_comparison(comparison), title='').as_text()}"
-
-
-def as_html(comparison: Comparison) -> str:
-    """Return the table as HTML without style, the recommended method first, for notebooks."""
-    from splitband.report.page.parts import template  # noqa: PLC0415  it imports this module
-
-    said = f"<p>{escape(repr(comparison))}</p>"
-    return said + str(
-        template("macros.html").module.table(
-            replace(of_comparison(comparison), title=""), "comparison"
-        )
-    )
 
 
 class Numbers(NamedTuple):
