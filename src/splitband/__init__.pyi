@@ -52,11 +52,11 @@ from .forecasters.learned import (
     Split as Split,
 )
 from .forecasters.linear import Linear as Linear
+from .forecasters.loading import load as load
 from .forecasters.prediction import (
     ForecastContext as ForecastContext,
     Prediction as Prediction,
 )
-from .forecasters.saving import load as load
 from .forecasters.simulation import (
     Calibrated as Calibrated,
     Simulation as Simulation,

@@ -11,7 +11,7 @@ from splitband.checks import model as checks
 from splitband.checks.responses import respond_over_range
 from splitband.cli import options, records, showing
 from splitband.cli.usage import checking, command_of
-from splitband.forecasters import saving as forecasters
+from splitband.forecasters.loading import load
 from splitband.report import results, tables
 from splitband.report.page.parts import Usage
 
@@ -41,7 +41,7 @@ def check(
     Names inputs and outputs beyond their range in training. OUT gets results.json, and report.html
     with plots of all of it and, for a model with inputs, its responses to steps.
     """
-    model = forecasters.load(model_dir)
+    model = load(model_dir)
     past = records.history_of(record, "--record", model, files)
     model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)

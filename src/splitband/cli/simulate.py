@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from splitband.cli import options, records, showing
-from splitband.forecasters import saving as forecasters
+from splitband.forecasters.loading import load
 from splitband.metrics import leaves_range
 from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
@@ -47,7 +47,7 @@ def simulate(
     """
     if out.is_dir():
         raise InputError(f"--out must be a file, got the folder {out}")
-    forecaster = forecasters.load(model_dir)
+    forecaster = load(model_dir)
     record = forecaster.require_fitted().record
     past = record
     if history is not None:

@@ -31,6 +31,7 @@ from splitband.forecasters.prediction import (
     prepared_like,
     seconds_after,
 )
+from splitband.forecasters.saving import Saved, save
 from splitband.forecasters.stepping import (
     NotSteppedError,
     Part,
@@ -71,7 +72,7 @@ def titled(name: str, words: str) -> str:
     return words if words.endswith(f"({name})") else f"{words} ({name})"
 
 
-class Forecaster(WithRepr, ABC):
+class Forecaster(WithRepr, Saved, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
@@ -358,8 +359,6 @@ class Forecaster(WithRepr, ABC):
         The folder also holds the end of the training record (for the warm-up), the calibration,
         units, input ranges, and the held-out errors, if an interval has been requested.
         """
-        from splitband.forecasters.saving import save  # noqa: PLC0415  it imports this
-
         save(self, folder)
 
     def on(self, record: Record, first: bool = True) -> Record:
@@ -499,8 +498,7 @@ class Forecaster(WithRepr, ABC):
     @classmethod
     def _from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the forecaster that `_to_dict` described; its constructor is not called."""
-        new = object.__new__(cls)
-        vars(new).update(found)
+        new = super()._from_dict(found)
         if new.fitted is not None and new.delays:
             check_delays(new.delays, new.fitted.record.nu)
         return new
