@@ -188,30 +188,16 @@ class Comparison:
     def _errors_ahead(self, name: str) -> Array:
         return np.asarray(self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead)
 
-    def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
-        """Test the residuals of a method on samples that nothing was fitted to.
-
-        These are those of the first test record, as `check` tests them, or
-        else of the forecast. The result is empty where there are fewer than 2 `LAGS` of them.
-
-        Parameters
-        ----------
-        name : By default that of the recommended method.
-        """
-        name = self.recommended if name is None else name
-        if name not in self._tested:
-            self._tested[name] = self._test_residuals(name)
-        return self._tested[name]
-
     @cached_property
-    def _tested(self) -> dict[str, tuple[ResidualTests, ...]]:
-        """Return the tests so far, by method, as they may need a simulation."""
-        return {}
+    def residual_tests(self) -> tuple[ResidualTests, ...]:
+        """Return tests of the recommended method's residuals on samples that nothing was fitted to.
 
-    def _test_residuals(self, name: str) -> tuple[ResidualTests, ...]:
-        fit = self.medians[name]
+        These are those of the first test record, as `check` tests them, or else of the forecast.
+        There is none where there are fewer than 2 `LAGS` of them.
+        """
+        fit = self.medians[self.recommended]
         if fit.tests:
-            return tests_on(self.trained(name), self.tests[0])
+            return tests_on(self.trained(), self.tests[0])
         return () if fit.forecast is None else tests_of(self.record, fit.forecast)
 
     @property

@@ -119,7 +119,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         "settings": comparison.plan.as_json(),
         "warnings": comparison.warnings,
         "interrupted": comparison.interrupted,
-        "residual_tests": [test.as_json() for test in comparison.residual_tests()],
+        "residual_tests": [test.as_json() for test in comparison.residual_tests],
         "recommended": trial.recommended,
         # Without seconds, which are below, so that the same comparison has the same table.
         "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],

@@ -44,10 +44,14 @@ def of_comparison(comparison: Comparison) -> Table:
         + (f", {ahead}" if train < len(record) else "")
         + f". {what_was_known(comparison)}"
     )
-    notes = remarks(comparison)
     missing = {} if trial is None else trial.without_result
-    rows = {name: missing.get(name, "") for name in notes}
-    details = {name: note for name, note in notes.items() if name not in missing}
+    ranked = ordered(trial, comparison.fits)
+    rows = {name: missing.get(name, "") for name in (*ranked, *missing)}
+    details = {
+        name: "; ".join(filter(None, [leaving_range(comparison, name), fits[0].description]))
+        for name, fits in comparison.fits.items()
+        if name not in missing
+    }
     called = labels_of(comparison)
     return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
 
@@ -122,19 +126,6 @@ def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
     """Return the columns of a trial: score and held-out error."""
     of = {"score": _scores(trial, methods), "held-out RMSE": _held_out(trial, record, methods)}
     return [column for heading, numbers in of.items() for column in _columns(heading, numbers)]
-
-
-def remarks(comparison: Comparison) -> dict[str, str]:
-    """Return the remarks on each method, or why it failed.
-
-    The methods are in the order of the table's rows.
-    """
-    found = {}
-    for name in ordered(comparison.trial, comparison.fits):
-        left = leaving_range(comparison, name)
-        found[name] = "; ".join(filter(None, (left, comparison.fits[name][0].description)))
-    missing = {} if comparison.trial is None else comparison.trial.without_result
-    return found | {name: why for name, why in missing.items() if name not in found}
 
 
 def leaving_range(comparison: Comparison, name: str) -> str:

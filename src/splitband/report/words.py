@@ -132,7 +132,7 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
     where = "the samples after the training part"
     if comparison.medians[comparison.recommended].tests:
         where = f"test record {comparison.tests[0].name or 1}"
-    tests = comparison.residual_tests()
+    tests = comparison.residual_tests
     return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
 
 
