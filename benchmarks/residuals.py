@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import butter, lfilter
 
-from splitband.forecasters.residuals import ResidualTests, residual_tests
+from splitband.checks.residuals import ResidualTests, residual_tests
 from splitband.runtime.arrays import Array
 
 SAMPLES, NOISE, BEFORE = 1000, 0.1, 300

@@ -58,7 +58,7 @@ model = sb.Single(sb.StateSpace(3, 8), settings).fit(record[:800], seed=0)
 ahead = model.predict(200, u=record.u[800:])
 print(f"model fit {sb.fit_percent(record.y[800:], ahead.y)[0]:.1f} %")
 
-step = model.as_casadi(record)
+step = sb.casadi_step(model, record)
 plan = planner(step)
 targets = np.repeat([3.0, 5.0, 2.0], 60)
 pump, guess, controlled, applied, seconds = voltages[-1], np.full(HORIZON, 3.0), [], [], []

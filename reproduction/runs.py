@@ -18,7 +18,8 @@ import torch
 from reproduction.jobs import Job
 from reproduction.settings import Setup
 from splitband.data import Record
-from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, backtest, first_origin
+from splitband.forecasters.backtest import BacktestSpec, Fit, backtest, first_origin
+from splitband.forecasters.held_out import Origin
 from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction

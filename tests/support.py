@@ -16,9 +16,11 @@ from torch import Tensor, nn
 from splitband import Forecaster, Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.run import compare as compared
-from splitband.forecasters.backtest import BacktestSpec, Fit, Origin, backtest, first_origin
+from splitband.forecasters.backtest import BacktestSpec, Fit, backtest, first_origin
+from splitband.forecasters.held_out import Origin
+from splitband.forecasters.loading import load
 from splitband.forecasters.network import Network
-from splitband.forecasters.saving import FILE, load
+from splitband.forecasters.saving import FILE
 from splitband.models import Model
 from tests.records import Setup
 

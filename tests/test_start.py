@@ -19,7 +19,7 @@ import numpy as np
 import splitband as sb
 from splitband.filters.cutoff import choose
 from splitband.filters.spectrum import oracle
-from splitband.forecasters.backtest import held_out_of
+from splitband.forecasters.held_out import held_out_of
 from splitband.forecasters.names import NAMES, named, with_base, with_variants
 
 record, u = sb.read("rig.csv", inputs=["force"]), np.zeros((5, 1))

@@ -1,5 +1,7 @@
 """Say what the package hands out, and where it is: for type checkers, and when it is loaded."""
 
+from .checks.model import check as check
+from .checks.responses import step_responses as step_responses
 from .data import (
     Grid as Grid,
     Record as Record,
@@ -16,10 +18,10 @@ from .evaluation.run import (
     compare as compare,
     run as run,
 )
+from .export.writing import casadi_step as casadi_step
 from .filters import ComplementaryPair as ComplementaryPair
 from .forecasters.backtest import (
     Fit as Fit,
-    Origin as Origin,
     BacktestSpec as BacktestSpec,
     backtest as backtest,
 )
@@ -38,6 +40,7 @@ from .forecasters.names import (
     Sizes as Sizes,
     named as named,
 )
+from .forecasters.held_out import Origin as Origin
 from .forecasters.learned import (
     Filtered as Filtered,
     Residual as Residual,
@@ -45,11 +48,11 @@ from .forecasters.learned import (
     Split as Split,
 )
 from .forecasters.linear import Linear as Linear
+from .forecasters.loading import load as load
 from .forecasters.prediction import (
     ForecastContext as ForecastContext,
     Prediction as Prediction,
 )
-from .forecasters.saving import load as load
 from .forecasters.simulation import (
     Calibrated as Calibrated,
     Simulation as Simulation,

@@ -278,8 +278,8 @@ def test_an_unstable_plant_behind_a_controller_is_unstable_and_its_loop_is_not()
     assert whole.poles().real == pytest.approx([0.75], abs=0.02)
     plant, loop = closed_loop(1)
     for model, record in ((direct, plant), (whole, loop)):
-        assert model.check_residuals(record[:400]).fits["1 step ahead"][0] > 85
-    assert whole.check_residuals(loop[:400]).fits["simulation"][0] > 85
+        assert sb.check(model, record[:400]).fits["1 step ahead"][0] > 85
+    assert sb.check(whole, loop[:400]).fits["simulation"][0] > 85
 
 
 def test_order_delay_and_integrators_can_be_given() -> None:

@@ -10,8 +10,9 @@ import splitband as sb
 from splitband import Record, Settings
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
-from splitband.forecasters.backtest import BacktestSpec, Origin, backtest, for_trial
+from splitband.forecasters.backtest import BacktestSpec, backtest
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.held_out import Origin
 from splitband.forecasters.names import Sizes
 from splitband.forecasters.network import Network
 from tests.records import Setup
@@ -59,7 +60,7 @@ def test_long_windows_shrink_with_the_record(
     window: int, warmup: int, samples: int, expected: int
 ) -> None:
     settings = Settings(window, warmup, 1)
-    network = for_trial(replace(SETUP, settings=settings).forecaster("gru"), samples)
+    network = replace(SETUP, settings=settings).forecaster("gru")._for_trial(samples)
     assert isinstance(network, Network)
     assert network.settings == replace(settings, window=expected)
 
@@ -213,7 +214,7 @@ def test_what_draws_nothing_runs_once() -> None:
 def test_several_seeds_are_tried_out_by_their_median() -> None:
     r = record()
     trial = compare(r, ["gru"], SETUP, seeds=2).require_trial()
-    part, shorter = r[:TRAIN], for_trial(SETUP.forecaster("gru"), 120)
+    part, shorter = r[:TRAIN], SETUP.forecaster("gru")._for_trial(120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     spec = BacktestSpec(part, origins, TRAIN)
     found = [backtest(shorter, spec, seed).forecasts for seed in (0, 1)]

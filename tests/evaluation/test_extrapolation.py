@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
-from splitband import GRU, Record, Settings, Single, load
+from splitband import GRU, Record, Settings, Single, check, load
 from splitband.metrics import ExtrapolationWarning, extrapolations
 from tests.cli.support import call, results
 
@@ -54,7 +54,7 @@ def test_a_forecaster_warns_of_signals_that_it_was_not_trained_on(tmp_path: Path
     fahrenheit = replace(training, y=1.8 * training.y + 320)
     with pytest.warns(ExtrapolationWarning, match="output y is beyond its range"):
         model.predict(20, fahrenheit, u[:20], other_record=True)
-    assert "output y is beyond its range" in str(model.check_residuals(fahrenheit))
+    assert "output y is beyond its range" in str(check(model, fahrenheit))
 
 
 def test_commands_warn_of_inputs_beyond_training(

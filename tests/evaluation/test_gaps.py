@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from splitband import Record
-from splitband.forecasters.backtest import Origin
+from splitband.forecasters.held_out import Origin
 from splitband.training import fit
 from tests.records import (
     DT,

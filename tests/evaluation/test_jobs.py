@@ -11,8 +11,9 @@ import pytest
 
 from splitband import ForecastContext, Mean, Record
 from splitband.evaluation.jobs import LATE, Job, Runner
-from splitband.forecasters.backtest import BacktestSpec, Fit, Origin
+from splitband.forecasters.backtest import BacktestSpec, Fit
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.held_out import Origin
 from splitband.runtime.deadlines import NEVER, Deadline
 from tests.records import LENGTH, SETUP, TRAIN, record
 from tests.support import slowed

@@ -32,7 +32,7 @@ def given(at: dict[str, Any]) -> list[Any]:
 @pytest.mark.parametrize("name", KINDS)
 def test_casadi_says_what_a_stream_says(name: str) -> None:
     forecaster, record = fitted(name)
-    step, stream = forecaster.as_casadi(), forecaster.stream()
+    step, stream = sb.casadi_step(forecaster), forecaster.stream()
     at = rows(record, stream)
     scale, state, worst = float(np.std(record.y)), step.state(), 0.0
     for n in range(1000):
@@ -71,7 +71,7 @@ def derivatives(step: Any, at: Any) -> tuple[Any, Any]:
 @pytest.mark.parametrize("name", ["linear", "gru", "state-space", "split", "filtered", "ensemble"])
 def test_derivatives_are_those_of_differences(name: str) -> None:
     forecaster, record = fitted(name)
-    step = forecaster.as_casadi()
+    step = sb.casadi_step(forecaster)
     at = rows(record, forecaster.stream())(160)
     start = np.concatenate([step.state(), *given(at)])
     found, wanted = derivatives(step, start)
@@ -85,9 +85,9 @@ def test_derivatives_are_those_of_differences(name: str) -> None:
 @pytest.mark.parametrize("name", ["gru", "split, conditioned, +HP", "filtered", "ensemble"])
 def test_large_networks_keep_their_matrices(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     forecaster, record = fitted(name)
-    small = forecaster.as_casadi()
+    small = sb.casadi_step(forecaster)
     monkeypatch.setattr("splitband.export.casadi_graph.MOST_IN_SX", 0)
-    large = forecaster.as_casadi()
+    large = sb.casadi_step(forecaster)
     assert small.function.is_a("SXFunction")
     assert large.function.is_a("MXFunction")
     at = given(rows(record, small.stream)(150))
@@ -104,7 +104,7 @@ def test_the_equation_of_a_grey_box_is_part_of_it(hybrid: bool) -> None:
     model = sb.Residual(grey, sb.GRU(3), conditioned=True, settings=SHORT) if hybrid else grey
     model.fit(record[:150])
     in_double(model)
-    step = model.as_casadi()
+    step = sb.casadi_step(model)
     state, found = step.state(), []
     for u in record.u[150:]:
         state, y = step(state, u)
@@ -124,7 +124,7 @@ def test_a_file_is_read_by_casadi(tmp_path: Path) -> None:
     assert loaded.name_in() == ["state", "u", "y_sim"]
     assert loaded.name_out() == ["state_next", "y"]
     state = casadi.Function.load(str(begin))()["state"]
-    step = forecaster.as_casadi()
+    step = sb.casadi_step(forecaster)
     u, y_sim = record.u[150], record.y_sim[150]
     for one, other in zip(loaded(state, u, y_sim), step(step.state(), u, y_sim), strict=True):
         np.testing.assert_array_equal(flat(one), flat(other))
@@ -134,12 +134,12 @@ def test_samples_are_those_that_are_measured() -> None:
     raw = replace(driven(), start=1000.0)
     assert raw.u is not None
     model = sb.Linear().fit(raw.detrend(1)[:150])
-    step, stream = model.as_casadi(), model.stream()
+    step, stream = sb.casadi_step(model), model.stream()
     state = step.state()
     for u in raw.u[150:200]:
         state, y = step(state, u)
         np.testing.assert_allclose(flat(y), stream.step(u), rtol=1e-9)
-    with pytest.raises(ValueError, match="history must be given to as_casadi"):
+    with pytest.raises(ValueError, match="history must be given to casadi_step"):
         step.state(raw[:190])
 
 
@@ -149,14 +149,14 @@ def test_what_has_no_casadi_function_is_named() -> None:
     rnn = sb.Single(sb.EulerMLP(hidden_size=5, recognition_size=4), SHORT)
     for model, message in ((conditioned, "looks one sample ahead"), (rnn, "an EulerMLP cannot")):
         with pytest.raises(ValueError, match=message):
-            model.fit(record[:150]).as_casadi()
+            sb.casadi_step(model.fit(record[:150]))
     gru = sb.Single(sb.GRU(3), SHORT).fit(record[:150])
     with pytest.raises(ValueError, match=r"20 measured sample\(s\) in a row"):
-        gru.as_casadi(record[:5])
+        sb.casadi_step(gru, record[:5])
 
 
 def test_casadi_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "splitband.export.casadi_graph")
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ValueError, match=r'pip install "splitband\[casadi\]"'):
-        sb.Mean().fit(free()).as_casadi()
+        sb.casadi_step(sb.Mean().fit(free()))

@@ -135,9 +135,11 @@ def test_another_run_begins_in_a_state_of_its_own(tmp_path: Path) -> None:
         compiled = Compiled(files[0])
         found = np.stack([compiled.step(1) for _ in range(50)])
         np.testing.assert_allclose(found, wanted, atol=1e-8)
-    step = model.as_casadi(other[:150], other_record=True)
+    step = sb.casadi_step(model, other[:150], other_record=True)
     np.testing.assert_allclose(float(step(step.state())[1]), wanted[0, 0], atol=1e-8)
-    np.testing.assert_allclose(step.state(one[:150])[:2], model.as_casadi().state()[:2], atol=1e-8)
+    np.testing.assert_allclose(
+        step.state(one[:150])[:2], sb.casadi_step(model).state()[:2], atol=1e-8
+    )
 
 
 def test_coarse_tolerances_are_said(tmp_path: Path) -> None:
@@ -233,7 +235,7 @@ def test_flags_jumps_and_multiples_are_those_of_numpy(observe: Any, tmp_path: Pa
     noise = np.random.default_rng(1).normal(0, 0.01, y.shape)
     model = sb.GreyBox(ode, starts=1).fit(sb.Record(y + noise, 0.1, u=u)[:100])
     model.memory = 0
-    stream, step = model.stream(), model.as_casadi()
+    stream, step = model.stream(), sb.casadi_step(model)
     compiled, state, found = Compiled(model.export(tmp_path / "rig.c")[0]), step.state(), []
     wanted = [stream.step(each) for each in u[100:]]
     for each in u[100:]:

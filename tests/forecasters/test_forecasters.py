@@ -207,7 +207,7 @@ def test_a_late_simulator_runs_on_with_the_inputs_that_are_known_after_the_forec
     assert not found.warnings
     with pytest.warns(ExtrapolationWarning, match="for the last 3 of 10 samples"):
         model.predict(10, whole[:220], u=u[220:230])
-    assert "ends too early" in str(model.check_residuals(whole))
+    assert "ends too early" in str(sb.check(model, whole))
 
 
 @pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")

@@ -162,7 +162,7 @@ def test_a_loaded_one_asks_for_its_equation_whatever_it_is_asked(
         lambda: loaded.predict(STEPS, record[:100], other_record=True),
         lambda: loaded.predict(STEPS, record[:100]),
         lambda: loaded.stream(record[:100], other_record=True).step([0.0]),
-        lambda: loaded.check_residuals(record),
+        lambda: sb.check(loaded, record),
         lambda: loaded.fit(record),
     ):
         with pytest.raises(ValueError, match="simulator must be given"):

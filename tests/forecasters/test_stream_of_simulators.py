@@ -163,9 +163,9 @@ def test_recorded_output_is_read_as_far_as_it_goes() -> None:
 
 def test_a_step_response_integrates_the_equation() -> None:
     grey = fitted("grey box")
-    found = grey.step_responses(300, at=[0.0], size=[1e-3]).y[-1, 0, 0]
+    found = sb.step_responses(grey, 300, at=[0.0], size=[1e-3]).y[-1, 0, 0]
     assert found == pytest.approx(1.0, abs=1e-3)  # x = u where both are small
-    assert np.isfinite(fitted("residual", 3.0).step_responses(50).y).all()
+    assert np.isfinite(sb.step_responses(fitted("residual", 3.0), 50).y).all()
 
 
 @pytest.mark.parametrize(

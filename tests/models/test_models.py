@@ -13,7 +13,8 @@ from torch import Tensor
 
 from splitband import GRU, ComplementaryPair, Record
 from splitband.filters import butterworth
-from splitband.forecasters.backtest import Origin, first_origin
+from splitband.forecasters.backtest import first_origin
+from splitband.forecasters.held_out import Origin
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
 from splitband.training import fit
 from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record

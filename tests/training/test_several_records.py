@@ -8,7 +8,7 @@ import torch
 
 from splitband import GRU, Record
 from splitband.evaluation.plan import plan
-from splitband.forecasters.backtest import Origin
+from splitband.forecasters.held_out import Origin
 from splitband.models import Recurrent
 from splitband.training.windows import joined, select, windows, windows_in
 from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps

@@ -7,10 +7,11 @@ from typing import Annotated
 
 import typer
 
+from splitband.checks import model as checks
+from splitband.checks.responses import respond_over_range
 from splitband.cli import options, records, showing
 from splitband.cli.usage import checking, command_of
-from splitband.forecasters import saving as forecasters
-from splitband.forecasters.checking import respond_over_range
+from splitband.forecasters.loading import load
 from splitband.report import results, tables
 from splitband.report.page.parts import Usage
 
@@ -40,12 +41,12 @@ def check(
     Names inputs and outputs beyond their range in training. OUT gets results.json, and report.html
     with plots of all of it and, for a model with inputs, its responses to steps.
     """
-    model = forecasters.load(model_dir)
+    model = load(model_dir)
     past = records.history_of(record, "--record", model, files)
     model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)
     with showing.warnings_as_lines():
-        found = model.check_residuals(past)
+        found = checks.check(model, past)
         responses = respond_over_range(model)
     facts = command_of(context)
     used = Usage(asked=checking(facts["arguments"]))

@@ -134,7 +134,7 @@ def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
 
 def _like(asked: Request) -> Forecaster:
     """Return the saved model of --like, whose settings a new training takes."""
-    from splitband.forecasters.saving import load  # noqa: PLC0415  only where a model is loaded
+    from splitband.forecasters.loading import load  # noqa: PLC0415  only where a model is loaded
 
     folder, usual = asked.like, options.ModelOptions()
     assert folder is not None

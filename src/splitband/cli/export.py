@@ -19,7 +19,7 @@ from splitband.cli.options import (
 from splitband.export.fmu import ORDER, platforms
 from splitband.export.program import holds_equation
 from splitband.export.writing import renderer
-from splitband.forecasters import saving as forecasters
+from splitband.forecasters.loading import load
 from splitband.runtime.files import output_folder
 
 
@@ -56,7 +56,7 @@ def export(
     that is not named, stays outside: its output is an input.
     """
     renderer(out)
-    forecaster = forecasters.load(model_dir)
+    forecaster = load(model_dir)
     past = forecaster.require_fitted().record
     if history is not None:
         past = records.history_of(history, "--history", forecaster, files)

@@ -20,8 +20,9 @@ from splitband.cli.live import running, workers
 from splitband.data.timing import as_json
 from splitband.evaluation.run import fit as fit_planned
 from splitband.forecasters import saving
-from splitband.forecasters.backtest import first_origin, held_out_of
+from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.held_out import held_out_of
 from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError

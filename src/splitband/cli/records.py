@@ -25,8 +25,8 @@ from splitband.data.preparation import seconds
 from splitband.data.reading import ColumnError
 from splitband.data.signals import described, row_ranges, same_names
 from splitband.data.timing import near_sampling, same_sampling
-from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.loading import load
 from splitband.forecasters.names import BASES
 from splitband.forecasters.prediction import continued
 from splitband.forecasters.simulation import description_of, simulations
@@ -346,4 +346,4 @@ def with_simulator(
         if note := found.note(past.grid.after(steps)):
             showing.console.print(f"{options.simulator}: {note}")
     with showing.warnings_as_lines():
-        return saving.load(folder, found)
+        return load(folder, found)

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from splitband.cli import options, records, showing
-from splitband.forecasters import saving as forecasters
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.loading import load
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import leaves_range
 from splitband.report.results import write_csv
@@ -85,7 +85,7 @@ def simulate(
     _refuse({"--record": record, **reading}, "with MODEL_DIR")
     if steps is None:
         raise InputError("--steps must be given: the samples to simulate")
-    forecaster = forecasters.load(model_dir)
+    forecaster = load(model_dir)
     past = forecaster.require_fitted().record
     trained = len(past)
     if history is not None:

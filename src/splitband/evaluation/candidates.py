@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from splitband.data import Record
-from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, for_trial
+from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import cells_of
+from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
 from splitband.training import Settings
@@ -186,7 +187,7 @@ def candidates(
         every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
     distinct: dict[str, Candidate] = {}
     for network, how in every:  # windows may become equal on the shorter record of a trial
-        shorter = for_trial(network._trained_as(how), samples)
+        shorter = network._trained_as(how)._for_trial(samples)
         candidate = Candidate(network._trained_as(how), seed)
         distinct.setdefault(shorter._training_in_words(), candidate)
     return [*distinct.values()]

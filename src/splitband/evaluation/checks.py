@@ -10,9 +10,9 @@ import numpy as np
 
 from splitband.data import Record, check_alike
 from splitband.data.signals import first_after
-from splitband.forecasters.backtest import first_held_out, for_trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, all_parts
+from splitband.forecasters.held_out import first_held_out
 from splitband.forecasters.network import Network
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
@@ -170,7 +170,7 @@ def check_trial(plan: Plan) -> None:
     """Check the trial on the last quarter of the training part."""
     part = replace(plan.training, y_true=None)
     train = first_held_out(plan.train)
-    shorter = tuple(for_trial(f, plan.train) for f in plan.methods)
+    shorter = tuple(f._for_trial(plan.train) for f in plan.methods)
     try:
         check(
             replace(

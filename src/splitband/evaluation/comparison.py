@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from splitband.checks.model import tests_of, tests_on
+from splitband.checks.residuals import ResidualTests
 from splitband.data import Record
 from splitband.evaluation.clock import Clock
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.checking import tests_of, tests_on
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.intervals import Misfit
 from splitband.forecasters.prediction import Prediction, median_of
-from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from splitband.evaluation.search import Attempt
-    from splitband.report.table import Column
+    from splitband.report.table import Column, Table
 
 
 @dataclass(frozen=True)
@@ -166,9 +167,7 @@ class Comparison:
         Errors are those of the median prediction over seeds, for each channel; columns that end in
         "spread" hold the standard deviation of the seeds' errors.
         """
-        from splitband.report.tables import frame  # noqa: PLC0415  of a higher layer
-
-        return frame(self)
+        return self._as_table().to_frame()
 
     @cached_property
     def shown(self) -> dict[str, list[Column]]:
@@ -194,30 +193,16 @@ class Comparison:
     def _errors_ahead(self, name: str) -> Array:
         return np.asarray(self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead)
 
-    def residual_tests(self, name: str | None = None) -> tuple[ResidualTests, ...]:
-        """Test the residuals of a method on samples that nothing was fitted to.
-
-        These are those of the first test record, as `Forecaster.check_residuals` tests them, or
-        else of the forecast. The result is empty where there are fewer than 2 `LAGS` of them.
-
-        Parameters
-        ----------
-        name : By default that of the recommended method.
-        """
-        name = self.recommended if name is None else name
-        if name not in self._tested:
-            self._tested[name] = self._test_residuals(name)
-        return self._tested[name]
-
     @cached_property
-    def _tested(self) -> dict[str, tuple[ResidualTests, ...]]:
-        """Return the tests so far, by method, as they may need a simulation."""
-        return {}
+    def residual_tests(self) -> tuple[ResidualTests, ...]:
+        """Return tests of the recommended method's residuals on samples that nothing was fitted to.
 
-    def _test_residuals(self, name: str) -> tuple[ResidualTests, ...]:
-        fit = self.medians[name]
+        These are those of the first test record, as `check` tests them, or else of the forecast.
+        There is none where there are fewer than 2 `LAGS` of them.
+        """
+        fit = self.medians[self.recommended]
         if fit.tests:
-            return tests_on(self.trained(name), self.tests[0])
+            return tests_on(self.trained(), self.tests[0])
         return () if fit.forecast is None else tests_of(self.record, fit.forecast)
 
     @property
@@ -240,15 +225,17 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the recommendation and the table, which is at most 100 characters wide."""
-        from splitband.report.tables import as_text  # noqa: PLC0415  of a higher layer
-
-        return as_text(self)
+        return f"{self!r}\n\n{self._as_table().as_text()}"
 
     def _repr_html_(self) -> str:
         """Return the recommendation and the table, for notebooks."""
-        from splitband.report.tables import as_html  # noqa: PLC0415  of a higher layer
+        return f"<p>{escape(repr(self))}</p>{self._as_table().as_html()}"
 
-        return as_html(self)
+    def _as_table(self) -> Table:
+        """Return the table that `splitband compare` prints, without its title."""
+        from splitband.report.tables import of_comparison  # noqa: PLC0415  of a higher layer
+
+        return replace(of_comparison(self), title="")
 
     def plot(self) -> Figure:
         """Draw every method's predictions over the record, with intervals."""

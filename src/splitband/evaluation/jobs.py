@@ -12,13 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from splitband.data import Record
-from splitband.forecasters.backtest import (
-    BacktestSpec,
-    Fit,
-    as_it_is,
-    backtest,
-    for_trial,
-)
+from splitband.forecasters.backtest import BacktestSpec, Fit, as_it_is, backtest
 from splitband.forecasters.base import Forecaster, all_parts, cells_of, fitted_like, same
 from splitband.forecasters.names import NAMES, TRAINED
 from splitband.networks.cell import label_of
@@ -81,7 +75,7 @@ def held_out_job(
     plan: Plan, forecaster: Forecaster, seed: int = 0, start: Forecaster | None = None
 ) -> Job:
     """Return the job that fits a method to three quarters of the training part."""
-    shorter = for_trial(forecaster, plan.train)
+    shorter = forecaster._for_trial(plan.train)
     return Job(shorter, plan.held_out_spec(shorter), seed, start)
 
 

@@ -19,11 +19,12 @@ from splitband.evaluation.checks import (
     check_trial,
 )
 from splitband.filters import Band
-from splitband.forecasters.backtest import BacktestSpec, Origin, first_origin, held_out_origins
+from splitband.forecasters.backtest import BacktestSpec, first_origin
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
 from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
+from splitband.forecasters.held_out import Origin, held_out_origins
 from splitband.forecasters.names import (
     BASES,
     GREY_BOX,

@@ -10,21 +10,14 @@ from dataclasses import dataclass, field, replace
 from statistics import median_low
 
 import numpy as np
-import numpy.typing as npt
 
 from splitband.data import Record
-from splitband.forecasters.backtest import (
-    Fit,
-    held_out_errors,
-    held_out_score,
-    interval_errors,
-    median_forecasts,
-)
+from splitband.forecasters.backtest import Fit, held_out_score, median_forecasts
 from splitband.forecasters.fitted import UNSTABLE
+from splitband.forecasters.held_out import held_out_errors, interval_errors
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import channel_rmse, rmse, spread
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 COVERAGE = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""

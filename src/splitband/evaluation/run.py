@@ -19,9 +19,10 @@ from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.jobs import GRACE, LATE, Bases, Job, Runner, held_out_job
 from splitband.evaluation.plan import Plan, plan
 from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
-from splitband.forecasters.backtest import HELD_OUT_SHARE, BacktestSpec, Fit, Origin
+from splitband.forecasters.backtest import BacktestSpec, Fit
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin
 from splitband.forecasters.names import BASES, built
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import with_simulators_of, with_simulators_run

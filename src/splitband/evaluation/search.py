@@ -26,8 +26,9 @@ from splitband.evaluation.clock import MOST_OF_TIME_LEFT
 from splitband.evaluation.jobs import Job, held_out_job
 from splitband.evaluation.plan import Plan
 from splitband.evaluation.recommendation import WORTH_TRAINING
-from splitband.forecasters.backtest import HELD_OUT_SHARE, Fit, held_out_score
+from splitband.forecasters.backtest import Fit, held_out_score
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
 

@@ -106,8 +106,8 @@ class CasadiStep:
             require_records("history", history)
             if recursion.prepared or history.prepared:
                 raise InputError(
-                    "history must be given to as_casadi where a record was detrended, clipped or "
-                    "resampled: pass later samples to stream.observe"
+                    "history must be given to casadi_step where a record was detrended, clipped "
+                    "or resampled: pass later samples to stream.observe"
                 )
             state = recursion.after(known_of(self.forecaster, 0, history, other_record))
         return _vector(self._run.begin(state))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from splitband.data import Record
 from splitband.export import fmu
@@ -13,6 +14,9 @@ from splitband.export.program import identifier, program
 from splitband.forecasters.base import Forecaster
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
+
+if TYPE_CHECKING:
+    from splitband.export.casadi_graph import CasadiStep
 
 Begin = tuple[Record | None, bool]
 """A history, and whether it is of another record."""
@@ -80,6 +84,33 @@ def _casadi(
     _require_double(precision, "CasADi")
     step, start = casadi_graph.files(casadi_graph.CasadiStep(forecaster, *begin))
     return {path: step, path.with_name(f"{path.stem}-start{path.suffix}"): start}
+
+
+def casadi_step(
+    forecaster: Forecaster, history: Record | None = None, other_record: bool = False
+) -> CasadiStep:
+    """Return the prediction of one sample as a CasADi function, for predictive control.
+
+    `step = casadi_step(model)` is called as `state, y = step(state, u)`, with numbers or with
+    CasADi's expressions, from which CasADi takes derivatives. `step.state()` is the state at the
+    end of the history, a vector; `step.stream.observe(y, u)` takes what is measured next. The
+    numbers are those of `Forecaster.stream`. The equation of an `Ode` is part of the function; the
+    output of any other simulator is its third argument. It needs the extra `casadi`.
+
+    Parameters
+    ----------
+    forecaster : Fitted.
+    history, other_record : See `Forecaster.predict`; by default the training record.
+
+    Raises
+    ------
+    ValueError
+        For a part that has no such form, which it names: an EulerMLP, a cell of your own, a
+        conditioned hybrid without inputs; where too few samples have been measured; without CasADi.
+    """
+    from splitband.export.casadi_graph import CasadiStep  # noqa: PLC0415  needs the extra `casadi`
+
+    return CasadiStep(forecaster, history, other_record)
 
 
 def _require_double(precision: Precision, what: str) -> None:

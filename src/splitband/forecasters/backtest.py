@@ -1,64 +1,35 @@
 """Forecast known samples from several origins.
 
-All protocols of a comparison, the trial on held-out training samples, and the calibration of
-intervals use these forecasts.
+All protocols of a comparison and the trial on held-out training samples use these forecasts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from typing import Any
 
 import numpy as np
 
 from splitband.data import Record
 from splitband.data.signals import first_after
-from splitband.forecasters.base import (
-    AnyForecaster,
-    Forecaster,
-    fitted_like,
-    with_parts_changed,
-)
+from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
-from splitband.forecasters.intervals import HeldOut
+from splitband.forecasters.held_out import (
+    Origin,
+    first_held_out,
+    held_out_errors,
+    refitted,
+    root_mean_square,
+)
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
-from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.metrics import ExtrapolationWarning, spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.deadlines import Deadline, DeadlineError, current, now, within
+from splitband.runtime.deadlines import now
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training import Progress
-from splitband.training.settings import SHORTEST_WINDOW, longest_window
-
-HELD_OUT_SHARE = 0.25
-"""Share of the training part that is held out for a trial, while models are fitted to the rest. A
-convention; longer parts chose no better (docs/results/rules.md)."""
-HELD_OUT_SHARES = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
-"""Shares of a record that methods which are quickly fitted forecast from the samples before them,
-one for each origin: a long share shows how errors grow, a short one is forecast by nearly the final
-fit. By eye."""
-FEWEST_FITTED = 20
-"""An earlier origin, for the intervals, needs this many measured samples of each channel before it.
-By eye."""
-FAILED_FIT_RATIO = 5.0
-"""A fit to few samples has failed if the error of its first forecast samples is above this multiple
-of the method's error over as many first samples of the forecasts that are scored. By eye."""
-
-
-@dataclass(frozen=True, order=True)
-class Origin:
-    """Define where a forecast begins.
-
-    Attributes
-    ----------
-    fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
-    at : Index of the first forecast sample; the warm-up is before it.
-    """
-
-    fitted: int
-    at: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,26 +152,13 @@ def backtest(
     which it, or a part of it, may be one for some of the origins.
     """
     began, found = now(), Fit(forecaster.name, seed)
-    left = len({origin.fitted for origin in spec.origins})
-    for samples, of_fit in groupby(spec.origins, key=lambda origin: origin.fitted):
-        try:
-            with within(Deadline.after(current().left / left)):  # each fit has its share
-                records = [spec.record[:samples], *spec.others]
-                fitted = fitted_like(forecaster, records, bases)
-                if fitted is None:
-                    fitted = forecaster.clone()._fit(records, seed, start, progress, bases)
-        except DeadlineError:
-            if found.model is None:
-                raise
-            found = replace(found, cut=True)
-            break
-        found, left = _with_forecasts(found, fitted, spec, [*of_fit]), left - 1
-        if current().over and len(found.forecasts) < len(spec.origins):
-            found = replace(found, cut=True)
-            break
+    how: dict[str, Any] = {"seed": seed, "start": start, "progress": progress, "bases": bases}
+    for model, origins in refitted(forecaster, spec.record, spec.origins, spec.others, **how):
+        found = _with_forecasts(found, model, spec, origins)
     if found.model is None:
         raise InputError("origins must be one or several, got none")
-    return _finished(replace(found, cut=found.cut or found.report.cut), spec, began)
+    cut = found.report.cut or len(found.forecasts) < len(spec.origins)
+    return _finished(replace(found, cut=cut), spec, began)
 
 
 def as_it_is(model: Forecaster, spec: BacktestSpec, seed: int) -> Fit:
@@ -261,108 +219,6 @@ def first_origin(record: Record, train: int, warmup: int) -> Origin:
     return Origin(train, start)
 
 
-def first_held_out(samples: int) -> int:
-    """Return the first sample of the held-out part, the last quarter of `samples`."""
-    return samples - max(1, round(HELD_OUT_SHARE * samples))
-
-
-def for_trial(forecaster: AnyForecaster, samples: int) -> AnyForecaster:
-    """Return the forecaster adapted to `samples` without their held-out part.
-
-    Long windows shrink with the part that is left, but stay as long as the default recipe's
-    shortest one, and beyond the warm-up.
-    """
-    fewer = first_held_out(samples)
-
-    def changed(part: Forecaster) -> Forecaster:
-        settings = part.settings
-        if settings is None or not isinstance(part, Network):
-            return part
-        least = max(min(SHORTEST_WINDOW, longest_window(fewer)), settings.warmup + 1)
-        shorter = max(round(settings.window * fewer / samples), least)
-        return part._trained_as(replace(settings, window=min(settings.window, shorter)))
-
-    return with_parts_changed(forecaster, changed)
-
-
-def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
-    """Return the origins of forecasts of a record's last quarter.
-
-    A network is trained once, and forecasts from the beginning of that quarter, from a third and
-    from two thirds of it, as a method may be lucky from a single origin: persistence is, for
-    instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
-    the first half, which shows how errors grow. A method that is quicker to fit is refitted for
-    each of several origins, some of them earlier.
-    """
-    samples = len(record)
-    held_out = [max(1, round(share * samples)) for share in HELD_OUT_SHARES]
-    fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
-    measured = np.cumsum(~np.isnan(record.y_with_gaps), axis=0)
-    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
-    if not forecaster._refits:
-        held = samples - fitted
-        once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-        quick = not forecaster.random and not forecaster._fits_simulator
-        return [*once, *(Origin(end, end) for end in early[:1] if quick)]
-    return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
-
-
-def held_out_errors(
-    record: Record, forecasts: Mapping[Origin, Array], earlier: bool = False
-) -> list[Array]:
-    """Return the errors of forecasts that begin in a record's last quarter, or `earlier`.
-
-    They are in the order of origins, `(time, ny)` each, by horizon.
-    """
-    seen, first = record.y_with_gaps, first_held_out(len(record))
-    return [
-        seen[origin.at :] - y[: len(record) - origin.at]
-        for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
-        if (origin.at < first) == earlier
-    ]
-
-
-def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
-    """Return the held-out errors of a record, from which intervals beyond it follow."""
-    scored = held_out_errors(record, forecasts)
-    near, scale = min(map(len, scored)), spread(record.y_with_gaps)
-
-    def first_samples(errors: Sequence[Array]) -> float:
-        return root_mean_square([error[:near] / scale for error in errors])
-
-    kept, most = [*scored], FAILED_FIT_RATIO * first_samples(scored)
-    for error in held_out_errors(record, forecasts, earlier=True)[::-1]:
-        # A fit to too few samples, such as less than a period, is wrong from its first forecast
-        # samples on, and one to even fewer is no better.
-        if not first_samples([error]) <= most:
-            break
-        kept.append(error)
-    return HeldOut.of(kept, record.y_with_gaps)
-
-
-def held_out_of(forecaster: Forecaster) -> HeldOut:
-    """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
-
-    They are kept with it. Raises ValueError for a loaded forecaster without them, which does not
-    have all of its training records.
-    """
-    if forecaster.held_out is not None:
-        return forecaster.held_out
-    fitted = forecaster.require_fitted()
-    record = fitted.record
-    if fitted.begin or not fitted.whole:
-        raise InputError(
-            "level must be left out for a model that was saved without held-out errors: request an "
-            "interval before it is saved, or fit it with --intervals"
-        )
-    shorter = for_trial(forecaster, len(record))
-    origins = held_out_origins(forecaster, record)
-    spec = BacktestSpec(record, origins, len(record), fitted.others)
-    done = backtest(shorter, spec, fitted.report.seed)
-    forecaster.held_out = interval_errors(record, {at: p.y for at, p in done.forecasts.items()})
-    return forecaster.held_out
-
-
 def median_forecasts(fits: Sequence[Fit]) -> dict[Origin, Array]:
     """Return the median forecast over several fits of a method, by origin."""
     first, *others = fits
@@ -385,9 +241,3 @@ def held_out_score(record: Record, fits: Sequence[Fit]) -> float:
             )
     errors, scale = held_out_errors(record, median_forecasts(fits)), spread(record.y_with_gaps)
     return root_mean_square([error / scale for error in errors])
-
-
-def root_mean_square(errors: Sequence[Array]) -> float:
-    """Return the RMS of the errors `(time, ny)` of several forecasts together, ignoring NaN."""
-    every = np.concatenate(errors)
-    return rmse(every, np.zeros_like(every))

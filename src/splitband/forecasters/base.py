@@ -20,6 +20,7 @@ from splitband.baselines.delays import check_delays
 from splitband.data import Record, check_alike, require_records
 from splitband.data.signals import last_before
 from splitband.forecasters.fitted import Fitted
+from splitband.forecasters.held_out import held_out_of
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import (
     ForecastContext,
@@ -30,6 +31,7 @@ from splitband.forecasters.prediction import (
     prepared_like,
     seconds_after,
 )
+from splitband.forecasters.saving import Saved, save
 from splitband.forecasters.stepping import (
     NotSteppedError,
     Part,
@@ -51,9 +53,6 @@ from splitband.training import Progress, Settings
 if TYPE_CHECKING:
     import torch
 
-    from splitband.baselines.accuracy import Accuracy
-    from splitband.export.casadi_graph import CasadiStep
-    from splitband.forecasters.checking import ModelCheck, Responses
 
 AnyForecaster = TypeVar("AnyForecaster", bound="Forecaster")
 
@@ -79,7 +78,7 @@ def titled(name: str, words: str) -> str:
     return words if words.endswith(f"({name})") else f"{words} ({name})"
 
 
-class Forecaster(WithRepr, ABC):
+class Forecaster(WithRepr, Saved, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
@@ -318,8 +317,6 @@ class Forecaster(WithRepr, ABC):
         known = known_of(self, steps, history, other_record, u, y_sim)
         prediction = predicted(self, known, fitted.record if history is None else history)
         if level is not None:
-            from splitband.forecasters.backtest import held_out_of  # noqa: PLC0415  it imports this
-
             prediction = held_out_of(self).interval(level).around(prediction)
         for message in prediction.warnings:
             warnings.warn(message, ExtrapolationWarning, stacklevel=2)
@@ -341,82 +338,6 @@ class Forecaster(WithRepr, ABC):
         """
         return stream_of(self, history, other_record)
 
-    def check_residuals(self, record: Record) -> ModelCheck:
-        """Check the fitted forecaster on a record, preferably one that it was not fitted to.
-
-        Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
-        residuals, whether a long free run stays in range, and signals beyond their range in
-        training; see `splitband.forecasters.checking`. For an `anchored` forecaster, the time
-        stamps of `record` count from the beginning of the training record.
-
-        Raises
-        ------
-        ValueError
-            For a forecaster that has not been fitted, and a record that does not match it or is too
-            short.
-        """
-        from splitband.forecasters.checking import check  # noqa: PLC0415  it imports this
-
-        return check(self, record)
-
-    def step_responses(
-        self, steps: int = 500, at: npt.ArrayLike | None = None, size: npt.ArrayLike | None = None
-    ) -> Responses:
-        """Return the response of each output to a small step of each input.
-
-        Parameters
-        ----------
-        steps : Samples of the response. The outputs settle for as many samples before it, with
-            constant inputs.
-        at : The operating point, `(nu,)`; by default the means of the training inputs.
-        size : Step sizes, `(nu,)`; by default a tenth of each input's range in training. One run
-            steps up by half of it and one down; `y` is their difference, scaled to a step of 1.
-
-        Raises
-        ------
-        ValueError
-            For a forecaster without inputs, and one that needs a simulator's output from a record.
-        """
-        from splitband.forecasters.checking import respond  # noqa: PLC0415  it imports this
-
-        return respond(self, steps, at, size)
-
-    def _system(self) -> tuple[Array, Array, Array, Array] | None:
-        """Return A, B, C and D of a linear model in state space; None for any other one."""
-        return None
-
-    def accuracy(self) -> Accuracy:
-        """Return poles, gains and delays with standard errors: of `Linear` alone."""
-        raise InputError(
-            f"{self.name} has no accuracy of poles and gains: only a fitted sb.Linear has; "
-            "step_responses() gives the gain of other models"
-        )
-
-    @final
-    def as_casadi(self, history: Record | None = None, other_record: bool = False) -> CasadiStep:
-        """Return the prediction of one sample as a CasADi function, for predictive control.
-
-        `step = model.as_casadi()` is called as `state, y = step(state, u)`, with numbers or with
-        CasADi's expressions, from which CasADi takes derivatives. `step.state()` is the state at
-        the end of the history, a vector; `step.stream.observe(y, u)` takes what is measured next.
-        The numbers are those of `stream`. The equation of an `Ode` is part of the function; the
-        output of any other simulator is its third argument. It needs the extra `casadi`.
-
-        Parameters
-        ----------
-        history, other_record : See `predict`; by default the training record.
-
-        Raises
-        ------
-        ValueError
-            For a part that has no such form, which it names: an EulerMLP, a cell of your own, a
-            conditioned hybrid without inputs; where too few samples have been measured; without
-            CasADi.
-        """
-        from splitband.export.casadi_graph import CasadiStep  # noqa: PLC0415  of a higher layer
-
-        return CasadiStep(self, history, other_record)
-
     @final
     def export(
         self,
@@ -435,7 +356,7 @@ class Forecaster(WithRepr, ABC):
         path : Output file, whose ending sets the format: `.c` is C99, with a header file; `.fmu` is
             a functional mock-up unit for co-simulation (FMI 2.0), for Windows, Linux and macOS with
             the extra `everywhere`, else for this platform; `.onnx` is the graph of a step, with a
-            second graph for a whole simulation; `.casadi` is the function of `as_casadi`, with a
+            second graph for a whole simulation; `.casadi` is the function of `casadi_step`, with a
             second one that returns its state. Of an FMU, set the inputs of a sample, read its
             outputs, and only then make the step to the next sample.
         precision : Of all numbers; an FMU and CasADi compute in double precision.
@@ -458,8 +379,6 @@ class Forecaster(WithRepr, ABC):
         The folder also holds the end of the training record (for the warm-up), the calibration,
         units, input ranges, and the held-out errors, if an interval has been requested.
         """
-        from splitband.forecasters.saving import save  # noqa: PLC0415  it imports this
-
         save(self, folder)
 
     def on(self, record: Record, first: bool = True) -> Record:
@@ -552,6 +471,21 @@ class Forecaster(WithRepr, ABC):
         """Return the fitted forecasters that a network in it learns the error of."""
         return []
 
+    def _system(self) -> tuple[Array, Array, Array, Array] | None:
+        """Return A, B, C and D of a linear model in state space; None for any other one."""
+        return None
+
+    def _fitted_copy(
+        self, records: Sequence[Record], bases: Sequence[Forecaster] = (), **how: Any
+    ) -> Forecaster:
+        """Return a copy that is fitted to the records, one of `bases` where that is so already."""
+        found = fitted_like(self, records, bases)
+        return self.clone()._fit(records, bases=bases, **how) if found is None else found
+
+    def _for_trial(self, samples: int) -> Self:
+        """Return it adapted to `samples` without their held-out part."""
+        return self._with_parts(lambda part: part._for_trial(samples)) if parts_of(self) else self
+
     @property
     def _slow_label(self) -> str:
         """Return the label of the slow component of a prediction, if that is the forecaster."""
@@ -593,8 +527,7 @@ class Forecaster(WithRepr, ABC):
     @classmethod
     def _from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the forecaster that `_to_dict` described; its constructor is not called."""
-        new = object.__new__(cls)
-        vars(new).update(found)
+        new = super()._from_dict(found)
         if new.fitted is not None and new.delays:
             check_delays(new.delays, new.fitted.record.nu)
         return new

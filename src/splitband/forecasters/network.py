@@ -30,6 +30,7 @@ from splitband.forecasters.base import (
     with_parts_changed,
 )
 from splitband.forecasters.fitted import FitReport
+from splitband.forecasters.held_out import first_held_out
 from splitband.forecasters.initialisation import begin_as_linear
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.prediction import ForecastContext, known_of, total
@@ -43,7 +44,12 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.threads import one_thread, seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import Settings
-from splitband.training.settings import checked_starts, recipe_settings
+from splitband.training.settings import (
+    SHORTEST_WINDOW,
+    checked_starts,
+    longest_window,
+    recipe_settings,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -174,6 +180,19 @@ class Network(Forecaster):
     def _trained_as(self, settings: Settings | None) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
+
+    def _for_trial(self, samples: int) -> Self:
+        """Return it adapted to `samples` without their held-out part.
+
+        Long windows shrink with the part that is left, but stay as long as the default recipe's
+        shortest one, and beyond the warm-up.
+        """
+        new, settings, fewer = super()._for_trial(samples), self.settings, first_held_out(samples)
+        if settings is None:
+            return new
+        least = max(min(SHORTEST_WINDOW, longest_window(fewer)), settings.warmup + 1)
+        shorter = max(round(settings.window * fewer / samples), least)
+        return new._trained_as(replace(settings, window=min(settings.window, shorter)))
 
     def untrained(self) -> Forecaster:
         """Return it not trained, with the settings and bands of its training."""

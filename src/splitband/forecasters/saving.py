@@ -1,9 +1,9 @@
-"""Save forecasters to folders, whole or not at all, and load them.
+"""Save forecasters to folders, whole or not at all, and read them.
 
 A folder holds forecaster.json, which describes the forecaster and its parts, and one safetensors
 file with all weights and arrays. The latter is named after its content, so that an interrupted
 `save` leaves the previous pair intact. Of a simulator that is not recorded output only a
-description is saved (`simulators.base.Absent`); `load` takes the simulator itself.
+description is saved (`simulators.base.Absent`); `loading.load` takes the simulator itself.
 
 Loading runs no code from a file, and none that a file names. The description of an object contains
 the name of its class, which is looked up in the modules that are loaded: nothing is imported. The
@@ -19,11 +19,10 @@ import json
 import math
 import re
 import sys
-import warnings
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Self, cast, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -32,16 +31,14 @@ import safetensors
 import safetensors.numpy
 
 from splitband import networks
-from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
-from splitband.forecasters.base import Forecaster
-from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime import outputs
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing, to_json, write_text
 from splitband.runtime.options import is_saved, options
-from splitband.simulators import Simulator
-from splitband.simulators.base import matched
+
+if TYPE_CHECKING:
+    from splitband.forecasters.base import Forecaster
 
 FORMAT = 8
 """Version of the description, which changes with attributes of what is saved, and their meaning."""
@@ -64,6 +61,21 @@ _PACKAGE = __name__.partition(".")[0]
 
 Tensors = dict[str, npt.NDArray[Any]]
 """The arrays and the weights of a forecaster, by their place in it."""
+
+
+class Saved:
+    """Define what is saved of an object, and how it is restored from that: of every forecaster."""
+
+    def _to_dict(self) -> dict[str, Any]:
+        """Return what is saved."""
+        return {**vars(self)}
+
+    @classmethod
+    def _from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the object that `_to_dict` described; its constructor is not called."""
+        new = object.__new__(cls)
+        vars(new).update(found)
+        return new
 
 
 def save(
@@ -120,38 +132,8 @@ def _remove_outdated(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
-    """Read what `Forecaster.save` wrote.
-
-    Parameters
-    ----------
-    folder : Of the forecaster, or of the result of a comparison or a forecast, which holds one.
-    simulator : The one that it was fitted with, such as `sb.Fmu("rig.fmu")`, or a replacement. A
-        forecaster that needs one loads without it, but cannot predict.
-
-    Raises
-    ------
-    FileNotFoundError
-        When a file is missing.
-    ValueError
-        When a file is damaged, of another format, or needs a class of your own whose module has
-        not been imported; for a folder that holds two forecasters; for a simulator that the
-        forecaster does not need, or whose `start` or `held` is not that of the saved one.
-
-    Warns
-    -----
-    UserWarning
-        When the simulator differs from the one that the forecaster was saved with.
-
-    Examples
-    --------
-    >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
-    >>> model = sb.Periodic().fit(record)
-    >>> model.save("model")
-    >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
-    True
-    """
-    folder = _of_result(Path(folder))
+def read(folder: Path) -> Forecaster:
+    """Return the forecaster of a folder, without its simulator; see `loading.load`."""
     if not (folder / FILE).is_file():
         old = f"; its model.json is of version 0.1 or 0.2: {_AGAIN}"
         said = old if (folder / "model.json").is_file() else ""
@@ -167,30 +149,16 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
         )
     tensors = _tensors(folder, facts)
     try:
-        loaded = restored(facts["forecaster"], tensors)
-        if not isinstance(loaded, Forecaster):
-            raise InputError(f"it is {type(loaded).__name__}")
+        found = restored(facts["forecaster"], tensors)
+        if not isinstance(found, Saved):
+            raise InputError(f"it is {type(found).__name__}")
+        loaded = cast("Forecaster", found)
         loaded.require_fitted()
     except KeyError as error:
         raise InputError(f"{folder / FILE} holds no forecaster: {error} is missing") from None
     except _UNFIT as error:
         raise InputError(f"{folder / FILE} holds no forecaster that can be read: {error}") from None
-    if simulator is not None:
-        _give(loaded, simulator)
     return loaded
-
-
-def _of_result(folder: Path) -> Path:
-    """Return the folder of the forecaster that a folder holds, itself or as the result of a run."""
-    inner = folder / outputs.MODEL_FOLDER
-    if not (inner / FILE).is_file():
-        return folder
-    if (folder / FILE).is_file():
-        raise InputError(
-            f"folder must hold one model, got two: {folder / FILE}, of `fit`, and {inner / FILE}, "
-            f"of `compare` or `forecast`; name {inner}, or remove it to have the other one"
-        )
-    return inner
 
 
 def _read_description(folder: Path) -> dict[str, Any]:
@@ -217,28 +185,6 @@ def _tensors(folder: Path, facts: Mapping[str, Any]) -> Tensors:
         raise InputError(f"{path} is damaged: {error}") from None
 
 
-def _give(forecaster: Forecaster, simulator: Simulator) -> None:
-    """Set the simulator of a forecaster, with a warning if it differs from the saved one.
-
-    Raises ValueError if it begins at another time.
-    """
-    given = [*simulations(forecaster)]
-    if not given:
-        raise InputError(f"simulator must be left out for {forecaster.name}, which asks for none")
-    differences = []
-    for each in given:
-        other = simulator
-        if each.simulator is None and each.fitted is not None:  # it was run beside the record
-            record = each.fitted.record
-            other = matched(simulator, record.columns, record.inputs)
-        if (saved := description_of(each)) is not None:
-            differences.append(saved.difference(other))
-    for said in filter(None, dict.fromkeys(differences)):
-        warnings.warn(said, stacklevel=3)
-    for each in given:
-        each.simulator = simulator
-
-
 def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PLR0911  a line a kind
     """Return a value as JSON, and put its arrays into `tensors`, by their place in the value.
 
@@ -259,7 +205,7 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
             place += "."
         tensors[place] = np.array(value, order="C")
         return {"array": place}
-    if isinstance(value, Forecaster):
+    if isinstance(value, Saved):
         return _named("class", value, value._to_dict(), tensors, place)
     if is_saved(type(value)):
         parts = {name: getattr(value, name) for name in _fields(type(value))}
@@ -339,7 +285,7 @@ def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a ki
             getattr(networks, name)
         return _cell(_loaded(value["cell"], value.get("module")), found)
     kind = _loaded(value["class"], value.get("module"))
-    if issubclass(kind, Forecaster):
+    if issubclass(kind, Saved):
         return kind._from_dict(found)
     _check_numbers(kind, found)
     return kind(**found)
@@ -373,7 +319,7 @@ def _inside(place: Any, name: str, module: str | None) -> type | None:
         return None
     torch = sys.modules.get("torch")
     cell = torch is not None and issubclass(place, torch.nn.Module) and hasattr(place, "sized")
-    return place if cell or issubclass(place, Forecaster) or is_saved(place) else None
+    return place if cell or issubclass(place, Saved) or is_saved(place) else None
 
 
 def _of_package(kind: type) -> bool:

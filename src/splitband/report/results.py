@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from splitband.checks.model import ModelCheck
+from splitband.checks.responses import Responses
 from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.evaluation.comparison import Comparison
@@ -21,7 +23,6 @@ from splitband.forecasters import saving
 from splitband.forecasters.backtest import Fit
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.checking import ModelCheck, Responses
 from splitband.forecasters.prediction import time_header
 from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
@@ -117,7 +118,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         "settings": comparison.plan.as_json(),
         "warnings": comparison.warnings,
         "interrupted": comparison.interrupted,
-        "residual_tests": [test.as_json() for test in comparison.residual_tests()],
+        "residual_tests": [test.as_json() for test in comparison.residual_tests],
         "recommended": trial.recommended,
         # Without seconds, which are below, so that the same comparison has the same table.
         "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from io import StringIO
 from typing import Any, Literal, NamedTuple
 
+import pandas as pd
 import rich.table
 from rich.box import HEAVY_HEAD, Box
 from rich.console import Console
@@ -22,6 +23,7 @@ from rich.text import Text
 from splitband.evaluation.recommendation import by_reason
 from splitband.metrics import tenths
 from splitband.report.numbers import aligned, decimals, number, percent
+from splitband.report.page import template
 
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
@@ -249,6 +251,23 @@ class Table:
             console.print(self.fitting(width, None)[0])
         lines = [line.rstrip() for line in captured.get().splitlines()]
         return "\n".join(lines + self.remarks())
+
+    def as_html(self) -> str:
+        """Return the table as HTML without style, for notebooks."""
+        return str(template("macros.html").module.table(self, "table"))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a data frame: the columns by their titles, and what must be said of each row."""
+        table: dict[str, Mapping[str, object]] = {}
+        for column in self.columns:
+            table[column.title] = column.values
+            if column.spreads:
+                table[f"{column.title}, spread"] = column.spreads
+        table["note"] = {row: said or self.details.get(row, "") for row, said in self.rows.items()}
+        if self.recommended:
+            known = [row for row, said in self.rows.items() if not said]
+            table["recommended"] = {row: row == self.recommended for row in known}
+        return pd.DataFrame(table, index=[*self.rows]).rename_axis(self.head)
 
     def remarks(self, details: bool = False) -> list[str]:
         """Return what must be said of rows, each remark once; if asked for, with their details."""

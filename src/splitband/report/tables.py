@@ -8,20 +8,18 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from html import escape
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from splitband.baselines.accuracy import NORMAL
+from splitband.checks.responses import Responses
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
 from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
-from splitband.forecasters.checking import Responses
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
@@ -45,10 +43,14 @@ def of_comparison(comparison: Comparison) -> Table:
         + (f", {ahead}" if train < len(record) else "")
         + f". {what_was_known(comparison)}"
     )
-    notes = remarks(comparison)
     missing = {} if trial is None else trial.without_result
-    rows = {name: missing.get(name, "") for name in notes}
-    details = {name: note for name, note in notes.items() if name not in missing}
+    ranked = ordered(trial, comparison.fits)
+    rows = {name: missing.get(name, "") for name in (*ranked, *missing)}
+    details = {
+        name: "; ".join(filter(None, [leaving_range(comparison, name), fits[0].description]))
+        for name, fits in comparison.fits.items()
+        if name not in missing
+    }
     called = labels_of(comparison)
     return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
 
@@ -122,19 +124,6 @@ def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
     return [column for heading, numbers in of.items() for column in _columns(heading, numbers)]
 
 
-def remarks(comparison: Comparison) -> dict[str, str]:
-    """Return the remarks on each method, or why it failed.
-
-    The methods are in the order of the table's rows.
-    """
-    found = {}
-    for name in ordered(comparison.trial, comparison.fits):
-        left = leaving_range(comparison, name)
-        found[name] = "; ".join(filter(None, (left, comparison.fits[name][0].description)))
-    missing = {} if comparison.trial is None else comparison.trial.without_result
-    return found | {name: why for name, why in missing.items() if name not in found}
-
-
 def leaving_range(comparison: Comparison, name: str) -> str:
     """Return when a forecast of a method leaves the training range, in words; else empty."""
     left = comparison.leaves(name)
@@ -160,37 +149,6 @@ def labels_of(comparison: Comparison) -> dict[str, str]:
     failed = () if comparison.trial is None else comparison.trial.failed
     names = dict.fromkeys([*comparison.fits, *comparison.methods, *failed])
     return labels(names, comparison.methods | fitted)
-
-
-def frame(result: Comparison) -> pd.DataFrame:
-    """Return a row for each method, see `Comparison.table`."""
-    notes = remarks(result)
-    table: dict[str, Mapping[str, object]] = {}
-    for column in columns(result):
-        table[column.title] = column.values
-        if column.spreads:
-            table[f"{column.title}, spread"] = column.spreads
-    table["note"] = notes
-    if result.trial is not None:
-        table["recommended"] = {name: name == result.recommended for name in result.fits}
-    return pd.DataFrame(table, index=[*notes]).rename_axis("method")
-
-
-def as_text(comparison: Comparison) -> str:
-    """Return the table with as many columns as fit into 100 characters, fit % first."""
-    return f"{comparison!r}\n\n{replace(of_comparison(comparison), title='').as_text()}"
-
-
-def as_html(comparison: Comparison) -> str:
-    """Return the table as HTML without style, the recommended method first, for notebooks."""
-    from splitband.report.page.parts import template  # noqa: PLC0415  it imports this module
-
-    said = f"<p>{escape(repr(comparison))}</p>"
-    return said + str(
-        template("macros.html").module.table(
-            replace(of_comparison(comparison), title=""), "comparison"
-        )
-    )
 
 
 class Numbers(NamedTuple):

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from splitband.checks.residuals import ResidualTests
 from splitband.data import Record
 from splitband.evaluation.checks import repeats_training
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.recommendation import WORTH_TRAINING, Trial, by_reason
 from splitband.filters.spectrum import periodogram
-from splitband.forecasters.backtest import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.forecasters.fitted import UNSTABLE
+from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.names import HYBRIDS
-from splitband.forecasters.residuals import ResidualTests
 from splitband.metrics import Extrapolation
 from splitband.report.numbers import number, percent
 from splitband.report.predicted import run_of
@@ -140,7 +140,7 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
     where = "the samples after the training part"
     if comparison.medians[comparison.recommended].tests:
         where = f"test record {comparison.tests[0].name or 1}"
-    tests = comparison.residual_tests()
+    tests = comparison.residual_tests
     return {f"{test.verdict()} (Tested on {where}.)": test for test in tests}
 
 

@@ -1,4 +1,19 @@
 """Write results as one HTML file to look at and send on: it loads nothing from elsewhere."""
 
+from functools import cache
+from typing import Any
+
 NAME = "report.html"
 """Name of the page's file in the folder of a result."""
+
+
+@cache
+def template(name: str) -> Any:
+    """Return a template of this folder."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  where it is shown
+
+    environment = Environment(
+        loader=PackageLoader("splitband.report.page", ""), autoescape=True,
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template(name)

@@ -15,9 +15,9 @@ from bokeh.embed.util import standalone_docs_json_and_render_items
 
 from splitband.evaluation.comparison import Comparison
 from splitband.report.colors import DARK, PALETTE
-from splitband.report.page import pages
+from splitband.report.page import pages, template
 from splitband.report.page.charts import Chart
-from splitband.report.page.parts import Page, Usage, template
+from splitband.report.page.parts import Page, Usage
 from splitband.runtime.files import write_text
 
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from splitband.checks.model import ModelCheck
+from splitband.checks.residuals import CONFIDENCE, ResidualTests
+from splitband.checks.responses import SHARE, Responses, respond_over_range
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
-from splitband.forecasters.checking import SHARE, ModelCheck, Responses, respond_over_range
 from splitband.forecasters.linear import Linear
-from splitband.forecasters.residuals import CONFIDENCE, ResidualTests
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
 from splitband.report import tables, words
@@ -55,11 +56,11 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
                 plots=[plot for each in shown for plot in (*each.outputs(), *each.inputs())]),
         Section("methods", "All methods",
                 [" ".join(words.why(trial, result.plan.train, listed.labels))], tables=[listed]),
-        _residuals([*words.verdicts(result)], result.residual_tests(), "Residuals",
+        _residuals([*words.verdicts(result)], result.residual_tests, "Residuals",
                    [p for s in shown for p in s.residuals()]),
         *_responses(result, styles),
         *_next_steps(used),
-        *_linear(result),
+        *map(_of_linear, _linear_of(result)),
         Section("errors", "Error over horizon", [_HORIZON],
                 plots=[p for s in shown for p in s.errors()], folded=True),
         *_further([p for p in every if p not in first or p.protocol == "start"], styles),
@@ -107,9 +108,8 @@ def _residuals(
 
 def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
     """Return the section of the responses of the recommended model and of the linear one."""
-    linear = _linear_of(result)
     models = {result.recommended: result.model}
-    if linear is not None:
+    for linear in _linear_of(result):
         models.setdefault(linear.name, linear)
     every = {name: respond_over_range(model) for name, model in models.items()}
     found = {name: each for name, each in every.items() if each}
@@ -153,16 +153,10 @@ def _responses_of(
     )
 
 
-def _linear_of(result: Comparison) -> Linear | None:
+def _linear_of(result: Comparison) -> list[Linear]:
     """Return the fitted linear model, if it is one of the methods."""
     every = (fit.fitted for fits in result.fits.values() for fit in fits)
-    return next((fitted for fitted in every if isinstance(fitted, Linear)), None)
-
-
-def _linear(result: Comparison) -> list[Section]:
-    """Return the section of the linear model, if it is one of the methods."""
-    fitted = _linear_of(result)
-    return [] if fitted is None else [_of_linear(fitted)]
+    return [fitted for fitted in every if isinstance(fitted, Linear)][:1]
 
 
 def _of_linear(fitted: Linear) -> Section:

@@ -1,11 +1,10 @@
-"""Define the parts of a page, and the templates that render them; without Bokeh, which is slow."""
+"""Define the parts of a page, without Bokeh, which loads slowly."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from splitband.report.colors import PALETTE
 from splitband.report.table import Table
@@ -83,15 +82,3 @@ class Usage:
 
     commands: Sequence[tuple[str, str]] = ()  # what each does, and the command or Python code
     asked: str = ""  # the command that made the page
-
-
-@cache
-def template(name: str) -> Any:
-    """Return a template of this folder."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  where it is shown
-
-    environment = Environment(
-        loader=PackageLoader("splitband.report.page", ""), autoescape=True,
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    return environment.get_template(name)

@@ -11,13 +11,13 @@ from bokeh.models.annotations import BoxAnnotation
 
 from splitband.baselines.accuracy import NORMAL
 from splitband.baselines.linear import LinearModel
+from splitband.checks.residuals import Correlation
+from splitband.checks.responses import SHARE, Responses
 from splitband.data import Record
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.forecasters.backtest import Fit
-from splitband.forecasters.checking import SHARE, Responses
 from splitband.forecasters.prediction import Prediction
-from splitband.forecasters.residuals import Correlation
 from splitband.metrics import DIVERGED, cumulative_rmse, fit_percent, tenths
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, percent, squared

@@ -11,7 +11,7 @@ import scipy
 
 import splitband as sb
 from benchmarks import residuals
-from splitband.forecasters.residuals import LAGS, ResidualTests, residual_tests
+from splitband.checks.residuals import LAGS, ResidualTests, residual_tests
 
 Array = npt.NDArray[np.float64]
 
@@ -148,7 +148,7 @@ def test_a_spurious_regression_of_a_random_walk_says_that_the_inputs_may_be_unre
 def test_a_linear_model_of_a_random_walk_is_not_said_to_miss_an_effect() -> None:
     y, u = walk_and_inputs("white noise", 0, 800)
     record = sb.Record(y, 0.1, u=u, inputs=("a", "b"))
-    found = sb.Linear().fit(record[:500]).check_residuals(record[300:])
+    found = sb.check(sb.Linear().fit(record[:500]), record[300:])
     assert found.tests[0].p < 0.005  # levels would reject it
     assert found.outcome == "not rejected"
     assert "The inputs may be unrelated to y, which wanders like a random walk" in str(found)
@@ -194,7 +194,7 @@ def test_a_good_model_is_accepted_with_its_fits_on_a_record_with_gaps() -> None:
     y = other.y.copy()
     y[200:210] = np.nan
     gaps = sb.Record.with_gaps(y, 0.1, other.u, inputs=("force",))
-    found = model.check_residuals(gaps)
+    found = sb.check(model, gaps)
     assert found.accepted
     assert [*found.fits] == ["simulation", "1 step ahead", "10 steps ahead"]
     (fit,) = found.fits["simulation"]
@@ -214,17 +214,17 @@ class Growing(sb.Forecaster):
 
 def test_a_free_run_that_leaves_the_range_and_an_input_beyond_it_are_named() -> None:
     record = sb.Record(np.sin(0.3 * np.arange(300)), 0.1)
-    found = Growing().fit(record).check_residuals(record)
+    found = sb.check(Growing().fit(record), record)
     assert found.leaves is not None
     assert not found.accepted
     assert f"leaves the range of the training record by far after {found.leaves:,}" in str(found)
     model = sb.Linear().fit(driven(600))
     far: Any = driven(400, 1)
-    found = model.check_residuals(sb.Record(5 * far.y, 0.1, u=5 * far.u, inputs=("force",)))
+    found = sb.check(model, sb.Record(5 * far.y, 0.1, u=5 * far.u, inputs=("force",)))
     assert any("force" in line and "range in training" in line for line in found.in_words())
 
 
 def test_a_record_that_is_too_short_is_named() -> None:
     model = sb.Mean().fit(sb.Record(np.sin(np.arange(99.0)), 0.1))
     with pytest.raises(ValueError, match="record must have 50 samples after the warm-up of mean"):
-        model.check_residuals(sb.Record(np.sin(np.arange(40.0)), 0.1))
+        sb.check(model, sb.Record(np.sin(np.arange(40.0)), 0.1))

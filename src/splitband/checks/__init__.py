@@ -1,0 +1,1 @@
+"""Check fitted forecasters: residual tests, stability, responses to steps."""

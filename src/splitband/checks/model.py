@@ -1,0 +1,226 @@
+"""Check a fitted forecaster on a record: fits, residual tests, stability, ranges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from splitband.checks.residuals import (
+    CONFIDENCE,
+    LAGS,
+    Outcome,
+    ResidualTests,
+    residual_tests,
+)
+from splitband.data import Record, require_records
+from splitband.data.signals import first_after
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.prediction import Prediction
+from splitband.metrics import (
+    Extrapolation,
+    ExtrapolationWarning,
+    fit_percent,
+    leaves_range,
+    tenths,
+)
+from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
+from splitband.runtime.threads import without_warnings
+from splitband.training.settings import default_warmup
+
+AHEAD = (1, 10)
+"""Horizons in samples of the predictions from within the record. Layout."""
+ORIGINS = 100
+"""Largest number of origins of these predictions, evenly spaced. Bounds the time."""
+LONGER = 10
+"""Length of the free run that must stay in range, in multiples of the record. By eye."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelCheck:
+    """Hold the results of checking a forecaster on a record.
+
+    Attributes
+    ----------
+    method : Name of the forecaster.
+    record : The record of the check.
+    simulation : The free run from a warm-up on the first samples to the end.
+    fits : Fit in percent of each output: "simulation", and "1 step ahead" and so on.
+    tests : Of the residuals of each output.
+    leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
+        training record by far; None where it stays.
+    unchecked : Why there is no such run; empty where there is one.
+    beyond : Inputs and outputs outside their range in training.
+    title : What the forecaster is, in words, with its name.
+    """
+
+    method: str
+    record: Record
+    simulation: Prediction
+    fits: Mapping[str, tuple[float, ...]]
+    tests: tuple[ResidualTests, ...]
+    leaves: int | None = None
+    unchecked: str = ""
+    beyond: Sequence[Extrapolation] = field(default_factory=tuple)
+    title: str = ""
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return the result of all tests; a long free run that leaves the range rejects, too."""
+        found = {test.outcome for test in self.tests}
+        if self.leaves is not None or "rejected" in found:
+            return "rejected"
+        return "not rejected" if "not rejected" in found else "accepted"
+
+    @property
+    def accepted(self) -> bool:
+        """Return whether nothing rejects the model."""
+        return self.outcome != "rejected"
+
+    def in_words(self) -> list[str]:
+        """Return the results in sentences, without the fits."""
+        said = [test.finding() for test in self.tests]
+        if self.unchecked:
+            said.append(f"Stability was not checked: {self.unchecked}.")
+        elif self.leaves is None:
+            said.append(f"The free run over {LONGER} times the record stays in range.")
+        else:
+            said.append(
+                f"The free run over {LONGER} times the record, with its inputs repeated, leaves "
+                f"the range of the training record by far after {self.leaves:,} samples."
+            )
+        said += self.simulation.doubts
+        names = {"input": self.record.inputs, "output": self.record.columns}
+        return said + [each.describe(names[each.kind][each.channel]) for each in self.beyond]
+
+    def __str__(self) -> str:
+        fits = [
+            f"{column}: fit {tenths(of[i])} % ({horizon})"
+            for i, column in enumerate(self.record.columns)
+            for horizon, of in self.fits.items()
+        ]
+        begin = f"{self.title or self.method} on {self.record.name or 'the record'}: {self.outcome}"
+        return "\n".join([begin, *fits, *self.in_words()])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all results, for a JSON file."""
+        return {
+            "method": self.method,
+            "record": self.record.name,
+            "samples": len(self.record),
+            "outcome": self.outcome,
+            "accepted": self.accepted,
+            "level": CONFIDENCE,
+            "fit": {
+                horizon: {
+                    column: fit if math.isfinite(fit) else None
+                    for column, fit in zip(self.record.columns, fits, strict=True)
+                }
+                for horizon, fits in self.fits.items()
+            },
+            "residuals": [test.as_json() for test in self.tests],
+            "leaves_range_after": self.leaves,
+            "unchecked": self.unchecked,
+            "beyond_training": [asdict(each) for each in self.beyond],
+            "in_words": self.in_words(),
+        }
+
+
+def check(forecaster: Forecaster, record: Record) -> ModelCheck:
+    """Check a fitted forecaster on a record, preferably one that it was not fitted to.
+
+    Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
+    residuals, whether a long free run stays in range, and signals beyond their range in training.
+    For an `anchored` forecaster, the time stamps of `record` count from the beginning of the
+    training record.
+
+    Raises
+    ------
+    ValueError
+        For a forecaster that has not been fitted, and a record that does not match it or is too
+        short.
+    """
+    fitted = forecaster.require_fitted()
+    require_records("record", record)
+    record = record.prepared_as(fitted.record)
+    free = _free_run(forecaster, record)
+    if free is None:
+        raise InputError(
+            f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
+            f"got {len(record)}"
+        )
+    with without_warnings(ExtrapolationWarning):
+        begin = len(record) - len(free)
+        fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
+        fits |= _ahead(forecaster, record, begin)
+        unchecked = ""
+        if "simulator" in forecaster.needs:
+            unchecked = "it needs the simulator's output beyond the record"
+        leaves = None if unchecked else _leaves(forecaster, record, begin)
+    tests = tests_of(record, free)
+    beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
+    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond,
+                      forecaster._title)  # fmt: skip
+
+
+def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:
+    """Test the residuals of a simulation or forecast to the end of a record.
+
+    Returns nothing where it has fewer than 2 `LAGS` samples.
+    """
+    if len(simulated) < 2 * LAGS:
+        return ()
+    left = record.y_with_gaps[len(record) - len(simulated) :] - simulated.y
+    return residual_tests(left, record.u, record.columns, record.inputs, simulated.y)
+
+
+def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...]:
+    """Test the residuals of a fitted forecaster on a record that it was not fitted to, as `check`.
+
+    Returns nothing where `check` would not find enough samples.
+    """
+    record = record.prepared_as(forecaster.require_fitted().record)
+    free = _free_run(forecaster, record)
+    return () if free is None else tests_of(record, free)
+
+
+def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
+    """Simulate a record to its end, from a warm-up on its first samples; None if it is short."""
+    warmup = forecaster.warmup or default_warmup(len(record))  # as a comparison on test records
+    begin = first_after(record.complete, max(warmup, 2))
+    if begin is None or len(record) - begin < 2 * LAGS:
+        return None
+    other = not forecaster.anchored
+    with without_warnings(ExtrapolationWarning):
+        return forecaster.predict(len(record) - begin, record[:begin], other_record=other)
+
+
+def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tuple[float, ...]]:
+    """Return the fit of predictions a few samples ahead, from many origins."""
+    last = len(record) - max(AHEAD)
+    origins = np.unique(np.linspace(begin, last, min(ORIGINS, last - begin + 1)).astype(int))
+    other, made = not forecaster.anchored, dict[int, Array]()
+    for at in origins:
+        try:
+            made[at] = forecaster.predict(max(AHEAD), record[:at], other_record=other).y
+        except ValueError:
+            continue  # a gap in the warm-up
+    fits = {}
+    for k in AHEAD if made else ():
+        truth = np.stack([record.truth[at + k - 1] for at in made])
+        fit = fit_percent(truth, np.stack([y[k - 1] for y in made.values()]))
+        fits[f"{k} step{'s' if k > 1 else ''} ahead"] = tuple(fit.tolist())
+    return fits
+
+
+def _leaves(forecaster: Forecaster, record: Record, begin: int) -> int | None:
+    """Return after how many samples a long free run, with inputs repeated, leaves the range."""
+    steps = LONGER * len(record)
+    u = None if record.u is None else np.tile(record.u, (LONGER + 1, 1))[begin : begin + steps]
+    other = not forecaster.anchored
+    long = forecaster.predict(steps, record[:begin], u=u, other_record=other)
+    return leaves_range(forecaster.require_fitted().y_range, long.y)

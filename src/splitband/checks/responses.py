@@ -1,0 +1,225 @@
+"""Simulate responses to small steps of the inputs, and the frequency responses that follow."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.prediction import OVERFLOWED
+from splitband.metrics import ExtrapolationWarning
+from splitband.runtime.arguments import whole
+from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
+from splitband.runtime.threads import without_warnings
+
+SHARE = 0.1
+"""Size of the step, and distance of operating points from the ends, as a share of the input's range
+in training. By eye."""
+SETTLED = 0.02
+"""A step response has settled where its slope stays within this share of its largest one from what
+it ends with, for the last quarter; the 2 % of the settling time, a convention."""
+LONGEST = 16
+"""Longest simulation of a response for its frequency response, in multiples of the samples asked
+for. Bounds the time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """Hold the response of each output to a small step of each input around an operating point.
+
+    Attributes
+    ----------
+    y : Change of the outputs for a unit step at index 0, `(steps, ny, nu)`.
+    sampling_time : In seconds.
+    columns, inputs : Names of outputs and inputs.
+    at : The operating point, `(nu,)`.
+    size : Sizes of the simulated steps, `(nu,)`.
+    whole : The response until it has settled, or to `LONGEST` times the samples of `y`.
+    system : A, B, C and D of a linear model in state space, whose frequency response is exact.
+    share : Where all inputs are in their ranges in training; None for their means, or as asked.
+    remarks : Sentences on what is missing, see `respond_over_range`.
+    """
+
+    y: Array
+    sampling_time: float
+    columns: tuple[str, ...]
+    inputs: tuple[str, ...]
+    at: Array
+    size: Array
+    whole: Array
+    system: tuple[Array, Array, Array, Array] | None = None
+    share: float | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def place(self) -> str:
+        """Return where the inputs are in their ranges, in words."""
+        return "the mean" if self.share is None else f"{self.share:.0%}".replace("%", " %")
+
+    @property
+    def settled(self) -> bool:
+        """Return whether the frequency response is that of the model, also at low frequencies."""
+        return self.system is not None or _settled(self.whole)
+
+    @property
+    def time(self) -> Array:
+        """Return the times after the step in seconds, `(steps,)`."""
+        return np.asarray(np.arange(len(self.y)) * self.sampling_time, dtype=np.float64)
+
+    @property
+    def operating_point(self) -> str:
+        """Return the operating point in words."""
+        pairs = zip(self.inputs, self.at, strict=True)
+        return ", ".join(f"{name} = {value:.4g}" for name, value in pairs)
+
+    def frequency_response(self) -> tuple[Array, npt.NDArray[np.complex128]]:
+        """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
+
+        That of `Linear` is exact. For others it is the Fourier transform of the impulse response
+        of `whole`, whose last value is taken to stay: it is near 0 where the step response settles,
+        and the slope of an integrator. It is wrong where this has not `settled`.
+        """
+        frequencies = np.fft.rfftfreq(len(self.y), self.sampling_time)[1:]
+        z = np.exp(2j * np.pi * frequencies * self.sampling_time)[:, None, None]
+        if self.system is not None:
+            a, b, c, d = self.system
+            gain = c @ np.linalg.solve(z * np.eye(len(a)) - a, b + 0 * z) + d
+        else:
+            impulse, every = _impulse(self.whole), len(self.whole) // len(self.y)
+            gain = np.fft.rfft(impulse, axis=0)[every::every] + impulse[-1] * z / (z - 1)
+        return np.asarray(frequencies, np.float64), np.asarray(gain, np.complex128)
+
+
+def _impulse(y: Array) -> Array:
+    """Return the impulse response of a step response, `(steps, ny, nu)`."""
+    return np.diff(y, axis=0, prepend=np.zeros_like(y[:1]))
+
+
+def _settled(y: Array) -> bool:
+    """Return whether the slope of all step responses has come to its last value."""
+    impulse = _impulse(y)
+    left = abs(impulse[-(len(y) // 4 or 1) :] - impulse[-1]).max(axis=0)
+    return bool((left <= SETTLED * abs(impulse).max(axis=0)).all())
+
+
+def step_responses(
+    forecaster: Forecaster,
+    steps: int = 500,
+    at: npt.ArrayLike | None = None,
+    size: npt.ArrayLike | None = None,
+    moving: bool = False,
+) -> Responses:
+    """Return the response of each output of a fitted forecaster to a small step of each input.
+
+    Parameters
+    ----------
+    forecaster : With inputs; a simulator whose output must be given has no responses.
+    steps : Samples of the response. The outputs settle for as many samples before it, with
+        constant inputs.
+    at : The operating point, `(nu,)`; by default the means of the training inputs.
+    size : Step sizes, `(nu,)`; by default a tenth of each input's range in training. One run
+        steps up by half of it and one down; `y` is their difference, scaled to a step of 1.
+    moving : Whether inputs that were constant in training are left out.
+
+    Raises
+    ------
+    ValueError
+        For a forecaster without inputs, and one that needs a simulator's output from a record.
+    """
+    fitted = forecaster.require_fitted()
+    record, steps = fitted.record, whole("steps", steps)
+    if fitted.u_summary is None:
+        raise InputError(f"{forecaster.name} must have inputs to respond to, it has none")
+    if "simulator" in forecaster.needs:
+        raise InputError(
+            f"{forecaster.name} cannot respond by itself: its simulator stays outside of it"
+        )
+    low, high, mean = fitted.u_summary
+    held = mean if at is None else _each("at", at, record.nu)
+    sizes = SHARE * (high - low) if size is None else _each("size", size, record.nu)
+    of = np.flatnonzero(sizes) if moving else np.arange(record.nu)
+    if not (len(of) and sizes[of].all()):
+        raise InputError(
+            "size must not be 0: give one for an input that was constant in training, "
+            f"got {sizes.tolist()}"
+        )
+    for each in fitted.inputs_beyond(held + 0.5 * np.stack([-abs(sizes), abs(sizes)])):
+        warnings.warn(
+            f"input {record.inputs[each.channel]} is beyond its range in training ({each.low:g} to "
+            f"{each.high:g}) in a step response, at {each.farthest:g}: the response is an "
+            "extrapolation",
+            ExtrapolationWarning,
+            stacklevel=2,
+        )
+
+    def simulated(steps: int) -> Array:
+        found = np.empty((steps, record.ny, len(of)))
+        for k, i in enumerate(of):
+            # Up and down: even-order nonlinearities cancel.
+            ends = []
+            for half in (0.5 * sizes[i], -0.5 * sizes[i]):
+                u = np.tile(held, (2 * steps, 1))
+                u[steps:, i] += half
+                with without_warnings(ExtrapolationWarning):
+                    ends.append(forecaster.predict(2 * steps, u=u).y[steps:])
+            up, down = (np.where(abs(y) < OVERFLOWED, y, np.nan) for y in ends)
+            found[:, :, k] = (up - down) / sizes[i]
+        return found
+
+    y = settled = longer = simulated(steps)
+    system = forecaster._system()
+    while system is None and not _settled(settled) and np.isfinite(longer).all():
+        settled = longer
+        if len(longer) >= LONGEST * steps:
+            break
+        longer = simulated(2 * len(longer))
+    if system is not None:
+        a, b, c, d = system
+        system = a, b[:, of], c, d[:, of]
+    inputs = tuple(record.inputs[i] for i in of)
+    return Responses(y, record.sampling_time, record.columns, inputs, held[of], sizes[of],
+                     settled, system)  # fmt: skip
+
+
+def respond_over_range(forecaster: Forecaster) -> list[Responses]:
+    """Return the responses of a fitted forecaster at the means of its training inputs.
+
+    Those of a nonlinear one follow with all inputs at `SHARE` and at 1 - `SHARE` of their ranges in
+    training. There are none for one without inputs, or whose simulator stays outside of it. What
+    else is left out, `remarks` of the first say.
+    """
+    try:
+        every = [step_responses(forecaster, moving=True)]
+    except InputError:
+        return []
+    low, high, _ = forecaster.require_fitted().u_summary  # type: ignore[misc]  # it has inputs
+    for share in () if forecaster.affine else (SHARE, 1 - SHARE):
+        at = low + share * (high - low)
+        every.append(replace(step_responses(forecaster, at=at, moving=True), share=share))
+    finite = [each for each in every if np.isfinite(each.y).all()]
+    if not finite or not finite[0].y.any():
+        return []
+    names = forecaster.require_fitted().record.inputs
+    still = [name for name in names if name not in every[0].inputs]
+    said = [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
+    said += [f"The response at {each.place} of the training inputs is not finite: left out."
+             for each in every if each not in finite]  # fmt: skip
+    for each in [each for each in finite if not each.settled][:1]:
+        after = len(each.whole) * each.sampling_time
+        said.append(
+            f"{forecaster.name} has not settled after {after:.4g} s: its gain and phase at low "
+            "frequencies are uncertain."
+        )
+    return [replace(finite[0], remarks=tuple(said)), *finite[1:]]
+
+
+def _each(what: str, value: npt.ArrayLike, nu: int) -> Array:
+    """Return a number for each input."""
+    numbers = np.asarray(value, dtype=np.float64)
+    if numbers.shape not in ((), (nu,)) or not np.isfinite(numbers).all():
+        raise InputError(f"{what} must be a finite number for each of {nu} inputs, got {value!r}")
+    return np.broadcast_to(numbers, (nu,))

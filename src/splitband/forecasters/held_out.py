@@ -1,0 +1,172 @@
+"""Forecast held-out samples of a training record, whose errors give methods scores and intervals.
+
+Forecasters are passed to these functions, on which `Forecaster.predict` is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from splitband.data import Record
+from splitband.forecasters.intervals import HeldOut
+from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.runtime.arrays import Array
+from splitband.runtime.deadlines import Deadline, DeadlineError, current, within
+from splitband.runtime.errors import InputError
+from splitband.runtime.threads import without_warnings
+
+if TYPE_CHECKING:
+    from splitband.forecasters.base import Forecaster
+
+HELD_OUT_SHARE = 0.25
+"""Share of the training part that is held out for a trial, while models are fitted to the rest. A
+convention; longer parts chose no better (docs/results/rules.md)."""
+HELD_OUT_SHARES = (0.5, 0.375, 0.25, 0.2, 0.15, 0.1)
+"""Shares of a record that methods which are quickly fitted forecast from the samples before them,
+one for each origin: a long share shows how errors grow, a short one is forecast by nearly the final
+fit. By eye."""
+FEWEST_FITTED = 20
+"""An earlier origin, for the intervals, needs this many measured samples of each channel before it.
+By eye."""
+FAILED_FIT_RATIO = 5.0
+"""A fit to few samples has failed if the error of its first forecast samples is above this multiple
+of the method's error over as many first samples of the forecasts that are scored. By eye."""
+
+
+@dataclass(frozen=True, order=True)
+class Origin:
+    """Define where a forecast begins.
+
+    Attributes
+    ----------
+    fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
+    at : Index of the first forecast sample; the warm-up is before it.
+    """
+
+    fitted: int
+    at: int
+
+
+def first_held_out(samples: int) -> int:
+    """Return the first sample of the held-out part, the last quarter of `samples`."""
+    return samples - max(1, round(HELD_OUT_SHARE * samples))
+
+
+def refitted(
+    forecaster: Forecaster,
+    record: Record,
+    origins: Sequence[Origin],
+    others: Sequence[Record] = (),
+    **how: Any,
+) -> Iterator[tuple[Forecaster, list[Origin]]]:
+    """Yield copies that are fitted for these origins, each with those from which it forecasts.
+
+    None follows after the deadline of the job; DeadlineError is raised if it comes before the first
+    copy is fitted. `how` are arguments of `Forecaster.fit`, and `bases`: fitted
+    forecasters, of which the forecaster, or a part of it, may be one.
+    """
+    groups = [[*same] for _, same in groupby(origins, key=lambda origin: origin.fitted)]
+    for done, group in enumerate(groups):
+        try:
+            with within(Deadline.after(current().left / (len(groups) - done))):  # a share each
+                records = [record[: group[0].fitted], *others]
+                fitted = forecaster._fitted_copy(records, **how)
+        except DeadlineError:
+            if not done:
+                raise
+            return
+        yield fitted, group
+        if current().over:
+            return
+
+
+def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
+    """Return the origins of forecasts of a record's last quarter.
+
+    A network is trained once, and forecasts from the beginning of that quarter, from a third and
+    from two thirds of it, as a method may be lucky from a single origin: persistence is, for
+    instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
+    the first half, which shows how errors grow. A method that is quicker to fit is refitted for
+    each of several origins, some of them earlier.
+    """
+    samples = len(record)
+    held_out = [max(1, round(share * samples)) for share in HELD_OUT_SHARES]
+    fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
+    measured = np.cumsum(~np.isnan(record.y_with_gaps), axis=0)
+    early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
+    if not forecaster._refits:
+        held = samples - fitted
+        once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
+        quick = not forecaster.random and not forecaster._fits_simulator
+        return [*once, *(Origin(end, end) for end in early[:1] if quick)]
+    return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
+
+
+def held_out_errors(
+    record: Record, forecasts: Mapping[Origin, Array], earlier: bool = False
+) -> list[Array]:
+    """Return the errors of forecasts that begin in a record's last quarter, or `earlier`.
+
+    They are in the order of origins, `(time, ny)` each, by horizon.
+    """
+    seen, first = record.y_with_gaps, first_held_out(len(record))
+    return [
+        seen[origin.at :] - y[: len(record) - origin.at]
+        for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
+        if (origin.at < first) == earlier
+    ]
+
+
+def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOut:
+    """Return the held-out errors of a record, from which intervals beyond it follow."""
+    scored = held_out_errors(record, forecasts)
+    near, scale = min(map(len, scored)), spread(record.y_with_gaps)
+
+    def first_samples(errors: Sequence[Array]) -> float:
+        return root_mean_square([error[:near] / scale for error in errors])
+
+    kept, most = [*scored], FAILED_FIT_RATIO * first_samples(scored)
+    for error in held_out_errors(record, forecasts, earlier=True)[::-1]:
+        # A fit to too few samples, such as less than a period, is wrong from its first forecast
+        # samples on, and one to even fewer is no better.
+        if not first_samples([error]) <= most:
+            break
+        kept.append(error)
+    return HeldOut.of(kept, record.y_with_gaps)
+
+
+def held_out_of(forecaster: Forecaster) -> HeldOut:
+    """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
+
+    They are kept with it. Raises ValueError for a loaded forecaster without them, which does not
+    have all of its training records.
+    """
+    if forecaster.held_out is not None:
+        return forecaster.held_out
+    fitted = forecaster.require_fitted()
+    record = fitted.record
+    if fitted.begin or not fitted.whole:
+        raise InputError(
+            "level must be left out for a model that was saved without held-out errors: request an "
+            "interval before it is saved, or fit it with --intervals"
+        )
+    shorter, origins = forecaster._for_trial(len(record)), held_out_origins(forecaster, record)
+    forecasts, seed = dict[Origin, Array](), fitted.report.seed
+    for model, group in refitted(shorter, record, origins, fitted.others, seed=seed):
+        with without_warnings(ExtrapolationWarning):
+            for origin in group:
+                steps = len(record) - origin.at
+                forecasts[origin] = model.predict(steps, record[: origin.at]).y
+    forecaster.held_out = interval_errors(record, forecasts)
+    return forecaster.held_out
+
+
+def root_mean_square(errors: Sequence[Array]) -> float:
+    """Return the RMS of the errors `(time, ny)` of several forecasts together, ignoring NaN."""
+    every = np.concatenate(errors)
+    return rmse(every, np.zeros_like(every))
