@@ -30,7 +30,6 @@ DELEGATES = {
     "forecasters.base": {"export"},
     "forecasters.prediction": {"plot"},
     "evaluation.comparison": {"plot", "report", "save", "_as_table"},
-    "evaluation.forecast": {"report"},
 }
 """Methods that users look for there: one line, which hands over to a function of a higher room."""
 FILES = {
