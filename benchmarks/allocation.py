@@ -34,9 +34,7 @@ def training(kept: bool) -> dict[str, float]:
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(SAMPLES // 10), 10)
     record = sb.Record(scipy.signal.lfilter([0.1, 0.05], [1, -1.6, 0.9], np.tanh(u)), 1.0, u=u)
-    settings = sb.Settings(
-        100, 33, 20, 25, 1e-2, one_cycle=True, clip=1.0, most_batches=100, quasi_newton=30
-    )
+    settings = sb.TrainingSettings(100, 33, 20, growth=0.0, max_batches=100, lbfgs_iterations=30)
     model = sb.Single(sb.GRU(32), settings)
     if not kept:
         system.glibc = lambda: None

@@ -38,7 +38,7 @@ from splitband.runtime.files import write_json
 
 LIMIT = 1e-12
 TRAINED = 400
-SHORT = sb.Settings(window=60, warmup=20, epochs=3)
+SHORT = sb.TrainingSettings.paper(window=60, warmup=20, epochs=3)
 BANDS = sb.Bands(1.0, 2, 3)
 MODELS: dict[str, Callable[[], sb.Forecaster]] = {
     "linear": sb.Linear,

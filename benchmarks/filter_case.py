@@ -84,7 +84,7 @@ from splitband.networks import rollout
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import use_one_thread
-from splitband.training import Settings
+from splitband.training import TrainingSettings
 
 FILE = page.OUT / "filter-case.jsonl"
 DRAWS, CALIBRATED, SEEDS = range(2000, 2030), range(2000, 2010), range(2)
@@ -160,7 +160,7 @@ class NotHighPassed(models.Filtered):
 class Control(sb.Filtered):  # type: ignore[misc]  # final; so all but the model is that of (c)
     """Train the control; parameters as for `sb.Filtered`, of which it uses the low band alone."""
 
-    def _build(self, record: sb.Record, settings: Settings) -> models.Model:
+    def _build(self, record: sb.Record, settings: TrainingSettings) -> models.Model:
         """Return a model with a network and a low-pass filter."""
         pair = self._bands_for(record, settings).one_way_pair(record.sampling_rate)
         cell = self._sized(self.cell, record, settings)

@@ -32,10 +32,10 @@ from splitband.forecasters.network import Network, with_defaults
 from splitband.networks import GRU, rollout
 from splitband.runtime.arguments import check_device
 from splitband.runtime.errors import InputError
-from splitband.training import Settings, fit
+from splitband.training import TrainingSettings, fit
 
 SAMPLES, TRAIN = 400, 300
-SETTINGS, BANDS = Settings(60, 15, epochs=3, batch_size=16), Bands(0.3, 1, 2)
+SETTINGS, BANDS = TrainingSettings.paper(60, 15, epochs=3, batch_size=16), Bands(0.3, 1, 2)
 SIZES = Sizes(hidden_high=16, hidden_low=8)
 _LEARNED = [name for name in TRAINED if name not in BASED and GREY_BOX not in name]
 METHODS = [name for name in _LEARNED if "calibrated" not in name]

@@ -19,7 +19,7 @@ class Setting:
 
     states: int
     units: int
-    penalty: float
+    l2: float
     adam: int
     linear: int
 

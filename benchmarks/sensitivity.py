@@ -127,7 +127,9 @@ def networks() -> Results:
     for system, linear_start in product(driven.SYSTEMS, (True, False)):
         record, test = driven.drawn(system, SEEDS[0], 400)
         steps = 0 if linear_start else 50
-        how = sb.Settings(200, 50, steps, 25, quasi_newton=100, linear_start=linear_start)
+        how = sb.TrainingSettings.paper(
+            200, 50, steps, 25, lbfgs_iterations=100, linear_start=linear_start
+        )
         model = sb.Single(sb.StateSpace(4, 8), how).fit(record)
         y = model.predict(len(test) - 50, history=test[:50]).y
         found[f"{system} {'linear' if linear_start else 'random'}"] = rmse(test.y[50:], y)

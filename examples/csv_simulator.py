@@ -24,7 +24,7 @@ with TemporaryDirectory() as folder:  # two files with a time column and one nam
     record = sb.read(Path(folder) / "record.csv")
     simulator = sb.Recorded.of(sb.read(Path(folder) / "simulation.csv"))  # by its time stamps
 
-settings = sb.Settings(window=60, warmup=20, epochs=150, learning_rate=0.01)
+settings = sb.TrainingSettings(window=60, warmup=20, epochs=150)
 bands = sb.Bands(cutoff=1.5, order=1, downsampling=1)
 model = sb.Filtered(simulator, sb.GRU(16), bands, settings=settings)
 alone = sb.Simulation(simulator)

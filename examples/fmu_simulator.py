@@ -31,7 +31,7 @@ with TemporaryDirectory() as folder:
         # The record is made up: the FMU's motion and a vibration that it does not know.
         motion = run(fmu, samples=450, sampling_time=0.05)
         record = sb.Record(motion[:, 0] + 0.3 * np.sin(0.8 * np.arange(450)), 0.05)
-        settings = sb.Settings(window=60, warmup=20, epochs=150, learning_rate=0.01)
+        settings = sb.TrainingSettings(window=60, warmup=20, epochs=150)
         model = sb.Filtered(fmu, sb.GRU(16), sb.Bands(1.5, 1, 1), settings=settings)
         hybrid = model.fit(record[:300], seed=0).predict(150)
 print(f"simulator RMSE {sb.rmse(record.y[300:], motion[300:]):.3f}")

@@ -53,7 +53,7 @@ voltages = np.repeat(rig.random.uniform(1, 5, 50), 20)
 levels = np.array([rig.move(v) for v in voltages])
 record = sb.Record(levels, STEP, u=voltages, columns=("level",), inputs=("pump",))
 
-settings = sb.Settings(window=100, warmup=20, epochs=60, learning_rate=0.01)
+settings = sb.TrainingSettings(window=100, warmup=20, epochs=60)
 model = sb.Single(sb.StateSpace(3, 8), settings).fit(record[:800], seed=0)
 ahead = model.predict(200, u=record.u[800:])
 print(f"model fit {sb.fit_percent(record.y[800:], ahead.y)[0]:.1f} %")

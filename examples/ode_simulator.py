@@ -22,7 +22,7 @@ record = sb.Record(angle[:, 0] + frame + noise, SAMPLING_TIME)
 
 # Below 1.5 Hz the simulator, above it the network: L(simulator) + H(network) with L + H = 1.
 bands = sb.Bands(cutoff=1.5, order=1, downsampling=1)
-settings = sb.Settings(window=60, warmup=20, epochs=150, learning_rate=0.01)
+settings = sb.TrainingSettings(window=60, warmup=20, epochs=150)
 model = sb.Filtered(pendulum, sb.GRU(16), bands, settings=settings)
 model.fit(record[:TRAIN], seed=0)
 

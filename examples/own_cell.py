@@ -43,7 +43,7 @@ class LSTM(nn.Module):
 if __name__ == "__main__":
     time = 0.1 * np.arange(450)
     record = sb.Record(np.sin(0.9 * time) + 0.3 * np.sin(7 * time), 0.1)
-    settings = sb.Settings(window=60, warmup=20, epochs=15, learning_rate=0.01)
+    settings = sb.TrainingSettings(window=60, warmup=20, epochs=15)
     methods = [sb.Split(LSTM(6), LSTM(12), settings=settings), sb.Persistence()]
     result = sb.compare(record, 300, methods, seeds=1)
     print(result.table[["forecast fit %", "held-out RMSE"]].round(3).to_string())

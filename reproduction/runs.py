@@ -275,7 +275,7 @@ def _identity(job: Job, record: Record, setup: Setup) -> dict[str, Any]:
     }
 
 
-_UNNAMED = {"penalty": 0.0, "linear_start": True, "own_warmup": False, "most_samples": 100_000}
+_UNNAMED = {"l2": 0.0, "linear_start": True, "own_warmup": False, "max_samples": 100_000}
 """Settings that are younger than some of the files, at the values that change nothing there."""
 
 

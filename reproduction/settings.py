@@ -9,7 +9,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import with_defaults
-from splitband.training import Settings
+from splitband.training import TrainingSettings
 
 SAMPLE_FREQUENCY = 10.0
 """The "sample frequency f" of every filter table, whatever the record's real rate."""
@@ -28,7 +28,7 @@ class Setup:
     """
 
     train: int
-    settings: Settings
+    settings: TrainingSettings
     bands: Bands
     sizes: Sizes
 
@@ -78,7 +78,9 @@ class LearningBased:
         """Return the setup of a method on a record of `sampling_rate` Hz."""
         return Setup(
             train=self.train,
-            settings=Settings(self.window, self.warmup, self.epochs_of(method), normalize=False),
+            settings=TrainingSettings.paper(
+                self.window, self.warmup, self.epochs_of(method), normalize=False
+            ),
             bands=Bands(in_hz(self.cutoff, sampling_rate), self.order, self.downsampling),
             sizes=Sizes(self.hidden_high, self.hidden_low),
         )
@@ -122,7 +124,7 @@ class Hybrid:
         rnn = method.endswith("rnn")
         return Setup(
             train=self.train,
-            settings=Settings(
+            settings=TrainingSettings.paper(
                 self.rnn_window if rnn else self.gru_window,
                 self.warmup,
                 self.epochs_of(method),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband import Record, Settings
+from splitband import Record, TrainingSettings
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import Sizes, named
@@ -22,7 +22,7 @@ class Setup:
     """Training part, settings, bands and sizes of the methods of a test."""
 
     train: int
-    settings: Settings
+    settings: TrainingSettings
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
 
@@ -40,7 +40,7 @@ class Setup:
 
 NAN = np.nan
 DT, WARMUP, TRAIN, LENGTH = 0.1, 12, 90, 140
-QUICK = Settings(window=40, warmup=WARMUP, epochs=1, batch_size=16)
+QUICK = TrainingSettings.paper(window=40, warmup=WARMUP, epochs=1, batch_size=16)
 SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 2, 2), sizes=Sizes(hidden_high=5, hidden_low=3))
 
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 import splitband as sb
 
-SHORT = sb.Settings(window=60, warmup=20, epochs=1)
+SHORT = sb.TrainingSettings.paper(window=60, warmup=20, epochs=1)
 BANDS = sb.Bands(1.0, 2, 3)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, EulerMLP, Record, Settings, Single, compare
+from splitband import GRU, EulerMLP, Record, Single, TrainingSettings, compare
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task
@@ -16,7 +16,7 @@ from splitband.training.windows import targets
 from tests.records import Setup
 from tests.support import simulated, untrained
 
-SETTINGS = Settings(30, 10, 2, 16)
+SETTINGS = TrainingSettings.paper(30, 10, 2, 16)
 SETUP = Setup(80, SETTINGS, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
 gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 

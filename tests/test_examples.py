@@ -21,8 +21,8 @@ EXAMPLES = ROOT / "examples"
 
 def train_shortly(patch: pytest.MonkeyPatch, epochs: int) -> None:
     """Let an example train for so many epochs, whatever it says."""
-    settings = sb.Settings
-    patch.setattr(sb, "Settings", lambda **given: settings(**given | {"epochs": epochs}))
+    settings = sb.TrainingSettings
+    patch.setattr(sb, "TrainingSettings", lambda **given: settings(**given | {"epochs": epochs}))
 
 
 @pytest.mark.parametrize(("name", "off"), [("ode", 0.213), ("csv", 2.12), ("fmu", 0.212)])

@@ -8,12 +8,12 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import GRU, Bands, Record, Settings
+from splitband import GRU, Bands, Record, TrainingSettings
 from splitband.filters.spectrum import oracle
 from tests.cli.support import call, results
 
 DT, SAMPLES, CUTOFF, SLOW = 0.1, 200, 1.0, 0.3
-QUICK = Settings(window=30, warmup=10, epochs=1)
+QUICK = TrainingSettings.paper(window=30, warmup=10, epochs=1)
 TIME = DT * np.arange(SAMPLES)
 # Of the low-pass filter at the slow oscillation: a simulator that runs ahead by it is undone.
 AHEAD = -np.angle(

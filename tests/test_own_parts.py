@@ -22,8 +22,10 @@ def record() -> sb.Record:
 @pytest.mark.parametrize(
     "own",
     [
-        sb.Single(LSTM(4), sb.Settings(window=30, warmup=10, epochs=1)),
-        sb.Residual(sb.Periodic(), LSTM(3), settings=sb.Settings(30, 10, 1), conditioned=True),
+        sb.Single(LSTM(4), sb.TrainingSettings.paper(window=30, warmup=10, epochs=1)),
+        sb.Residual(
+            sb.Periodic(), LSTM(3), settings=sb.TrainingSettings.paper(30, 10, 1), conditioned=True
+        ),
         Drift(),
     ],
     ids=["a cell", "a cell on a base", "a forecaster"],

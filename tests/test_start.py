@@ -40,7 +40,7 @@ oracle(record.y, low, record.sampling_rate, chosen.cutoff)
 assert "filtered-linear-gru" in with_base(["filtered-gru"], "linear")
 assert with_variants(["filtered-gru"], calibrate=True, conditioned=False)
 assert all(method.in_words() for method in NAMES.values())
-sb.Clock, sb.Ode, sb.Fmu, sb.Settings, sb.Progress
+sb.Clock, sb.Ode, sb.Fmu, sb.TrainingSettings, sb.Progress
 """
 
 
@@ -72,7 +72,10 @@ def test_a_network_is_loaded_where_it_is_named(folder: Path) -> None:
 
 
 def test_a_saved_network_loads_where_nothing_else_has_loaded_its_parts(folder: Path) -> None:
-    record, short = sb.read(folder / "rig.csv", inputs=["force"]), sb.Settings(40, 10, 1)
+    record, short = (
+        sb.read(folder / "rig.csv", inputs=["force"]),
+        sb.TrainingSettings.paper(40, 10, 1),
+    )
     model = sb.Filtered(sb.Linear(), sb.GRU(4), sb.Bands(0.5, 1), settings=short).fit(record)
     model.save(folder / "model")
     ask = "import splitband as sb; print(sb.load('model').predict(5, u=[[0.0]] * 5).y.tolist())"

@@ -85,7 +85,7 @@ from .simulators import (
 from .simulators.opening import open_simulator as open_simulator
 from .training import (
     Progress as Progress,
-    Settings as Settings,
+    TrainingSettings as TrainingSettings,
 )
 
 __all__: list[str]

@@ -11,7 +11,7 @@ import scipy.signal
 import splitband as sb
 from benchmarks import kinds as records
 from benchmarks.linear import structure
-from splitband import Record, Settings
+from splitband import Record, TrainingSettings
 from splitband.baselines.delays import delayed, input_delays
 from splitband.metrics import leaves_range, rmse
 
@@ -153,11 +153,11 @@ def test_inputs_are_shifted_and_the_first_value_held() -> None:
 def test_a_network_sees_what_acts_late_when_it_acts(tmp_path: Path) -> None:
     """As one that is given the shifted input, and saved it does the same."""
     record: Any = late(20)
-    model = sb.Single(sb.GRU(3), Settings(60, 10, 1)).fit(record[:TRAIN], seed=1)
+    model = sb.Single(sb.GRU(3), TrainingSettings.paper(60, 10, 1)).fit(record[:TRAIN], seed=1)
     assert model.delays == (20,)
     assert "dead time u 19 samples" in model.describe()
     shifted = Record(record.y, DT, u=delayed(record.u, (20,)))
-    by_hand = sb.Single(sb.GRU(3), Settings(60, 10, 1)).fit(shifted[:TRAIN], seed=1)
+    by_hand = sb.Single(sb.GRU(3), TrainingSettings.paper(60, 10, 1)).fit(shifted[:TRAIN], seed=1)
     assert by_hand.delays == (0,)
     y = model.predict(50).y
     np.testing.assert_array_equal(y, by_hand.predict(50).y)
@@ -188,7 +188,7 @@ def test_a_delay_has_a_standard_error_and_an_input_without_one_has_none() -> Non
         y[n] = 0.8 * y[n - 1] + u[n - 7, 0] + u[n - 1, 1]
     record = sb.Record(y + 0.3 * rng.standard_normal(1500), 0.1, u=u)
     model = sb.Linear(order=1).fit(record)
-    errors = model.accuracy().delay_errors
+    errors = model.uncertainty().delay_errors
     assert errors.shape == (1, 2)
     assert 0 < errors[0, 0] < 0.2
     assert errors[0, 1] == 0

@@ -365,7 +365,7 @@ def test_a_fit_that_its_deadline_ends_is_nearly_as_good() -> None:
     looked = patch("splitband.runtime.deadlines.now", lambda: float(next(clock)))
     with looked, within(Deadline(12.0)):
         found = identified([(seen, u)], delay=np.zeros((3, 3), int))
-    assert found.accuracy is None
+    assert found.uncertainty is None
     assert np.min(fit_percent(y, found.simulate(u))) > 90
 
 
@@ -407,7 +407,7 @@ def test_the_response_of_outputs_with_different_delays_is_that_at_its_angles() -
     y = scipy.signal.lfilter([0, 0.1], [1, -0.9], np.stack([late, u[:, 0]], axis=1), axis=0)
     y += 0.01 * np.random.default_rng(1).standard_normal(y.shape)
     model = sb.Linear(order=1, delay=[[151], [1]]).fit(sb.Record(y, 0.2, u=u))
-    found = model.accuracy()
+    found = model.uncertainty()
     for k in range(2):
         _, expected = scipy.signal.dfreqresp(cast(Any, model.transfer_function(k)), found.angles)
         np.testing.assert_allclose(found.response[:, k, 0], abs(expected), rtol=1e-6)
@@ -418,7 +418,7 @@ def test_the_infinite_gain_of_an_integrator_has_its_sign(sign: int) -> None:
     u = inputs()
     y = scipy.signal.lfilter([0, 0.02 * sign], [1, -1], u[:, 0])
     model = sb.Linear(order=1, delay=1, integrators=1).fit(sb.Record(y, 0.2, u=u))
-    assert model.accuracy().gains == [[sign * np.inf]]
+    assert model.uncertainty().gains == [[sign * np.inf]]
 
 
 @pytest.mark.parametrize("seldom", [0, 1])

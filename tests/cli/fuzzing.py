@@ -299,7 +299,7 @@ def command_line(
 @cache
 def _small_model() -> sb.Forecaster:
     record = sb.Record(np.sin(0.3 * np.arange(60)), 0.1, columns=("a",))
-    bands, short = sb.Bands(1.0, 1, 2), sb.Settings(window=20, warmup=8, epochs=1)
+    bands, short = sb.Bands(1.0, 1, 2), sb.TrainingSettings.paper(window=20, warmup=8, epochs=1)
     return sb.Split(GRU(2), GRU(3), bands, conditioned=True, settings=short).fit(record)
 
 

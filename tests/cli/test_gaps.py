@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from splitband import Settings, read
+from splitband import TrainingSettings, read
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.names import Sizes
 from tests.cli.support import QUICK, A, B, assert_fails, call, results, written
@@ -82,7 +82,10 @@ def test_compare_counts_gaps_and_leaves_them_empty_in_the_record_alone(compared:
 def test_compare_trains_on_further_records_and_tries_out_with_them(compared: Path) -> None:
     found = results(compared)["methods"]["gru"]
     setup = Setup(
-        150, Settings(30, 10, 2), bands=Bands(1.0, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3)
+        150,
+        TrainingSettings.paper(30, 10, 2),
+        bands=Bands(1.0, 1, 2),
+        sizes=Sizes(hidden_high=4, hidden_low=3),
     )
     gappy, whole = (read(f"{name}.csv", columns="a", gaps="mask") for name in ("gappy", "whole"))
     result = compare(gappy, ["gru"], setup, seeds=2, others=[whole])

@@ -25,7 +25,7 @@ OUT = Path("out")
 def planned(nu: int = 0, start: float | None = 0.0, name: str = "rig") -> Plan:
     u = np.zeros((200, nu)) if nu else None
     record = sb.Record(np.zeros((200, 1)), 0.1, u=u, start=start, name=name)
-    return Plan(record, 150, 50, (), sb.Settings())
+    return Plan(record, 150, 50, (), sb.TrainingSettings())
 
 
 def said(command: str) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband import Record, Settings
+from splitband import Record, TrainingSettings
 from splitband.evaluation.plan import default_names, plan
 from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.backtest import BacktestSpec, backtest
@@ -21,7 +21,7 @@ from tests.support import compare
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10
 SETUP = Setup(
     TRAIN,
-    Settings(40, WARMUP, 1, 16),
+    TrainingSettings.paper(40, WARMUP, 1, 16),
     bands=Bands(0.6, 1, 2),
     sizes=Sizes(hidden_high=4, hidden_low=3),
 )
@@ -59,7 +59,7 @@ def test_the_trial_scores_by_what_was_measured() -> None:
 def test_long_windows_shrink_with_the_record(
     window: int, warmup: int, samples: int, expected: int
 ) -> None:
-    settings = Settings(window, warmup, 1)
+    settings = TrainingSettings.paper(window, warmup, 1)
     network = replace(SETUP, settings=settings).forecaster("gru")._for_trial(samples)
     assert isinstance(network, Network)
     assert network.settings == replace(settings, window=expected)

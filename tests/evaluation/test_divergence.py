@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import torch
 
-from splitband import GRU, Record, Settings
+from splitband import GRU, Record, TrainingSettings
 from splitband.cli import main
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.closed_form import Mean
@@ -28,7 +28,7 @@ DT, TRAIN, LENGTH = 0.1, 120, 200
 TIME = DT * np.arange(LENGTH)[:, None]
 SIMULATED = np.sin(2 * np.pi * 0.2 * TIME) + 0.4 * np.sin(2 * np.pi * 1.13 * TIME)
 RECORD = Record(np.round(2 * SIMULATED + 1, 4), DT, y_sim=SIMULATED)
-QUICK = Settings(40, 10, 3, 16)
+QUICK = TrainingSettings.paper(40, 10, 3, 16)
 SETUP = Setup(TRAIN, QUICK, bands=Bands(0.6, 1, 2), sizes=Sizes(hidden_high=4, hidden_low=3))
 DIVERGING = Single(GRU(7), replace(QUICK, learning_rate=1e30))
 CALIBRATED = "simulator-affine"

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
-from splitband import GRU, Record, Settings, Single, check, load
+from splitband import GRU, Record, Single, TrainingSettings, check, load
 from splitband.metrics import ExtrapolationWarning, extrapolations
 from tests.cli.support import call, results
 
@@ -43,7 +43,7 @@ def test_a_constant_may_not_change_and_others_may_go_a_tenth_beyond() -> None:
 def test_a_forecaster_warns_of_signals_that_it_was_not_trained_on(tmp_path: Path) -> None:
     u = np.random.default_rng(0).uniform(-1, 1, (LENGTH, 1))
     training = Record(np.cumsum(u, axis=0), 0.1, u=u)
-    model = Single(GRU(4), Settings(30, 10, 1)).fit(training)
+    model = Single(GRU(4), TrainingSettings.paper(30, 10, 1)).fit(training)
     model.save(tmp_path / "model")
     for trained in (model, load(tmp_path / "model")):
         with pytest.warns(

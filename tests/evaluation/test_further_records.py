@@ -7,14 +7,14 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import Bands, Record, Settings
+from splitband import Bands, Record, TrainingSettings
 from splitband.baselines.identification import identified
 from splitband.evaluation.candidates import candidates
 from splitband.metrics import ExtrapolationWarning, rmse
 from tests.records import Setup
 from tests.support import compare
 
-SHORT = Settings(40, 10, 1)
+SHORT = TrainingSettings.paper(40, 10, 1)
 SETUP = Setup(300, SHORT, Bands(0.6, 1, 2))
 
 

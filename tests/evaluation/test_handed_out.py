@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, ForecastContext, Forecaster, Record, Settings
+from splitband import GRU, Bands, ForecastContext, Forecaster, Record, TrainingSettings
 from splitband.forecasters.prediction import median_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.workers import Workers
@@ -22,7 +22,7 @@ from tests.support import compare
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, WARMUP = 0.1, 160, 12
-SETTINGS = Settings(40, WARMUP, 1, 16)
+SETTINGS = TrainingSettings.paper(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, SETTINGS, Bands(0.6, 1, 2), sb.Sizes(hidden_high=4, hidden_low=3))
 
 

@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, Record, Settings
+from splitband import GRU, Bands, Record, TrainingSettings
 from tests.records import Setup
 from tests.support import compare
 
 DT, WARMUP = 0.1, 12
-SETTINGS = Settings(40, WARMUP, 1, 16)
+SETTINGS = TrainingSettings.paper(40, WARMUP, 1, 16)
 SETUP = Setup(160, SETTINGS, Bands(0.6, 1, 2))
 pytestmark = pytest.mark.filterwarnings("error")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from splitband import Settings, Sizes
+from splitband import Sizes, TrainingSettings
 from splitband.evaluation.candidates import FINAL_SHARE, FIRST_ROUND
 from splitband.evaluation.jobs import Job
 from splitband.evaluation.plan import plan
@@ -72,7 +72,7 @@ def searching(methods: list[str], cores: int = 1, **options: object) -> Search:
     return Search(found, cores)
 
 
-def settings_of(job: Job) -> Settings:
+def settings_of(job: Job) -> TrainingSettings:
     settings = job.forecaster.settings
     assert settings is not None
     return settings
@@ -84,7 +84,7 @@ def test_every_method_has_a_round_before_any_has_two() -> None:
     (first,) = trainer.rounds
     assert [job.method for job in first] == ["state-space", "gru"]
     assert all(job.start is None for job in first)
-    assert {settings_of(job).quasi_newton for job in first} == {FIRST_ROUND}
+    assert {settings_of(job).lbfgs_iterations for job in first} == {FIRST_ROUND}
 
 
 def test_the_better_half_goes_on_from_its_weights_for_four_times_as_long() -> None:
@@ -97,7 +97,7 @@ def test_the_better_half_goes_on_from_its_weights_for_four_times_as_long() -> No
         assert len(jobs) == math.ceil(before / 2)
         before = len(jobs)
         trained = FIRST_ROUND * 5**number  # by all rounds so far
-        assert {settings_of(job).quasi_newton for job in jobs} == {4 * trained}
+        assert {settings_of(job).lbfgs_iterations for job in jobs} == {4 * trained}
         assert all(settings_of(job).epochs == 0 for job in jobs)
         assert all(trainer.done[id(job.start)] == number + 1 for job in jobs)
     assert len(going_on) >= 2
@@ -175,7 +175,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
     for job in jobs:
         assert job.start is not None
         trained = FIRST_ROUND * 5 ** (trainer.done[id(job.start)] - 1)
-        assert settings_of(job).quasi_newton == FINAL_SHARE * trained
+        assert settings_of(job).lbfgs_iterations == FINAL_SHARE * trained
         assert job.spec.origins[-1].fitted == TRAIN
     assert all(job.seconds > 0 for job in search.finals())
 

@@ -15,7 +15,7 @@ from splitband.simulators import identification
 
 TIME = 0.1 * np.arange(240)
 RECORD = sb.Record(np.exp(-0.3 * TIME) + 0.1 * np.sin(3 * TIME), 0.1)
-SHORT = sb.Settings(window=30, warmup=5, epochs=1)
+SHORT = sb.TrainingSettings.paper(window=30, warmup=5, epochs=1)
 
 
 def decay(t: float, x: Any, u: Any, p: Any) -> list[float]:

@@ -10,13 +10,13 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import Bands, Record, Settings
+from splitband import Bands, Record, TrainingSettings
 from splitband.metrics import rmse
 from tests.records import Setup
 from tests.support import compare
 
 DT, TRAIN, WARMUP = 0.1, 160, 12
-QUICK = Settings(40, WARMUP, 1, 16)
+QUICK = TrainingSettings.paper(40, WARMUP, 1, 16)
 SETUP = Setup(TRAIN, QUICK, Bands(0.6, 1, 2))
 
 

@@ -8,14 +8,14 @@ import numpy.typing as npt
 import pandas as pd
 
 import splitband as sb
-from splitband import GRU, Bands, Forecaster, Record, Recorded, Settings
+from splitband import GRU, Bands, Forecaster, Record, Recorded, TrainingSettings
 from splitband.forecasters.names import QUICK, Sizes
 from tests.records import Setup
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20
 START = pd.Timestamp("2024-05-01 12:00")
-SETTINGS = Settings(window=20, warmup=WARMUP, epochs=1, batch_size=32)
+SETTINGS = TrainingSettings.paper(window=20, warmup=WARMUP, epochs=1, batch_size=32)
 BANDS = Bands(0.6, 1, 2)
 SETUP = Setup(
     TRAIN, SETTINGS, BANDS, Sizes(hidden_high=3, hidden_low=2, state_size=2, step_size=0.2)

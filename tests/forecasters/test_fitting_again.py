@@ -10,10 +10,10 @@ import pytest
 import scipy.signal
 
 import splitband as sb
-from splitband import GRU, Bands, Record, Settings
+from splitband import GRU, Bands, Record, TrainingSettings
 from splitband.forecasters.network import Network
 
-SETTINGS = Settings(window=40, warmup=16, epochs=1)
+SETTINGS = TrainingSettings.paper(window=40, warmup=16, epochs=1)
 OPEN = {
     "split": sb.Split(GRU(3), GRU(3), settings=SETTINGS),
     "part of the bands": sb.Split(GRU(3), GRU(3), Bands(order=2), settings=SETTINGS),
@@ -60,8 +60,8 @@ def test_the_interval_knows_nothing_of_what_is_held_out(monkeypatch: pytest.Monk
 
 # ---------------------------------------------------------------- from a trained one
 
-SHORT = Settings(40, 10, 1, 16)
-ONE_MORE = replace(SHORT, epochs=0, quasi_newton=1)
+SHORT = TrainingSettings.paper(40, 10, 1, 16)
+ONE_MORE = replace(SHORT, epochs=0, lbfgs_iterations=1)
 
 
 def rig(delay: int, scale: float = 1.0, samples: int = 300) -> Record:
@@ -96,7 +96,7 @@ def test_it_begins_with_weights_scaling_delays_and_bands(network: sb.Forecaster)
 
 
 def test_the_trainings_add_up_in_words() -> None:
-    network = sb.Single(sb.GRU(4), replace(SHORT, quasi_newton=20))
+    network = sb.Single(sb.GRU(4), replace(SHORT, lbfgs_iterations=20))
     start = network.clone().fit(rig(0))
     model = network.clone().set_params(settings=ONE_MORE).fit(rig(0), start=start)
     assert "1 epoch" in model.describe()

@@ -17,7 +17,7 @@ from tests.support import edit
 DT = 0.1
 TIME = DT * np.arange(80)
 RECORD = sb.Record(np.sin(TIME) + 0.2 * np.sin(9 * TIME), DT)
-SHORT = sb.Settings(window=30, warmup=12, epochs=1)
+SHORT = sb.TrainingSettings.paper(window=30, warmup=12, epochs=1)
 BANDS = sb.Bands(0.5, 1, 2)
 MADE: dict[str, Any] = {
     "single": lambda: sb.Single(sb.GRU(2), SHORT),

@@ -95,7 +95,7 @@ def test_a_saved_model_needs_its_simulator_and_keeps_its_values(
 
 def test_a_hybrid_fits_the_parameters_first(model: sb.GreyBox) -> None:
     record = driven(0)
-    settings = sb.Settings(window=40, warmup=10, epochs=2)
+    settings = sb.TrainingSettings.paper(window=40, warmup=10, epochs=2)
     hybrid = sb.Residual(rig(), sb.GRU(4), settings=settings).fit(record[:300], seed=0)
     assert hybrid.name == "residual-grey-box-gru"
     assert f"grey-box: {model.describe()}" in hybrid.describe()

@@ -9,7 +9,7 @@ import pytest
 
 import splitband as sb
 from benchmarks import kinds as records
-from splitband import Record, Settings
+from splitband import Record, TrainingSettings
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 
 STEPS, BEGUN = 300, 200
@@ -43,7 +43,7 @@ def test_the_state_of_another_run_is_that_of_its_history(
 
 
 def test_so_it_is_for_a_network_on_a_linear_model() -> None:
-    model = sb.Residual(sb.Linear(), sb.GRU(3), settings=Settings(40, 10, 1))
+    model = sb.Residual(sb.Linear(), sb.GRU(3), settings=TrainingSettings.paper(40, 10, 1))
     model.fit(run(0, 0.0))
     other = run(1, 4.0)
     slow = model.predict(STEPS, other[:BEGUN]).components["linear"]
@@ -100,7 +100,7 @@ def test_recorded_output_has_to_cover_only_what_a_forecast_uses(
     """That is the warm-up and what follows it, or without a network what follows the origin."""
     at = 20 + 0.1 * np.arange(400)
     record = Record(np.sin(at), 0.1, y_sim=0.9 * np.sin(at), start=20.0)
-    hybrid = sb.Residual(sb.Calibrated(), sb.GRU(3), settings=Settings(40, 10, 1))
+    hybrid = sb.Residual(sb.Calibrated(), sb.GRU(3), settings=TrainingSettings.paper(40, 10, 1))
     (hybrid if network else sb.Calibrated()).fit(record[:200]).save(tmp_path)
     used = 300 - 10 * network
     whole, part, short = (

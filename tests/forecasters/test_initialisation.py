@@ -34,7 +34,7 @@ def test_before_training_it_forecasts_as_the_linear_model_does(
 ) -> None:
     record = lightly_damped(channels, 0.001)
     training = record[:TRAINED]
-    settings = sb.Settings(window=100, warmup=warmup, epochs=1)
+    settings = sb.TrainingSettings.paper(window=100, warmup=warmup, epochs=1)
     model = sb.Single(sb.StateSpace(states, 6))._build(training, settings)
     begin_as_linear(model, [training], True, seed=0)
     history = record[TRAINED : TRAINED + warmup]
@@ -54,7 +54,9 @@ def test_more_poles_than_states_are_reduced_to_those_that_matter() -> None:
     strong = scipy.signal.lfilter([0.0, 1.0], a, u)
     y = strong + 0.02 * strong.std() * scipy.signal.lfilter([1.0], [1, -0.5], u)
     training = sb.Record(y, 0.1, u=u)[:TRAINED]
-    model = sb.Single(sb.StateSpace(2, 0))._build(training, sb.Settings(window=100, warmup=20))
+    model = sb.Single(sb.StateSpace(2, 0))._build(
+        training, sb.TrainingSettings.paper(window=100, warmup=20)
+    )
     begin_as_linear(model, [training], True, seed=0)
     found = simulated(model, y[:20, None], SAMPLES - 20, u[:, None])
     assert np.std(found[:, 0] - y[20:]) < 0.1 * y.std()
@@ -66,7 +68,9 @@ def test_gaps_and_further_records_are_taken_account_of() -> None:
     y = first.y.copy()
     y[100:130] = np.nan
     holed = sb.Record.with_gaps(y, 0.1, u=first.u)
-    model = sb.Single(sb.StateSpace(2, 4))._build(holed, sb.Settings(window=100, warmup=10))
+    model = sb.Single(sb.StateSpace(2, 4))._build(
+        holed, sb.TrainingSettings.paper(window=100, warmup=10)
+    )
     begin_as_linear(model, [holed, second], True, seed=0)
     inputs = second.u
     assert inputs is not None

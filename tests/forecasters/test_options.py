@@ -13,8 +13,10 @@ import splitband as sb
 from splitband import ForecastContext, Forecaster, Record
 from splitband.forecasters.names import NAMES
 
-SETTINGS = sb.Settings(40, 10, 3, quasi_newton=20, clip=1.0, milestones=((2, 1e-4),))
-SHORT = sb.Settings(40, 10, 1)
+SETTINGS = sb.TrainingSettings.paper(
+    40, 10, 3, lbfgs_iterations=20, clip=1.0, milestones=((2, 1e-4),)
+)
+SHORT = sb.TrainingSettings.paper(40, 10, 1)
 BANDS = sb.Bands(0.5, 2, 3)
 MADE: dict[str, Forecaster] = {
     "single": sb.Single(sb.GRU(5), SETTINGS),
@@ -31,7 +33,7 @@ MADE: dict[str, Forecaster] = {
         sb.Calibrated(terms=["gain", "offset"]), sb.GRU(4), settings=SETTINGS
     ),
     "on a network of other settings": sb.Residual(
-        sb.Single(sb.GRU(5), sb.Settings(60, 20, 2)), sb.GRU(4), settings=SETTINGS
+        sb.Single(sb.GRU(5), sb.TrainingSettings.paper(60, 20, 2)), sb.GRU(4), settings=SETTINGS
     ),
     "some seeds": sb.Ensemble(sb.Single(sb.GRU(5), SETTINGS), seeds=(0, 2)),
     "several": sb.Ensemble(sb.Single(sb.GRU(5), SETTINGS), 4),
@@ -198,7 +200,9 @@ def test_a_hybrid_is_called_by_its_base_and_says_whether_it_is_a_simulator(
 
 def test_a_base_of_ones_own_is_fitted_and_labelled_by_its_name() -> None:
     record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
-    model = sb.Residual(NonLinear(), sb.GRU(2), settings=sb.Settings(40, 10, 1)).fit(record)
+    model = sb.Residual(NonLinear(), sb.GRU(2), settings=sb.TrainingSettings.paper(40, 10, 1)).fit(
+        record
+    )
     assert sorted(model.predict(10).components) == ["network", "nonlinear"]
 
 

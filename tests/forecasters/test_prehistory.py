@@ -24,7 +24,7 @@ def output(samples: int, seed: int) -> sb.Record:
 
 @pytest.fixture(scope="module")
 def network() -> sb.Forecaster:
-    settings = sb.Settings(warmup=WARMUP, window=60, epochs=0, quasi_newton=20)
+    settings = sb.TrainingSettings.paper(warmup=WARMUP, window=60, epochs=0, lbfgs_iterations=20)
     return sb.Single(sb.StateSpace(2, 2), settings).fit(output(400, 1), seed=0)
 
 
@@ -49,7 +49,7 @@ def test_hybrids_tell_it_from_a_few_samples_too(tmp_path: Path) -> None:
         slow = np.sin(0.05 * np.arange(samples) + seed)[:, None]
         return sb.Record(record.y + slow, 0.1, u=record.u, y_sim=slow)
 
-    settings = sb.Settings(warmup=WARMUP, window=60, epochs=0, quasi_newton=20)
+    settings = sb.TrainingSettings.paper(warmup=WARMUP, window=60, epochs=0, lbfgs_iterations=20)
     hybrid = sb.Residual(None, sb.StateSpace(2, 2), settings=settings)
     hybrid.fit(driven(400, 1), seed=0).save(tmp_path / "model")
     test = driven(100, 2)
@@ -59,7 +59,7 @@ def test_hybrids_tell_it_from_a_few_samples_too(tmp_path: Path) -> None:
 
 
 def test_a_network_beside_a_network_begins_with_a_few_samples() -> None:
-    settings = sb.Settings(warmup=WARMUP, window=60, epochs=0, quasi_newton=20)
+    settings = sb.TrainingSettings.paper(warmup=WARMUP, window=60, epochs=0, lbfgs_iterations=20)
     inner = sb.Single(sb.StateSpace(2, 2), settings)
     hybrid = sb.Residual(inner, sb.GRU(2), settings=settings).fit(output(400, 1), seed=0)
     test: Any = output(100, 2)

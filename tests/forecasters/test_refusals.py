@@ -194,7 +194,7 @@ def test_the_columns_of_a_table_are_found_by_their_names() -> None:
         ("count", lambda n: sb.Ensemble(sb.Mean(), n), ["3"]),
         ("seeds", lambda n: sb.Ensemble(sb.Mean(), seeds=[0, n]), [True]),
         ("hidden_size", GRU, [float("nan")]),
-        ("window", lambda n: sb.Settings(window=n), [3.0]),
+        ("window", lambda n: sb.TrainingSettings.paper(window=n), [3.0]),
         ("order", lambda n: sb.Bands(order=n), ["3"]),
         ("train", lambda n: sb.compare(record(), n, [sb.Mean()]), [True]),
         ("seeds", lambda n: sb.compare(record(), 30, [sb.Mean()], seeds=n), [3.0]),
@@ -211,7 +211,7 @@ def test_what_must_be_a_whole_number_is_named(
 def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
     three = np.int64(3)
     assert len(mean().predict(three).y) == 3  # type: ignore[arg-type]
-    settings = sb.Settings(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
+    settings = sb.TrainingSettings.paper(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
     model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
     model.save(tmp_path)
     u = record()[:TRAIN].u_beyond

@@ -31,7 +31,7 @@ RECORD = sb.Record(
     np.sin(TIME) + 0.2 * np.sin(9 * TIME) + 5, DT, u=np.cos(0.7 * TIME), y_sim=np.sin(TIME + 0.2)
 )
 TRAIN = RECORD[:120]
-SHORT = sb.Settings(window=30, warmup=12, epochs=1)
+SHORT = sb.TrainingSettings.paper(window=30, warmup=12, epochs=1)
 
 
 def ahead(model: sb.Forecaster, level: float | None = None) -> sb.Prediction:

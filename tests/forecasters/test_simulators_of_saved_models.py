@@ -18,7 +18,7 @@ from tests.support import edit
 
 DT, TRAIN, STEPS = 0.1, 60, 10
 RECORD = sb.Record(np.sin(DT * np.arange(TRAIN)), DT)
-SHORT = sb.Settings(window=30, warmup=5, epochs=1)
+SHORT = sb.TrainingSettings.paper(window=30, warmup=5, epochs=1)
 
 
 def sine(time: Any) -> Any:

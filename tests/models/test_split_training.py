@@ -105,7 +105,7 @@ def free_run(cell: Any, warm: torch.Tensor, steps: int) -> torch.Tensor:
 
 
 def test_a_warm_up_without_a_sample_of_the_low_band_is_refused() -> None:
-    settings = sb.Settings(window=WINDOW, warmup=K - 1, epochs=1)
+    settings = sb.TrainingSettings.paper(window=WINDOW, warmup=K - 1, epochs=1)
     said = rf"warmup must be at least {K} samples for the low band.* got {K - 1}"
     with pytest.raises(ValueError, match=said):
         fit(untrained(own_warmup=False), drawn(130, 0), settings)
@@ -158,7 +158,7 @@ def test_the_paper_s_up_sampling_is_torch_s() -> None:
 @pytest.mark.parametrize("own_warmup", [False, True])
 def test_both_forms_save_and_stream(own_warmup: bool, tmp_path: Path) -> None:
     record = drawn(160, 5)
-    short = sb.Settings(window=WINDOW, warmup=R, epochs=1)
+    short = sb.TrainingSettings.paper(window=WINDOW, warmup=R, epochs=1)
     bands = sb.Bands(CUTOFF, ORDER, K)
     split = partial(sb.Split, sb.GRU(3), sb.GRU(4), bands, settings=short)
     model = split(own_warmup=own_warmup).fit(record[:120], seed=1)

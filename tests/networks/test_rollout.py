@@ -14,7 +14,7 @@ from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.models import Model, Recurrent, Split
 from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
-from splitband.training import Settings, fit
+from splitband.training import TrainingSettings, fit
 from tests.support import simulated
 
 Array = npt.NDArray[Any]
@@ -264,7 +264,9 @@ def test_a_user_s_cell_is_trained_in_any_model(
     y = np.stack([np.sin(phase), np.cos(phase) + 0.5 * np.sin(5 * phase)], axis=1)
     u = np.cos(phase)[:, None] if nu else None
     model = make_model(LSTM(8, NY, nu))
-    settings = Settings(window=28, warmup=16, epochs=12, batch_size=22, learning_rate=2e-2)
+    settings = TrainingSettings.paper(
+        window=28, warmup=16, epochs=12, batch_size=22, learning_rate=2e-2
+    )
     history = fit(model, Record(y, 1.0, u=u), settings)
     assert len(history.losses) == (2 if isinstance(model, Split) else 1)
     for losses in history.losses.values():

@@ -139,7 +139,7 @@ def test_a_forecaster_learns_with_it_a_nonlinear_system() -> None:
         rate = x[n, 1] + 0.3 * (u[n] - 0.6 * x[n, 1] - x[n, 0] - x[n, 0] ** 3)
         x[n + 1] = x[n, 0] + 0.3 * rate, rate
     record = sb.Record(x[:, :1], 1.0, u=u[:, None])
-    settings = sb.Settings(100, 20, 3, 25, 1e-2, quasi_newton=60, most_batches=20)
+    settings = sb.TrainingSettings.paper(100, 20, 3, 25, 1e-2, lbfgs_iterations=60, max_batches=20)
     model = sb.Single(sb.StateSpace(2, 6), settings).fit(record[:500], seed=0)
     assert isinstance(model.model, Recurrent)
     error = model.predict(100, u=u[500:, None]).y - x[500:, :1]

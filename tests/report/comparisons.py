@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from splitband import Record, Settings
+from splitband import Record, TrainingSettings
 from splitband.evaluation.comparison import Comparison
 from splitband.evaluation.run import compare
 from splitband.evaluation.search import Attempt
@@ -39,7 +39,12 @@ def compared(
 ) -> Comparison:
     """Compared for real; of other methods than these the colours would be others."""
     found = compare(
-        r, train, [*methods], settings=Settings(30, WARMUP, 1), bands=Bands(0.5, 1, 2), tests=tests
+        r,
+        train,
+        [*methods],
+        settings=TrainingSettings.paper(30, WARMUP, 1),
+        bands=Bands(0.5, 1, 2),
+        tests=tests,
     )
     return replace(found, attempts=(Attempt(1, "gru", "8 hidden units", 0, 0.25),))
 
@@ -82,5 +87,5 @@ def everything() -> Comparison:
 def of_all() -> Comparison:
     """Trained on the whole of a record without time stamps whose samples are counted."""
     r = replace(record(), sampling_time=1.0)
-    settings, bands = Settings(30, WARMUP, 1), Bands(0.05, 1, 2)
+    settings, bands = TrainingSettings.paper(30, WARMUP, 1), Bands(0.05, 1, 2)
     return compare(r, len(r), ["mean", "persistence"], settings=settings, bands=bands)

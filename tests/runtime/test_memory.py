@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from splitband import GRU, Record, Settings
+from splitband import GRU, Record, TrainingSettings
 from splitband.models import Recurrent
 from splitband.runtime.memory import freed_memory_kept
 from splitband.training import fit
@@ -45,6 +45,6 @@ def test_a_training_keeps_what_it_frees() -> None:
     def progress(_: object) -> None:
         during.append(faults(lambda: b"x" * SIZE))
 
-    settings = Settings(window=20, warmup=5, epochs=3)
+    settings = TrainingSettings.paper(window=20, warmup=5, epochs=3)
     fit(Recurrent(GRU(2)), Record(wave, 1.0), settings, progress=progress)
     assert max(during[1:]) < PAGES // 10

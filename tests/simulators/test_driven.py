@@ -263,7 +263,7 @@ class Own:
 def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
     record = sb.Record(np.cumsum(STEPS) + 0.01 * WAVE, DT, u=STEPS, start=0.0)
     train, ahead = record[:80], record.u[80:]  # type: ignore[index]
-    short = sb.Settings(window=30, warmup=10, epochs=1)
+    short = sb.TrainingSettings.paper(window=30, warmup=10, epochs=1)
     # With a network that adds nothing to speak of, a hybrid is its base.
     for model in (
         sb.Simulation(Own()),

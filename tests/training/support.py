@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splitband import GRU, Record, Settings
+from splitband import GRU, Record, TrainingSettings
 from splitband.models import Model, Recurrent, Signals, Task
 from splitband.training import History, fit
 from splitband.training.optimizers import Adam
@@ -20,10 +20,12 @@ from tests.support import untrained
 
 Array = npt.NDArray[np.float64]
 
-RECIPE = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6)
+RECIPE = TrainingSettings.paper(
+    40, QUICK.warmup, 4, 16, learning_rate=0.01, one_cycle=True, clip=0.5, growth=0.6
+)
 
 
-def trained(settings: Settings = RECIPE) -> tuple[Model, History]:
+def trained(settings: TrainingSettings = RECIPE) -> tuple[Model, History]:
     """A split model of the usual record, and its training."""
     model = untrained("split-gru-conditioned", record()[:TRAIN], SETUP, 3)
     return model, fit(model, record()[:TRAIN], settings, 3)
@@ -68,7 +70,7 @@ GAPS = (slice(30, 36), 70)
 def fitted(records: Record | Sequence[Record], method: str = "gru", **changes: Any) -> Model:
     one = records if isinstance(records, Record) else records[0]
     model = untrained(method, one, SETUP, 2)
-    fit(model, records, Settings(**{**vars(QUICK), "epochs": 3, **changes}), seed=2)
+    fit(model, records, TrainingSettings.paper(**{**vars(QUICK), "epochs": 3, **changes}), seed=2)
     return model
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from splitband import Settings
+from splitband import TrainingSettings
 from splitband.models import Model
 from splitband.runtime.deadlines import Deadline, within
 from splitband.training import History, fit
@@ -37,7 +37,7 @@ def test_a_diverging_epoch_is_repeated_from_its_start_with_half_the_learning_rat
         return loss
 
     monkeypatch.setattr(NetworkTraining, "_pass", sabotaged)
-    plain = Settings(40, QUICK.warmup, 4, 16, learning_rate=0.01)
+    plain = TrainingSettings.paper(40, QUICK.warmup, 4, 16, learning_rate=0.01)
     model, history = trained(plain)
     for again in begun[2:4]:
         torch.testing.assert_close(again, begun[1], rtol=0, atol=0)
@@ -61,7 +61,7 @@ def test_a_training_that_always_diverges_is_given_up(monkeypatch: pytest.MonkeyP
     assert len(passes) == MOST_RESTARTS + 1
 
 
-LONG = replace(RECIPE, epochs=4, quasi_newton=60)
+LONG = replace(RECIPE, epochs=4, lbfgs_iterations=60)
 
 
 def trained_until(deadline: Deadline) -> tuple[Model, History]:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Record, Settings
+from splitband import GRU, Record, TrainingSettings
 from splitband.models import Recurrent
 from splitband.training import fit
-from splitband.training.settings import MOST_BATCHES, STEPS
+from splitband.training.settings import MAX_BATCHES, STEPS
 from tests.records import (
     DT,
     TRAIN,
@@ -22,7 +22,7 @@ def watched(most: int | None, epochs: int = 4) -> Watched:
     torch.manual_seed(0)
     model = Watched(2)
     count = Record(np.arange(100.0), DT)
-    few = Settings(20, 5, epochs, 10, 1e-4, normalize=False, most_batches=most)
+    few = TrainingSettings.paper(20, 5, epochs, 10, 1e-4, normalize=False, max_batches=most)
     history = fit(model, count, few, seed=1)
     assert np.isfinite(history.losses["network"]).all()
     return model
@@ -54,7 +54,7 @@ def test_the_loss_of_an_epoch_is_the_mean_of_the_windows_that_were_taken() -> No
     with torch.no_grad():
         for parameter in model.parameters():
             parameter.zero_()
-    few = Settings(20, 5, 3, 10, learning_rate=1e-30, normalize=False, most_batches=2)
+    few = TrainingSettings.paper(20, 5, 3, 10, learning_rate=1e-30, normalize=False, max_batches=2)
     history = fit(model, Record(np.full(100, 0.5), DT), few)
     assert history.losses["network"] == pytest.approx([0.5] * 3, rel=1e-6)
 
@@ -63,15 +63,15 @@ def test_the_one_cycle_is_gone_through_once_by_the_steps_that_are_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rates = seen_by_adam(monkeypatch, lambda group: group["lr"])
-    fitted(record()[:TRAIN], epochs=5, most_batches=2, one_cycle=True, learning_rate=0.01)
-    schedule = Settings(learning_rate=0.01, one_cycle=True)
+    fitted(record()[:TRAIN], epochs=5, max_batches=2, one_cycle=True, learning_rate=0.01)
+    schedule = TrainingSettings.paper(learning_rate=0.01, one_cycle=True)
     assert rates == pytest.approx([schedule.rate(0, i / 10) for i in range(10)])
 
 
 @pytest.mark.parametrize("samples", [100, 1000, 10_000, 1_000_000])
 def test_the_default_recipe_takes_about_as_many_steps_of_any_record(samples: int) -> None:
-    recipe = Settings.of(samples)
+    recipe = TrainingSettings.of(samples)
     whole = -(-(samples - recipe.window + 1) // recipe.batch_size)
-    steps = recipe.epochs * min(whole, MOST_BATCHES)
-    assert recipe.most_batches == min(whole, MOST_BATCHES)
+    steps = recipe.epochs * min(whole, MAX_BATCHES)
+    assert recipe.max_batches == min(whole, MAX_BATCHES)
     assert abs(steps - STEPS) <= 0.05 * STEPS

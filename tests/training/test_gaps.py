@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Record, Settings
+from splitband import GRU, Record, TrainingSettings
 from splitband.models import Recurrent
 from splitband.training import fit
 from tests.records import DT, LENGTH, TRAIN, holed, record, standing_in, with_gaps
@@ -36,7 +36,7 @@ def test_the_loss_counts_what_was_measured(several: bool) -> None:
         for parameter in model.parameters():
             parameter.zero_()
     window, warmup = 20, 5
-    quiet = Settings(window, warmup, 2, 1, learning_rate=1e-30, normalize=False)
+    quiet = TrainingSettings.paper(window, warmup, 2, 1, learning_rate=1e-30, normalize=False)
     history = fit(model, [with_gaps(each) for each in ys], quiet)
     whole = np.concatenate(ys)
     losses = [
@@ -49,7 +49,9 @@ def test_the_loss_counts_what_was_measured(several: bool) -> None:
 def test_a_window_that_has_seen_nothing_yet_has_no_loss() -> None:
     """The free run grows: its first samples may all be in a gap."""
     y = holed(record().y[:30], slice(12, 20))
-    history = fit(Recurrent(GRU(3, 1)), with_gaps(y), Settings(30, 12, 2, 4, growth=1.0))
+    history = fit(
+        Recurrent(GRU(3, 1)), with_gaps(y), TrainingSettings.paper(30, 12, 2, 4, growth=1.0)
+    )
     assert history.losses["network"][0] == 0
     assert 0 < history.losses["network"][1] < np.inf
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, Progress, Record, Settings
+from splitband import GRU, Progress, Record, TrainingSettings
 from splitband.models import Model, Recurrent
 from splitband.training import History, fit
 from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
@@ -16,7 +16,7 @@ from tests.training.support import Watched, parameters, seen_by_adam
 
 def fitted(seed: int, method: str = "split-gru", **changes: Any) -> tuple[Model, History]:
     model = untrained(method, record(), SETUP, seed)
-    settings = Settings(**{**vars(QUICK), "epochs": 3, **changes})
+    settings = TrainingSettings.paper(**{**vars(QUICK), "epochs": 3, **changes})
     history = fit(model, record()[:TRAIN], settings, seed)
     return model, history
 
@@ -31,7 +31,7 @@ def test_the_learning_rate_follows_its_milestones() -> None:
 
 
 def test_the_one_cycle_rate_rises_in_a_straight_line_and_falls_as_torchs_cosine_does() -> None:
-    schedule = Settings(learning_rate=0.02, one_cycle=True)
+    schedule = TrainingSettings.paper(learning_rate=0.02, one_cycle=True)
     for share, tenths in ((0.0, 1.0), (0.025, 3.25), (0.05, 5.5), (0.1, 10.0), (1.0, 0.1)):
         assert schedule.rate(0, share) == pytest.approx(0.002 * tenths)
     optimizer = torch.optim.SGD([torch.zeros(1)], lr=0.02)
@@ -71,7 +71,7 @@ def test_the_free_run_grows_from_a_tenth_to_all_of_its_length(
     growth: float, expected: list[int]
 ) -> None:
     model = Watched()
-    settings = Settings(42, QUICK.warmup, 10, batch_size=1000, growth=growth)
+    settings = TrainingSettings.paper(42, QUICK.warmup, 10, batch_size=1000, growth=growth)
     history = fit(model, record()[:TRAIN], settings)
     assert np.abs(np.array(model.asked) - expected).max() <= 1  # halves are rounded either way
     assert (model.asked[0], model.asked[-1]) == (expected[0], expected[-1])
@@ -83,7 +83,7 @@ def test_a_short_free_run_is_compared_with_the_beginning_of_the_window(error: fl
     """So that a network that knows the only window has no loss at any length."""
     script = torch.from_numpy(record().y[QUICK.warmup : 42] + error)
     model = Recurrent(Scripted(script, 0)).double()
-    settings = Settings(42, QUICK.warmup, 6, 1, 1e-30, growth=0.8, normalize=False)
+    settings = TrainingSettings.paper(42, QUICK.warmup, 6, 1, 1e-30, growth=0.8, normalize=False)
     history = fit(model, record()[:42], settings)
     assert history.losses["network"] == pytest.approx([error] * 6, abs=1e-12)
 
@@ -91,7 +91,12 @@ def test_a_short_free_run_is_compared_with_the_beginning_of_the_window(error: fl
 def test_progress_reports_every_epoch_of_every_network() -> None:
     seen: list[Progress] = []
     model = untrained("split-gru", record(), SETUP, seed=0)
-    fit(model, record()[:TRAIN], Settings(**{**vars(QUICK), "epochs": 2}), progress=seen.append)
+    fit(
+        model,
+        record()[:TRAIN],
+        TrainingSettings.paper(**{**vars(QUICK), "epochs": 2}),
+        progress=seen.append,
+    )
     assert [(p.task, p.epoch, p.epochs) for p in seen] == [
         (task, epoch, 2) for task in ("low band", "high band") for epoch in (1, 2)
     ]
@@ -101,7 +106,7 @@ def test_progress_reports_every_epoch_of_every_network() -> None:
 def test_a_constant_channel_trains_without_nan() -> None:
     flat = Record(np.full(60, 7.0), 0.1)
     model = Recurrent(GRU(4, 1))
-    history = fit(model, flat, Settings(window=20, warmup=5, epochs=3))
+    history = fit(model, flat, TrainingSettings.paper(window=20, warmup=5, epochs=3))
     assert np.isfinite(history.losses["network"]).all()
     assert np.isfinite(simulated(model, flat.y[:5], 10)).all()
 
@@ -112,9 +117,9 @@ def test_a_constant_channel_trains_without_nan() -> None:
         ({"window": 12}, "window must be longer than the warm-up of 12 samples, got 12"),
         ({"window": LENGTH + 1}, f"training record of {LENGTH} samples, got {LENGTH + 1}"),
         ({"warmup": 0}, "warmup must be at least 1, got 0"),
-        ({"epochs": 0}, "epochs must be positive without quasi_newton, got 0"),
-        ({"quasi_newton": 0}, "quasi_newton must be at least 1, got 0"),
-        ({"most_batches": 0}, "most_batches must be at least 1, got 0"),
+        ({"epochs": 0}, "epochs must be positive without lbfgs_iterations, got 0"),
+        ({"lbfgs_iterations": 0}, "lbfgs_iterations must be at least 1, got 0"),
+        ({"max_batches": 0}, "max_batches must be at least 1, got 0"),
         ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
         ({"learning_rate": -1.0}, "learning rates must be positive, got -1.0"),
         ({"milestones": ((3, 0.0),)}, "learning rates must be positive, got 0.0"),
@@ -130,7 +135,7 @@ def test_a_constant_channel_trains_without_nan() -> None:
 )
 def test_settings_that_cannot_be_are_refused(change: Any, message: Any) -> None:
     with pytest.raises(ValueError, match=message):
-        fit(Recurrent(GRU(4, 1)), record(), Settings(**{**vars(QUICK), **change}))
+        fit(Recurrent(GRU(4, 1)), record(), TrainingSettings.paper(**{**vars(QUICK), **change}))
 
 
 def test_a_network_that_has_learned_nothing_is_said_to_be_so() -> None:

@@ -20,7 +20,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from splitband.baselines.accuracy import NORMAL, accuracy_of, silent
 from splitband.baselines.delays import Units, delays_of, explains
 from splitband.baselines.kalman import (
     MAX_OBSERVER_POLE,
@@ -44,6 +43,7 @@ from splitband.baselines.refinement import (
     windows,
 )
 from splitband.baselines.selection import ITERATIONS, Search, with_constant
+from splitband.baselines.uncertainty import NORMAL, silent, uncertainty_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current
 from splitband.runtime.errors import InputError
@@ -101,9 +101,9 @@ def identified(
     model = replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
     if estimated is None:
         return model
-    errors = model.accuracy and replace(model.accuracy, delay_errors=estimated.errors)
+    errors = model.uncertainty and replace(model.uncertainty, delay_errors=estimated.errors)
     doubted = tuple(estimated.doubted.max(axis=0).tolist())
-    return replace(model, doubted=doubted, accuracy=errors)
+    return replace(model, doubted=doubted, uncertainty=errors)
 
 
 def _groups(delays: npt.NDArray[np.int_], alike: int) -> list[list[int]]:
@@ -144,7 +144,7 @@ def _of_outputs(
     model = _model_of(at, runs, delays)
     if not current().over:
         with suppress(DeadlineError):
-            model = replace(model, accuracy=accuracy_of(at, fitted, at.matrices, longest))
+            model = replace(model, uncertainty=uncertainty_of(at, fitted, at.matrices, longest))
     noisy = at.scale.max() > _EXACT and not current().over
     known = [u[-len(e.T) :].T for (_, u), e in zip(records, at.errors, strict=True)]
     if noisy and not integrators and feedback(at.errors, known):
@@ -166,8 +166,8 @@ def _of_outputs(
 
 def _unstable_by_chance(model: LinearModel) -> bool:
     """Return whether a pole is outside of the unit circle, but not its whole 95 % interval."""
-    assert model.accuracy is not None
-    size, error = abs(model.accuracy.poles), model.accuracy.pole_errors[:, 2]
+    assert model.uncertainty is not None
+    size, error = abs(model.uncertainty.poles), model.uncertainty.pole_errors[:, 2]
     return bool(((size > 1) & ~(size - NORMAL * error > 1)).any())  # also without an interval
 
 
@@ -258,8 +258,8 @@ def _by_prediction(
     # The gain in the coordinates of the blocks.
     gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[blocks.kept.ravel()]
     new = _model_of(at, runs, delays, gain, "prediction error")
-    errors = accuracy_of(found, both, lambda step: matrices(step)[:4], longest)
-    return replace(new, accuracy=errors)
+    errors = uncertainty_of(found, both, lambda step: matrices(step)[:4], longest)
+    return replace(new, uncertainty=errors)
 
 
 def _parts(runs: Sequence[Run], a: Array) -> Sequence[Run]:

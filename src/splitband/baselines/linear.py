@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import check_delays, delayed
 from splitband.baselines.kalman import EXACT, most_probable, responses, states, whitening
+from splitband.baselines.uncertainty import Uncertainty
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
@@ -59,7 +59,7 @@ class LinearModel:
     silent : Angles, in radians per sample, of poles that no input excites.
     doubted : Longest delay of each input, in samples, that was estimated and not taken, as a model
         without it holds out as well; 0 without one. Empty where delays were given.
-    accuracy : Standard errors; None after a deadline.
+    uncertainty : Standard errors; None after a deadline.
     """
 
     a: Array
@@ -87,7 +87,7 @@ class LinearModel:
     values: Array = field(default_factory=lambda: np.zeros(0))
     silent: tuple[float, ...] = ()
     doubted: tuple[int, ...] = ()
-    accuracy: Accuracy | None = None
+    uncertainty: Uncertainty | None = None
 
     def __post_init__(self) -> None:
         """Check what may come from a file."""
@@ -189,7 +189,7 @@ class LinearModel:
             offset=y_mean + y_scale * self.offset, gain=self.gain / y_scale,
             noise=self.noise * both, mean=u_mean + u_scale * self.mean,
             error=self.error * y_scale, spread=self.spread * both, scale=self.scale * y_scale,
-            accuracy=self.accuracy and self.accuracy.in_units(y_scale, u_scale),
+            uncertainty=self.uncertainty and self.uncertainty.in_units(y_scale, u_scale),
         )  # fmt: skip
 
     @property
@@ -359,7 +359,7 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
     }
     found |= {name: found[name][:, back] for name in ("gain", "noise", "spread")}
     found["late"] = tuple(found["late"].tolist())
-    accuracies = [m.accuracy for m in models if m.accuracy is not None]
+    uncertainties = [m.uncertainty for m in models if m.uncertainty is not None]
     return LinearModel(
         **found,
         mean=models[0].mean,
@@ -367,7 +367,9 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
         integrators=sum(m.integrators for m in models),
         by=" and ".join(dict.fromkeys(m.by for m in models)),
         silent=tuple(angle for m in models for angle in m.silent),
-        accuracy=Accuracy.of_parts(accuracies, back) if len(accuracies) == len(models) else None,
+        uncertainty=Uncertainty.of_parts(uncertainties, back)
+        if len(uncertainties) == len(models)
+        else None,
     )
 
 

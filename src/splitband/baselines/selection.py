@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
-from splitband.baselines.accuracy import NORMAL, accuracy_of
 from splitband.baselines.refinement import (
     Run,
     Solution,
@@ -33,6 +32,7 @@ from splitband.baselines.refinement import (
     total,
 )
 from splitband.baselines.subspace import Subspace, filled, most_rows, stable, subspace
+from splitband.baselines.uncertainty import NORMAL, uncertainty_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current
 
@@ -282,7 +282,7 @@ class Search:
         if same is None:
             return True
         longest = max(run.u.shape[1] for run in self.runs)
-        found = accuracy_of(same.solution, self.runs, same.solution.matrices, longest)
+        found = uncertainty_of(same.solution, self.runs, same.solution.matrices, longest)
         pole, error = found.poles[0], found.pole_errors[0, 2]
         return bool(pole.imag != 0 or not longest * (1 - abs(pole) + NORMAL * error) > _DECAYED)
 

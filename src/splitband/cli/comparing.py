@@ -14,7 +14,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.names import TRAINED, Sizes, known, with_variants
 from splitband.runtime.errors import InputError
 from splitband.simulators.opening import is_fitted
-from splitband.training import Settings
+from splitband.training import TrainingSettings
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def _of_model(asked: options.ModelOptions) -> dict[str, Any]:
         given["budget"] = options.seconds(given["budget"])
     settings, bands = (
         {each.name: given.pop(each.name) for each in fields(kind) if each.name in given}
-        for kind in (Settings, Bands)
+        for kind in (TrainingSettings, Bands)
     )
     return given | {"settings": settings, "bands": Bands(**bands)}
 

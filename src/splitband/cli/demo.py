@@ -22,7 +22,7 @@ TRAIN = 2000
 SIMULATOR, NETWORK, BOTH = "simulator", "gru", "residual-gru-conditioned"
 ALONE = (SIMULATOR, "linear", NETWORK)
 METHODS = [*ALONE, "filtered-gru-conditioned", BOTH, "persistence"]
-RECIPE: dict[str, Any] = {"window": 150, "warmup": 30, "epochs": 5, "quasi_newton": 400}
+RECIPE: dict[str, Any] = {"window": 150, "warmup": 30, "epochs": 5, "lbfgs_iterations": 400}
 """Chosen on the cranes of seeds 1 to 3, so that the demo needs no search."""
 SIZES = Sizes(hidden_high=20, hidden_low=12)
 """Hidden units of the networks: small, so that the demo ends within a minute. Layout."""

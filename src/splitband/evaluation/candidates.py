@@ -13,7 +13,7 @@ from splitband.forecasters.base import cells_of
 from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
-from splitband.training import Settings
+from splitband.training import TrainingSettings
 from splitband.training.settings import ROUND
 
 FIRST_STEPS = 300
@@ -58,7 +58,7 @@ class Candidate:
         return self.network.name
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> TrainingSettings:
         """Return the settings of its first round."""
         assert self.network.settings is not None
         return self.network.settings
@@ -101,7 +101,7 @@ class Candidate:
 
     def next(self) -> Network:
         """Return the network with the settings of its next round."""
-        done, first = len(self.fits), self.settings.quasi_newton or 0
+        done, first = len(self.fits), self.settings.lbfgs_iterations or 0
         return self.going_on(LONGER * first * (1 + LONGER) ** (done - 1)) if done else self.network
 
     def final(self) -> Network:
@@ -111,8 +111,8 @@ class Candidate:
 
     def going_on(self, iterations: int) -> Network:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
-        usual = Settings.most_samples
-        more = replace(self.settings, epochs=0, quasi_newton=iterations, most_samples=usual)
+        usual = TrainingSettings.max_samples
+        more = replace(self.settings, epochs=0, lbfgs_iterations=iterations, max_samples=usual)
         return self.network._trained_as(more)
 
     def options(self) -> dict[str, str]:
@@ -128,7 +128,7 @@ def _iterations(fit: Fit) -> int:
     assert settings is not None
     losses = fit.report.losses.values()
     rounds = max((len(of_network) - settings.epochs for of_network in losses), default=0)
-    return min(max(rounds, 1) * ROUND, settings.quasi_newton or 0)
+    return min(max(rounds, 1) * ROUND, settings.lbfgs_iterations or 0)
 
 
 def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate | None:
@@ -164,17 +164,17 @@ def candidates(
     usual, samples = forecaster.settings, len(record)
     assert usual is not None
     steps = max(1, round(FIRST_STEPS / usual.batches_of(samples)))
-    first = replace(usual, epochs=steps, quasi_newton=FIRST_ROUND, most_samples=FIRST_SAMPLES)
+    first = replace(usual, epochs=steps, lbfgs_iterations=FIRST_ROUND, max_samples=FIRST_SAMPLES)
     size, *sizes = _sizes(forecaster) if sized else [forecaster]
     if record.nu and all(isinstance(cell, LinearPart) for cell in cells_of(forecaster).values()):
         window = min(usual.warmup + FREE_RUN_FROM_LINEAR, usual.window)
         iterations = FIRST_ROUND * (1 if samples <= SHORT_RECORD else LONGER)
-        base = replace(first, window=window, epochs=0, quasi_newton=iterations)
-        settings = [base, replace(base, window=usual.window), replace(base, penalty=PENALTIES[0])]
+        base = replace(first, window=window, epochs=0, lbfgs_iterations=iterations)
+        settings = [base, replace(base, window=usual.window), replace(base, l2=PENALTIES[0])]
         if samples <= SHORT_RECORD:
-            settings.append(replace(base, penalty=PENALTIES[1]))
+            settings.append(replace(base, l2=PENALTIES[1]))
         if samples <= min([SHORT_RECORD, *map(len, others)]):
-            settings.append(replace(base, window=samples, penalty=PENALTIES[0]))
+            settings.append(replace(base, window=samples, l2=PENALTIES[0]))
         settings.append(replace(base, epochs=steps, linear_start=False))
         every = [(size, each) for each in settings] + [(other, base) for other in sizes]
     else:
@@ -184,7 +184,7 @@ def candidates(
         }
         settings = [replace(first, window=window) for window in sorted(windows)]
         every = [(other, each) for each in settings for other in (sizes or [size])]
-        every += [(other, replace(settings[0], penalty=PENALTIES[0])) for other in sizes[-1:]]
+        every += [(other, replace(settings[0], l2=PENALTIES[0])) for other in sizes[-1:]]
     distinct: dict[str, Candidate] = {}
     for network, how in every:  # windows may become equal on the shorter record of a trial
         shorter = network._trained_as(how)._for_trial(samples)

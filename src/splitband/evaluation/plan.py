@@ -43,7 +43,7 @@ from splitband.simulators.base import is_driven, matched
 from splitband.simulators.identification import check_runs
 from splitband.simulators.opening import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
-from splitband.training import Settings, default_warmup
+from splitband.training import TrainingSettings, default_warmup
 from splitband.training.settings import Recipe, recipe_settings
 
 TRAINING_SHARE = 0.75
@@ -75,7 +75,7 @@ class Plan:
     train: int
     horizon: int
     methods: tuple[Forecaster, ...]
-    settings: Settings
+    settings: TrainingSettings
     bands: Bands = field(default_factory=Bands)
     sizes: Sizes = field(default_factory=Sizes)
     searched: Mapping[str, bool] = field(default_factory=dict)
@@ -176,7 +176,7 @@ def plan(  # noqa: PLR0913
     others: Sequence[Record] = (),
     tests: Sequence[Record] = (),
     initial: int | None = None,
-    settings: Settings | Mapping[str, Any] | None = None,
+    settings: TrainingSettings | Mapping[str, Any] | None = None,
     recipe: Recipe = "default",
     bands: Bands | None = None,
     sizes: Sizes | None = None,
@@ -262,7 +262,7 @@ def plan(  # noqa: PLR0913
     tried = horizon != 0 or bool(tests)
     record, horizon = _cut_to_horizon(record, train, horizon, refit)
     training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
-    given = settings if isinstance(settings, Settings) else None
+    given = settings if isinstance(settings, TrainingSettings) else None
     decided = _settings(given or recipe_settings(recipe, training, others), changes)
     if tests and given is None and "warmup" not in changes:
         shortest = default_warmup(min(map(len, tests)))
@@ -379,7 +379,7 @@ def _completed(
     return replace(plan, methods=tuple(made), searched=names)
 
 
-def _settings(usual: Settings, changes: Mapping[str, Any]) -> Settings:
+def _settings(usual: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
     """Return settings with some of them changed, and those that follow from the changes."""
     said = {**changes}
     if "window" in said:
@@ -397,7 +397,7 @@ def chosen_bands(
     given: Bands,
     training: Record,
     methods: Sequence[Forecaster],
-    settings: Settings | None = None,
+    settings: TrainingSettings | None = None,
 ) -> Bands:
     """Return the bands of these methods: of hybrids where the simulator helps, else of networks.
 
@@ -418,7 +418,7 @@ def chosen_bands(
     return given
 
 
-def high_bands(given: Bands, training: Record, settings: Settings | None = None) -> Bands:
+def high_bands(given: Bands, training: Record, settings: TrainingSettings | None = None) -> Bands:
     """Return the bands of hybrids with the record's simulator in the high band.
 
     What is given stays. The simulator is not calibrated: its drift would decide its gain. Settings
@@ -475,7 +475,7 @@ def usual_names(names: list[str], bands: Bands, high: Bands) -> list[str]:
 
 
 def _default_methods(
-    given: Bands, training: Record, settings: Settings, simulator: Adjustable | None
+    given: Bands, training: Record, settings: TrainingSettings, simulator: Adjustable | None
 ) -> tuple[Sequence[Forecaster | str], Bands, Bands]:
     """Return the default methods for a record, and their bands, low and high.
 

@@ -48,7 +48,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.options import UNKNOWN, WithRepr, options
 from splitband.runtime.threads import one_thread
 from splitband.simulators.calibration import Calibration
-from splitband.training import Progress, Settings
+from splitband.training import Progress, TrainingSettings
 
 if TYPE_CHECKING:
     import torch
@@ -95,7 +95,7 @@ class Forecaster(WithRepr, Saved, ABC):
     settings : Of its networks' training; None where they are not set or nothing is trained.
     """
 
-    settings: Settings | None = None
+    settings: TrainingSettings | None = None
     _fits_simulator: ClassVar[bool] = False
     """Whether its fit runs a simulator many times, which may take minutes."""
     _at_once: ClassVar[bool] = False

@@ -39,7 +39,7 @@ class Ensemble(Forecaster):
     Examples
     --------
     >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> short = sb.TrainingSettings(window=40, warmup=10, epochs=1)
     >>> model = sb.Ensemble(sb.Single(sb.GRU(4), short), count=2).fit(record, seed=0)
     >>> model.name, model.predict(20).y.shape
     ('gru', (20, 1))

@@ -17,7 +17,7 @@ from splitband.forecasters.simulation import Calibrated, Simulation, SimulatorFo
 from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
-from splitband.training import Settings
+from splitband.training import TrainingSettings
 
 if TYPE_CHECKING:
     from splitband.models import Model
@@ -36,7 +36,7 @@ class Single(Network):
     Examples
     --------
     >>> record = sb.Record(np.sin(0.3 * np.arange(120)), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> short = sb.TrainingSettings(window=40, warmup=10, epochs=1)
     >>> model = sb.Single(sb.GRU(4), short).fit(record, seed=0)
     >>> prediction = model.predict(20)
     >>> prediction.y.shape, float(round(prediction.time[0], 1))
@@ -44,12 +44,12 @@ class Single(Network):
     """
 
     def __init__(
-        self, cell: Template, settings: Settings | None = None, name: str | None = None
+        self, cell: Template, settings: TrainingSettings | None = None, name: str | None = None
     ) -> None:
         super().__init__(settings, name)
         self.cell = as_template(cell)
 
-    def _build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: TrainingSettings) -> Model:
         """Return a model with one network, which runs at every sample."""
         return models.Recurrent(self._sized(self.cell, record, settings), record.nu > 0)
 
@@ -82,7 +82,7 @@ class Split(Network):
     --------
     >>> time = 0.1 * np.arange(120)
     >>> record = sb.Record(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> short = sb.TrainingSettings(window=40, warmup=10, epochs=1)
     >>> model = sb.Split(sb.GRU(4), sb.GRU(4), sb.Bands(0.5, 1, 2), settings=short)
     >>> sorted(model.fit(record, seed=0).predict(20).components)
     ['high band', 'low band']
@@ -97,7 +97,7 @@ class Split(Network):
         bands: Bands = OPEN,
         filter_output: bool = False,
         conditioned: bool = False,
-        settings: Settings | None = None,
+        settings: TrainingSettings | None = None,
         name: str | None = None,
         own_warmup: bool = True,
         alignment: Alignment = "time",
@@ -108,7 +108,7 @@ class Split(Network):
         self.bands, self.conditioned = require_bands(bands), conditioned
         self.filter_output = filter_output
 
-    def _build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: TrainingSettings) -> Model:
         """Return a model with a network for each band."""
         bands = self._bands_for(record, settings)
         assert bands.downsampling is not None
@@ -175,7 +175,7 @@ class Filtered(Network):
     --------
     >>> time = 0.1 * np.arange(150)
     >>> record = sb.Record(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> short = sb.TrainingSettings(window=40, warmup=10, epochs=1)
     >>> model = sb.Filtered(sb.Function(np.sin), sb.GRU(4), sb.Bands(0.5, 1, 1), settings=short)
     >>> prediction = model.fit(record[:120], seed=0).predict(30)
     >>> sorted(prediction.components)
@@ -200,7 +200,7 @@ class Filtered(Network):
         cell: Template,
         bands: Bands = OPEN,
         conditioned: bool = False,
-        settings: Settings | None = None,
+        settings: TrainingSettings | None = None,
         name: str | None = None,
         simulator_band: Band = "low",
     ) -> None:
@@ -213,7 +213,7 @@ class Filtered(Network):
         self.base, self.cell = as_slow_part(base), as_template(cell)
         self.bands, self.conditioned = require_bands(bands), conditioned
 
-    def _build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: TrainingSettings) -> Model:
         """Return a model with a network and a filter pair."""
         bands = self._bands_for(record, settings)
         pair, driven = bands.one_way_pair(record.sampling_rate, self.simulator_band), record.nu > 0
@@ -286,7 +286,7 @@ class Residual(Network):
     --------
     >>> time = 0.1 * np.arange(150)
     >>> record = sb.Record(np.sin(time) + 0.2 * np.sin(9 * time), 0.1)
-    >>> short = sb.Settings(window=40, warmup=10, epochs=1)
+    >>> short = sb.TrainingSettings(window=40, warmup=10, epochs=1)
     >>> model = sb.Residual(sb.Function(np.sin), sb.GRU(4), settings=short)
     >>> model.fit(record[:120], seed=0).predict(30).y.shape
     (30, 1)
@@ -299,14 +299,14 @@ class Residual(Network):
         base: Forecaster | Simulator | None,
         cell: Template,
         conditioned: bool = False,
-        settings: Settings | None = None,
+        settings: TrainingSettings | None = None,
         name: str | None = None,
     ) -> None:
         super().__init__(settings, name)
         self.base, self.cell = as_slow_part(base), as_template(cell)
         self.conditioned = conditioned
 
-    def _build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: TrainingSettings) -> Model:
         """Return a model with a network and no filters."""
         cell = self._sized(self.cell, record, settings)
         return models.Residual(cell, self.conditioned, record.nu > 0)

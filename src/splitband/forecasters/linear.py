@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.accuracy import Accuracy
 from splitband.baselines.delays import FEWEST_MOVES, LONGEST_DELAY, moves
 from splitband.baselines.identification import identified
 from splitband.baselines.kalman import most_probable
 from splitband.baselines.linear import LinearModel
+from splitband.baselines.uncertainty import Uncertainty
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import UNSTABLE, unmoved
@@ -122,15 +122,15 @@ class Linear(Forecaster):
         new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
         return new
 
-    def accuracy(self) -> Accuracy:
+    def uncertainty(self) -> Uncertainty:
         """Return poles, static gains, the frequency response and delays with standard errors.
 
         Raises ValueError for a fit that a deadline ended.
         """
         self.require_fitted()
-        if self.model.accuracy is None:
-            raise InputError("accuracy was not computed: the deadline of the fit came first")
-        return self.model.accuracy
+        if self.model.uncertainty is None:
+            raise InputError("uncertainty was not computed: the deadline of the fit came first")
+        return self.model.uncertainty
 
     def _part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""

@@ -43,7 +43,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import one_thread, seeded
 from splitband.simulators.calibration import Calibration
-from splitband.training import Settings
+from splitband.training import TrainingSettings
 from splitband.training.settings import (
     SHORTEST_WINDOW,
     checked_starts,
@@ -82,7 +82,7 @@ class Network(Forecaster):
     """The band of the base, in a hybrid with filters."""
     model: Model | None = None
     """The trained model."""
-    _trained_by: Settings | None = None
+    _trained_by: TrainingSettings | None = None
     """The settings of the training, given or chosen."""
     _trained_in: Bands | None = None
     """The bands of the training, given or chosen."""
@@ -91,7 +91,7 @@ class Network(Forecaster):
     _prehistory: Prehistory | None = None
     """The distribution of warm-ups, for histories that are shorter than one."""
 
-    def __init__(self, settings: Settings | None = None, name: str | None = None) -> None:
+    def __init__(self, settings: TrainingSettings | None = None, name: str | None = None) -> None:
         self.settings = settings
         self._device: str | torch.device = "cpu"
         self._name = name
@@ -147,7 +147,7 @@ class Network(Forecaster):
         """Return the name that is derived from its parts."""
 
     @abstractmethod
-    def _build(self, record: Record, settings: Settings) -> Model:
+    def _build(self, record: Record, settings: TrainingSettings) -> Model:
         """Return the untrained model for a record, with weights drawn from torch's generator."""
 
     def to(self, device: str | torch.device) -> Self:
@@ -177,7 +177,7 @@ class Network(Forecaster):
         if self.model is not None:
             self.model.to(self._device)
 
-    def _trained_as(self, settings: Settings | None) -> Self:
+    def _trained_as(self, settings: TrainingSettings | None) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
@@ -410,7 +410,7 @@ class Network(Forecaster):
         """Return what needs these samples."""
         return f"filters of order {(self.bands and self.bands.order) or 1}"
 
-    def _bands_for(self, record: Record, settings: Settings) -> Bands:
+    def _bands_for(self, record: Record, settings: TrainingSettings) -> Bands:
         """Return the bands; those that are not given are chosen on the training record."""
         assert self.bands is not None
         if self._trained_in is not None:
@@ -422,7 +422,7 @@ class Network(Forecaster):
             record.y, record.sampling_rate, settings.warmup, slow, self.simulator_band
         )
 
-    def _sized(self, cell: Template, record: Record, settings: Settings) -> Cell:
+    def _sized(self, cell: Template, record: Record, settings: TrainingSettings) -> Cell:
         """Return the cell of the network that runs at every sample.
 
         Its inputs are the record's at this sample and the next and, if it is conditioned, value and
@@ -431,12 +431,12 @@ class Network(Forecaster):
         nu = 2 * record.nu + (2 * record.ny if self.conditioned else 0)
         return cell.sized(record.ny, nu, settings.warmup)
 
-    def _built(self, record: Record, settings: Settings, seed: int) -> Model:
+    def _built(self, record: Record, settings: TrainingSettings, seed: int) -> Model:
         """Return the untrained model, its parameters drawn from `seed`."""
         with seeded(seed):
             return self._build(record, settings)
 
-    def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> Settings:
+    def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> TrainingSettings:
         return self.settings or recipe_settings("default", record, others)
 
     def _trained(self) -> Model:
@@ -491,7 +491,7 @@ class Network(Forecaster):
 
 def with_defaults(
     forecaster: Forecaster,
-    settings: Settings,
+    settings: TrainingSettings,
     bands: Bands,
     given: Bands = OPEN,
     high: Bands = OPEN,

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splitband.baselines.accuracy import NORMAL
+from splitband.baselines.uncertainty import NORMAL
 from splitband.checks.responses import Responses
 from splitband.data import Record
 from splitband.evaluation.comparison import Comparison
@@ -307,8 +307,8 @@ def of_poles(fitted: Linear) -> Table:
 
     The numbers are those of MATLAB's `damp`, with the 95 % interval of the absolute value.
     """
-    step, accuracy = fitted.require_fitted().record.sampling_time, fitted.model.accuracy
-    poles = fitted.poles() if accuracy is None else accuracy.poles
+    step, uncertainty = fitted.require_fitted().record.sampling_time, fitted.model.uncertainty
+    poles = fitted.poles() if uncertainty is None else uncertainty.poles
     kept = [int(i) for i in np.argsort(-np.abs(poles), kind="stable") if poles[i].imag >= 0]
     names = {i: f"{n}. {complex_in_words(poles[i])}" for n, i in enumerate(kept, 1)}
     rates = np.log(poles.astype(np.complex128)) / step  # in the s plane
@@ -317,7 +317,11 @@ def of_poles(fitted: Linear) -> Table:
         known = np.where(np.isfinite(values), values, np.nan)
         return {names[i]: float(known[i]) for i in kept}
 
-    error = np.full(len(poles), np.nan) if accuracy is None else NORMAL * accuracy.pole_errors[:, 2]
+    error = (
+        np.full(len(poles), np.nan)
+        if uncertainty is None
+        else NORMAL * uncertainty.pole_errors[:, 2]
+    )
     errors = {name: size for name, size in of(error).items() if math.isfinite(size) and size}
     listed = [
         Column("absolute value", "record", of(np.abs(poles)), spreads=errors, ranked=False),

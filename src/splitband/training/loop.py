@@ -11,14 +11,14 @@ from splitband.runtime.deadlines import Deadline, current
 from splitband.runtime.errors import InputError
 from splitband.runtime.memory import freed_memory_kept
 from splitband.training.network import NetworkTraining
-from splitband.training.settings import History, Progress, Settings
+from splitband.training.settings import History, Progress, TrainingSettings
 from splitband.training.windows import joined, windows_in
 
 
 def fit(
     model: Model,
     records: Record | Sequence[Record],
-    settings: Settings | None = None,
+    settings: TrainingSettings | None = None,
     seed: int = 0,
     progress: Callable[[Progress], None] | None = None,
 ) -> History:
@@ -39,14 +39,14 @@ def fit(
     model : What to train; its initial parameters are the caller's.
     records : The training record, without samples that are to be predicted, or several records of
         the same system.
-    settings : Training settings; by default `Settings.of` the shortest record's length.
+    settings : Training settings; by default `TrainingSettings.of` the shortest record's length.
     seed : Fixes the order of the windows.
     progress : Called after each epoch.
     """
     records = [records] if isinstance(records, Record) else [*records]
     if not records:
         raise InputError("records must be one or several, got none")
-    settings = settings or Settings.of(min(map(len, records)))
+    settings = settings or TrainingSettings.of(min(map(len, records)))
     for record in records:
         _check_channels(model, record)
     chosen = windows_in(records, settings.window, settings.warmup)

@@ -13,9 +13,9 @@ from splitband.models import Task
 from splitband.networks.cell import Penalised
 from splitband.runtime.deadlines import Deadline
 from splitband.runtime.threads import one_torch_thread
-from splitband.training import quasi_newton
+from splitband.training import lbfgs_iterations
 from splitband.training.optimizers import Adam
-from splitband.training.settings import ROUND, Settings
+from splitband.training.settings import ROUND, TrainingSettings
 from splitband.training.windows import WindowSet, select, targets, windows
 
 DIVERGED = 100.0
@@ -40,7 +40,7 @@ class NetworkTraining:
         self,
         task: Task,
         chosen: WindowSet,
-        settings: Settings,
+        settings: TrainingSettings,
         seed: int,
         deadline: Deadline,
     ) -> None:
@@ -64,9 +64,9 @@ class NetworkTraining:
         self.losses: list[float] = []
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
-        self.finish: quasi_newton.QuasiNewton | None = None
+        self.finish: lbfgs_iterations.QuasiNewton | None = None
         self._given_dtype = self._dtype
-        if settings.quasi_newton:
+        if settings.lbfgs_iterations:
             self.finish = self._quasi_newton()
 
     @property
@@ -153,8 +153,8 @@ class NetworkTraining:
         settings, epoch = self.settings, len(self.losses)
         total, seen_windows, slower = 0.0, 0, 0.5 ** len(self.restarts)
         order = torch.randperm(len(self.starts), generator=self.generator)
-        if settings.most_batches is not None:
-            order = order[: settings.most_batches * settings.batch_size]
+        if settings.max_batches is not None:
+            order = order[: settings.max_batches * settings.batch_size]
         batches = order.split(settings.batch_size)
         for i, chosen in enumerate(batches):
             batch = self.starts[chosen]
@@ -195,13 +195,13 @@ class NetworkTraining:
             self.end()
             self.finish = settled
 
-    def _quasi_newton(self) -> quasi_newton.QuasiNewton:
+    def _quasi_newton(self) -> lbfgs_iterations.QuasiNewton:
         settings = self.settings
-        chosen = quasi_newton.end_to_end(
-            self.starts, settings.window, settings.warmup, settings.most_samples
+        chosen = lbfgs_iterations.end_to_end(
+            self.starts, settings.window, settings.warmup, settings.max_samples
         )
         error = partial(self._mean_square, chosen)
-        return quasi_newton.QuasiNewton([*self.task.network.parameters()], error, self.deadline)
+        return lbfgs_iterations.QuasiNewton([*self.task.network.parameters()], error, self.deadline)
 
     def _mean_square(self, starts: Tensor) -> Tensor:
         """Return the mean squared error of the windows that begin there, plus the penalty."""
@@ -213,12 +213,12 @@ class NetworkTraining:
         return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
 
     def _penalty(self) -> Tensor | float:
-        """Return what `Settings.penalty` adds to the mean square."""
-        if not self.settings.penalty:
+        """Return what `TrainingSettings.l2` adds to the mean square."""
+        if not self.settings.l2:
             return 0.0
         network = self.task.network
         weights = network.penalised() if isinstance(network, Penalised) else network.parameters()
-        return self.settings.penalty * sum(weight.square().sum() for weight in weights)
+        return self.settings.l2 * sum(weight.square().sum() for weight in weights)
 
 
 def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:

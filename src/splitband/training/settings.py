@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ SHORTEST_WINDOW = 150
 """Shortest window of the default recipe in samples, for records that are long enough."""
 
 
-MOST_BATCHES = 100
+MAX_BATCHES = 100
 """Largest number of steps per epoch in the default recipe; an epoch leaves out further windows of a
 long record."""
 ENOUGH_WINDOWS = 0.25
@@ -33,14 +33,17 @@ ENOUGH_WINDOWS = 0.25
 
 @saved
 @dataclass(frozen=True, repr=False)
-class Settings(WithRepr):
-    """Hold training settings; defaults are the paper's for system (i), `Settings.of` our recipe.
+class TrainingSettings(WithRepr):
+    """Training settings: our recipe of about a thousand steps, unless they are changed.
+
+    `of` adapts them to the length of a record, `paper` returns those of the paper.
 
     Attributes
     ----------
     window : Length of a training window in samples, with its warm-up; one starts at every sample.
     warmup : R, measured samples at the start of a window that set the initial state.
-    epochs : Passes over all windows (the paper's "training steps"); may be 0 with `quasi_newton`.
+    epochs : Passes over all windows (the paper's "training steps"), or over `max_batches` of them;
+        may be 0 with `lbfgs_iterations`.
     batch_size : Windows per gradient step.
     learning_rate : Initial learning rate of Adam.
     milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
@@ -49,40 +52,40 @@ class Settings(WithRepr):
     clip : Largest norm of a gradient.
     growth : Share of the training in which the free run grows from a tenth to its full length.
     normalize : Scale each channel by mean and standard deviation of the training record.
-    most_batches : Largest number of steps per epoch, with windows drawn anew in each epoch.
-    quasi_newton : Iterations of L-BFGS after the epochs; fewer if it converges before. See
-        `training.quasi_newton`.
-    most_samples : Of all windows together in an iteration of L-BFGS, warm-ups included; above it,
+    max_batches : Largest number of steps per epoch, with windows drawn anew in each epoch.
+    lbfgs_iterations : Iterations of L-BFGS after the epochs; fewer if it converges before. See
+        `training.lbfgs`.
+    max_samples : Of all windows together in an iteration of L-BFGS, warm-ups included; above it,
         windows are left out evenly.
-    penalty : Weight of the sum of squared weights in the loss, relative to the mean squared error
+    l2 : Weight of the sum of squared weights in the loss, relative to the mean squared error
         of the scaled channels (ridge regression). It helps with few samples.
     linear_start : Networks with a linear part begin as the linear model of the record.
     """
 
-    window: int = 150
-    warmup: int = 30
-    epochs: int = 300
-    batch_size: int = 50
-    learning_rate: float = 1e-3
+    window: int = SHORTEST_WINDOW
+    warmup: int = 50
+    epochs: int = 50
+    batch_size: int = 25
+    learning_rate: float = 1e-2
     milestones: tuple[tuple[int, float], ...] = ()
-    one_cycle: bool = False
-    clip: float | None = None
-    growth: float = 0.0
+    one_cycle: bool = True
+    clip: float | None = 1.0
+    growth: float = 0.6
     normalize: bool = True
-    most_batches: int | None = None
-    quasi_newton: int | None = None
-    most_samples: int = 100_000
-    penalty: float = 0.0
+    max_batches: int | None = 20
+    lbfgs_iterations: int | None = None
+    max_samples: int = 100_000
+    l2: float = 0.0
     linear_start: bool = True
 
     def __post_init__(self) -> None:
         """Check ranges."""
         own = vars(self)
-        given = [name for name in ("most_batches", "quasi_newton") if own[name] is not None]
-        for name in ("window", "warmup", "epochs", "batch_size", "most_samples", *given):
+        given = [name for name in ("max_batches", "lbfgs_iterations") if own[name] is not None]
+        for name in ("window", "warmup", "epochs", "batch_size", "max_samples", *given):
             own[name] = whole(name, own[name], 0 if name == "epochs" else 1)
-        if not self.epochs and not self.quasi_newton:
-            raise InputError("epochs must be positive without quasi_newton, got 0")
+        if not self.epochs and not self.lbfgs_iterations:
+            raise InputError("epochs must be positive without lbfgs_iterations, got 0")
         if self.window <= self.warmup:
             raise InputError(
                 f"window must be longer than the warm-up of {self.warmup} samples, "
@@ -98,40 +101,41 @@ class Settings(WithRepr):
             raise InputError(f"milestones need one_cycle=False, got {self.milestones}")
         if self.clip is not None and not self.clip > 0:
             raise InputError(f"clip must be positive, got {self.clip}")
-        if not 0 <= self.penalty < float("inf"):
-            raise InputError(f"penalty must not be negative, got {self.penalty}")
+        if not 0 <= self.l2 < float("inf"):
+            raise InputError(f"l2 must not be negative, got {self.l2}")
         if not 0 <= self.growth <= 1:
             raise InputError(f"growth must be a share of the training, 0 to 1, got {self.growth}")
 
     @classmethod
-    def of(cls, samples: int, windows: int | None = None) -> Settings:
+    def of(cls, samples: int, windows: int | None = None) -> TrainingSettings:
         """Return the default recipe for a training record of so many samples; not in the paper.
 
         Windows have two fifths of the samples, 150 to 400. The learning rate has one cycle,
         gradients are clipped, free runs grow. Each network takes about `STEPS` steps, at most
-        `MOST_BATCHES` of them per epoch. `windows` is their number, if gaps leave fewer than usual.
+        `MAX_BATCHES` of them per epoch. `windows` is their number, if gaps leave fewer than usual.
         """
         window = max(SHORTEST_WINDOW, 2 * samples // 5)
         window = max(2, min(400, window, longest_window(samples)))
-        batch = 25
         windows = max(samples - window + 1, 1) if windows is None else windows
-        batches = min(-(-windows // batch), MOST_BATCHES)
-        return cls(
-            window,
-            default_warmup(window),
-            epochs=max(1, round(STEPS / batches)),
-            batch_size=batch,
-            learning_rate=1e-2,
-            one_cycle=True,
-            clip=1.0,
-            growth=0.6,
-            most_batches=batches,
-        )
+        batches = min(-(-windows // cls.batch_size), MAX_BATCHES)
+        epochs = max(1, round(STEPS / batches))
+        return cls(window, default_warmup(window), epochs, max_batches=batches)
+
+    @classmethod
+    def paper(
+        cls, window: int = 150, warmup: int = 30, epochs: int = 300, **changes: Any
+    ) -> TrainingSettings:
+        """Return the settings of the paper for its system (i), some of them changed.
+
+        Adam at a constant rate, in batches of 50 windows (paper, Sec. 5).
+        """
+        plain = cls(window, warmup, epochs, 50, 1e-3, (), False, None, 0.0, max_batches=None)
+        return replace(plain, **changes)
 
     def batches(self, windows: int) -> int:
         """Return the steps of an epoch over so many windows."""
         batches = -(-windows // self.batch_size)
-        return batches if self.most_batches is None else min(batches, self.most_batches)
+        return batches if self.max_batches is None else min(batches, self.max_batches)
 
     def batches_of(self, samples: int) -> int:
         """Return the steps of an epoch over a record of so many samples without gaps."""
@@ -140,23 +144,23 @@ class Settings(WithRepr):
     @property
     def rounds(self) -> int:
         """Return the number of rounds of `ROUND` iterations after the epochs."""
-        return -(-(self.quasi_newton or 0) // ROUND)
+        return -(-(self.lbfgs_iterations or 0) // ROUND)
 
-    def after(self, earlier: Settings | None) -> Settings:
+    def after(self, earlier: TrainingSettings | None) -> TrainingSettings:
         """Return the settings of a training and the one that it went on from, for tables."""
         if earlier is None:
             return self
-        iterations = (earlier.quasi_newton or 0) + (self.quasi_newton or 0)
+        iterations = (earlier.lbfgs_iterations or 0) + (self.lbfgs_iterations or 0)
         epochs = earlier.epochs + self.epochs
-        return replace(self, epochs=epochs, quasi_newton=iterations or None)
+        return replace(self, epochs=epochs, lbfgs_iterations=iterations or None)
 
     def steps_in_words(self) -> str:
         """Describe the length of the training, for tables."""
         epochs = f"{self.epochs} epoch{'s' if self.epochs > 1 else ''}"
-        finish = f"L-BFGS {self.quasi_newton}" if self.quasi_newton else ""
-        penalty = f"penalty {self.penalty:g}" if self.penalty else ""
+        finish = f"L-BFGS {self.lbfgs_iterations}" if self.lbfgs_iterations else ""
+        l2 = f"l2 {self.l2:g}" if self.l2 else ""
         random = "" if self.linear_start else "from random weights"
-        return ", ".join(filter(None, [random, epochs if self.epochs else "", finish, penalty]))
+        return ", ".join(filter(None, [random, epochs if self.epochs else "", finish, l2]))
 
     def rate(self, epoch: int, share: float) -> float:
         """Return the learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
@@ -185,17 +189,19 @@ def default_warmup(window: int, most: int = 50) -> int:
     return min(most, max(1, window // 3))
 
 
-def recipe_settings(recipe: Recipe, training: Record, others: Sequence[Record] = ()) -> Settings:
+def recipe_settings(
+    recipe: Recipe, training: Record, others: Sequence[Record] = ()
+) -> TrainingSettings:
     """Return a recipe's settings for a record, with a shorter warm-up if gaps leave few windows.
 
     Windows fit into the `others`, the further training records, too. "constant-rate" is like the
     paper's: Adam at 1e-3 on windows of at most 250 samples (`reproduction.settings` has its own).
     """
     samples = len(training)
-    settings = Settings.of(samples)
+    settings = TrainingSettings.of(samples)
     if recipe == "constant-rate":
         window = min(250, max(2, samples // 2))
-        settings = Settings(window, default_warmup(window))
+        settings = TrainingSettings.paper(window, default_warmup(window))
     longest = max(min(map(len, others), default=settings.window), 2)
     if longest < settings.window:
         warmup = min(settings.warmup, default_warmup(longest))
@@ -211,7 +217,7 @@ def recipe_settings(recipe: Recipe, training: Record, others: Sequence[Record] =
             break
     windows, warmup = max(tried)
     if recipe == "default" and windows:
-        settings = Settings.of(samples, windows)
+        settings = TrainingSettings.of(samples, windows)
     return replace(settings, warmup=warmup)
 
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from bokeh.models.annotations import BoxAnnotation
 
-from splitband.baselines.accuracy import NORMAL
 from splitband.baselines.linear import LinearModel
+from splitband.baselines.uncertainty import NORMAL
 from splitband.checks.residuals import Correlation
 from splitband.checks.responses import SHARE, Responses
 from splitband.data import Record
@@ -316,7 +316,7 @@ SILENT = 1e-12
 
 def gains(record: Record, model: LinearModel) -> list[Chart]:
     """Return a plot of a linear model's gain over frequency for each input and output."""
-    found = model.accuracy
+    found = model.uncertainty
     if found is None:
         return []
     axis = Axis.over_frequency(found.angles / (2 * np.pi * record.sampling_time), "Hz")

@@ -8,16 +8,16 @@ import scipy
 import torch
 from torch import Tensor, nn
 
-from splitband import Record, Settings, Single, StateSpace
+from splitband import Record, Single, StateSpace, TrainingSettings
 from splitband.runtime.deadlines import Deadline
-from splitband.training import fit, quasi_newton
-from splitband.training.quasi_newton import QuasiNewton, end_to_end
+from splitband.training import fit, lbfgs_iterations
+from splitband.training.lbfgs import QuasiNewton, end_to_end
 from tests.records import SETUP, TRAIN, holed, record, standing_in
 from tests.streams import Leaky
 from tests.support import slowed, untrained
 from tests.training.support import RECIPE, parameters, trained
 
-FINISHED = replace(RECIPE, epochs=1, quasi_newton=50)
+FINISHED = replace(RECIPE, epochs=1, lbfgs_iterations=50)
 
 
 def rosenbrock(at: nn.Parameter) -> Tensor:
@@ -72,7 +72,7 @@ def test_every_sample_after_the_first_warmup_is_in_a_window(
     samples: int, window: int, warmup: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for halved in (0, 10_000):
-        monkeypatch.setattr(quasi_newton, "MAX_WINDOWS_WITH_OVERLAP", halved)
+        monkeypatch.setattr(lbfgs_iterations, "MAX_WINDOWS_WITH_OVERLAP", halved)
         chosen = end_to_end(torch.arange(samples - window + 1), window, warmup, 10_000)
         predicted = {n for start in chosen.tolist() for n in range(start + warmup, start + window)}
         assert predicted == set(range(warmup, samples))
@@ -100,7 +100,7 @@ def test_of_a_long_record_some_windows_are_left_out_evenly() -> None:
 def test_it_gets_further_than_as_many_epochs() -> None:
     """By the mean square of the whole, not of some windows; at the end, not on average."""
     _, by_adam = trained(replace(RECIPE, epochs=4))
-    _, finished = trained(replace(FINISHED, epochs=1, quasi_newton=60))
+    _, finished = trained(replace(FINISHED, epochs=1, lbfgs_iterations=60))
     for name, losses in finished.losses.items():
         assert len(losses) <= 4
         assert losses[-1] < 0.9 * by_adam.losses[name][-1]
@@ -110,7 +110,7 @@ def test_where_rounding_ends_the_descent_in_float32_it_goes_on_in_float64() -> N
     """Without noise, the error is otherwise a hundred times as large."""
     u = np.random.default_rng(0).standard_normal(200)
     y = scipy.signal.lfilter([0, 0.1], [1, -1.6, 0.8], np.tanh(u))
-    recipe = Settings(60, 20, 1, 16, quasi_newton=1000)
+    recipe = TrainingSettings.paper(60, 20, 1, 16, lbfgs_iterations=1000)
     fitted = Single(StateSpace(2, 2), recipe).fit(Record(y, 0.1, u=u), seed=0)
     assert fitted.require_fitted().report.losses["network"][-1] < 1e-5
     assert fitted.model is not None
@@ -137,8 +137,10 @@ class InFloat32(Leaky):
 def test_a_cell_that_computes_in_float32_alone_ends_where_it_settles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(quasi_newton, "CONVERGED", 1.0)
-    fitted = Single(InFloat32(), replace(RECIPE, epochs=1, quasi_newton=200)).fit(record()[:TRAIN])
+    monkeypatch.setattr(lbfgs_iterations, "CONVERGED", 1.0)
+    fitted = Single(InFloat32(), replace(RECIPE, epochs=1, lbfgs_iterations=200)).fit(
+        record()[:TRAIN]
+    )
     assert len(fitted.require_fitted().report.losses["network"]) == 3  # an epoch and two rounds
     assert len(fitted.predict(10)) == 10
 

@@ -39,7 +39,7 @@ Matrices = tuple[Array, Array, Array, Array]
 
 @saved
 @dataclass(frozen=True, eq=False, repr=False)
-class Accuracy:
+class Uncertainty:
     """Hold estimates and their standard errors; an error is NaN where it was not computed.
 
     Attributes
@@ -85,7 +85,7 @@ class Accuracy:
             return sampling_time / rate, sampling_time * self.pole_errors[:, 2] / (size * rate**2)
 
     @np.errstate(all="ignore")
-    def in_units(self, outputs: Array, inputs: Array) -> Accuracy:
+    def in_units(self, outputs: Array, inputs: Array) -> Uncertainty:
         """Return it for signals in the record's units, given their standard deviations."""
         factor = outputs[:, None] / inputs
         return replace(
@@ -97,7 +97,7 @@ class Accuracy:
         )
 
     @classmethod
-    def of_parts(cls, parts: Sequence[Accuracy], back: npt.NDArray[np.int_]) -> Accuracy:
+    def of_parts(cls, parts: Sequence[Uncertainty], back: npt.NDArray[np.int_]) -> Uncertainty:
         """Return that of models of some outputs each, in the order `back`."""
 
         def joined(name: str, axis: int = 0) -> Array:
@@ -136,13 +136,13 @@ def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
 
 
 @np.errstate(all="ignore")
-def accuracy_of(
+def uncertainty_of(
     solution: Solution,
     runs: Sequence[Run],
     matrices: Callable[[Array | None], Matrices],
     longest: int,
-) -> Accuracy:
-    """Return the accuracy of a model in normalised units.
+) -> Uncertainty:
+    """Return the uncertainty of a model in normalised units.
 
     `matrices` returns A, B, C and D after a step of the values of `solution`. `longest` is the
     length of the longest record, with what a fit of late inputs leaves out.
@@ -183,7 +183,7 @@ def accuracy_of(
     # An infinite gain has the sign of the response at a real z just above 1.
     above = _response(a, b, c, d, np.array([-1e-6j]))[0].real
     value = np.where(near | np.isinf(value), np.copysign(np.inf, above), value)
-    return Accuracy(
+    return Uncertainty(
         np.stack([poles.real, poles.imag], axis=1),
         spread[: 3 * n].reshape(3, n).T,
         value,

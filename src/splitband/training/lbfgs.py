@@ -31,7 +31,7 @@ UNBOUNDED = 1e10
 """Multiple of the first loss that replaces larger and non-finite losses."""
 
 
-def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> Tensor:
+def end_to_end(starts: Tensor, window: int, warmup: int, max_samples: int) -> Tensor:
     """Choose from the first samples of all windows as few as are needed to predict every sample.
 
     The warm-up of a window lies in the predicted part of the window before it. In short records
@@ -46,7 +46,7 @@ def end_to_end(starts: Tensor, window: int, warmup: int, most_samples: int) -> T
     for start in starts[1:].tolist():
         if start >= chosen[-1] + hop or start in last:
             chosen.append(start)
-    most = max(1, most_samples // window)
+    most = max(1, max_samples // window)
     kept = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
     return torch.tensor(chosen)[kept]
 
