@@ -203,15 +203,14 @@ class Record:
         parts: dict[str, Any] = {name: x[key] for name, x in given if name not in AHEAD}
         if self.measured is not None:  # gaps are filled again, from the slice only
             parts["y"] = refilled(self.y[key], self.y_with_gaps[key])
-            parts["measured"] = self.measured[key]
+            measured = self.measured[key]
+            parts["measured"] = None if measured.all() else measured
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
         beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         if len(parts["y"]) < 2:
             raise InputError(f"y must have at least 2 samples: it has {len(parts['y'])}")
-        if parts["measured"] is not None and parts["measured"].all():
-            parts["measured"] = None
         parts["y"].setflags(write=False)
         # Views of what was checked: copies of a long record would take much memory.
         part = copy(self)

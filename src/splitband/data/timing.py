@@ -282,8 +282,8 @@ def _cut_to_units(what: str, stamps: Array, expected: float | None) -> tuple[flo
 
     step = float(f"{np.polyfit(index, part, 1)[0]:.3g}")  # a plain one, if it explains the stamps
     if not explained(step):
-        exact = 1e-3 * unit / len(part)
-        step = scipy.optimize.minimize_scalar(spread, bounds=(unit, 2 * unit), tol=exact).x
+        bounds, exact = (unit, 2 * unit), 1e-3 * unit / len(part)
+        step = scipy.optimize.fminbound(spread, *bounds, xtol=exact)
     if not explained(step):
         return None
     if expected is not None:
