@@ -155,14 +155,14 @@ GROUPS: dict[str, tuple[Callable[[], Results], tuple[str, ...]]] = {
                              ("delays", "identification", "kalman", "linear", "selection"))),
     "time": (time, ("baselines/seasonal.py", "baselines/sinusoids.py",
                     "forecasters/closed_form.py")),
-    "comparison": (comparison, ("forecasters/backtest.py", "forecasters/intervals.py", "metrics.py",
+    "comparison": (comparison, ("forecasters/held_out.py", "forecasters/intervals.py", "metrics.py",
                                 "forecasters/prehistory.py", "evaluation/recommendation.py")),
     "bands": (bands, ("filters/cutoff.py",)),
     "simulators": (simulators, ("forecasters/grey_box.py", "simulators/identification.py",
                                 "simulators/parameters.py", "simulators/shooting.py",
                                 "simulators/calibration.py")),
     "networks": (networks, ("networks/state_space.py",)),
-    "tests": (tests, ("forecasters/residuals.py",)),
+    "tests": (tests, ("checks/residuals.py",)),
 }  # fmt: skip
 """Results of a group, and the files whose constants they depend on."""
 
