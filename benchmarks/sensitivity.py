@@ -150,20 +150,25 @@ def tests() -> Results:
     return found
 
 
+def _files(folder: str, *names: str) -> tuple[str, ...]:
+    return tuple(f"{folder}/{name}.py" for name in names)
+
+
+_LINEAR = "delays", "identification", "kalman", "linear", "selection"
+_SIMULATORS = "identification", "parameters", "shooting", "calibration"
+_COMPARISON = "held_out", "intervals", "prehistory"
 GROUPS: dict[str, tuple[Callable[[], Results], tuple[str, ...]]] = {
-    "linear": (linear, tuple(f"baselines/{n}.py" for n in
-                             ("delays", "identification", "kalman", "linear", "selection"))),
-    "time": (time, ("baselines/seasonal.py", "baselines/sinusoids.py",
-                    "forecasters/closed_form.py")),
-    "comparison": (comparison, ("forecasters/held_out.py", "forecasters/intervals.py", "metrics.py",
-                                "forecasters/prehistory.py", "evaluation/recommendation.py")),
+    "linear": (linear, _files("baselines", *_LINEAR)),
+    "time": (time, (*_files("baselines", "seasonal", "sinusoids"), "forecasters/closed_form.py")),
+    "comparison": (
+        comparison,
+        (*_files("forecasters", *_COMPARISON), "metrics.py", "evaluation/recommendation.py"),
+    ),
     "bands": (bands, ("filters/cutoff.py",)),
-    "simulators": (simulators, ("forecasters/grey_box.py", "simulators/identification.py",
-                                "simulators/parameters.py", "simulators/shooting.py",
-                                "simulators/calibration.py")),
+    "simulators": (simulators, ("forecasters/grey_box.py", *_files("simulators", *_SIMULATORS))),
     "networks": (networks, ("networks/state_space.py",)),
-    "tests": (tests, ("checks/residuals.py",)),
-}  # fmt: skip
+    "tests": (tests, ("forecasters/residuals.py",)),
+}
 """Results of a group, and the files whose constants they depend on."""
 
 
@@ -182,11 +187,11 @@ class Moved:
         if self.factor == 1.0:
             return GROUPS[self.group][0]()
         stem = self.path.removesuffix(".py").replace("/", ".")
-        before = getattr(importlib.import_module(f"splitband.{stem}"), self.name)
+        before = vars(importlib.import_module(f"splitband.{stem}"))[self.name]
         with_it = [
             module
             for name, module in [*sys.modules.items()]
-            if name.startswith("splitband") and getattr(module, self.name, None) is before
+            if name.startswith("splitband") and vars(module).get(self.name) is before
         ]
         KEPT.clear()
         try:
