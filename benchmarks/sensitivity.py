@@ -34,6 +34,7 @@ from benchmarks.recommendation import BASELINES, RecordJob, _comparison
 from docs.constants import SOURCE, constants
 from splitband.filters.cutoff import choose
 from splitband.metrics import rmse
+from splitband.runtime.caching import KEPT
 
 FILE = Path(__file__).parents[1] / "docs/results/benchmarks/constants.jsonl"
 FACTORS = 0.5, 2.0
@@ -157,7 +158,7 @@ def _files(folder: str, *names: str) -> tuple[str, ...]:
 
 _LINEAR = "delays", "identification", "kalman", "linear", "selection"
 _SIMULATORS = "identification", "parameters", "shooting", "calibration"
-_COMPARISON = "backtest", "intervals", "prehistory"
+_COMPARISON = "held_out", "intervals", "prehistory"
 GROUPS: dict[str, tuple[Callable[[], Results], tuple[str, ...]]] = {
     "linear": (linear, _files("baselines", *_LINEAR)),
     "time": (time, (*_files("baselines", "seasonal", "sinusoids"), "forecasters/closed_form.py")),
@@ -194,6 +195,7 @@ class Moved:
             for name, module in [*sys.modules.items()]
             if name.startswith("splitband") and vars(module).get(self.name) is before
         ]
+        KEPT.clear()
         try:
             for module in with_it:
                 setattr(module, self.name, moved(before, self.factor))
@@ -201,6 +203,7 @@ class Moved:
         finally:
             for module in with_it:
                 setattr(module, self.name, before)
+            KEPT.clear()
 
 
 def moved(value: Any, factor: float) -> Any:

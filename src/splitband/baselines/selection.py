@@ -196,6 +196,7 @@ class Search:
         if current().over:
             return at
         with suppress(DeadlineError):
+            at = linear_solution(blocks, fitted)
             whole = Search(runs, self.direct, self.integrators, chosen.order)
             if not blocks.constant:
                 at = min(at, whole._start(chosen.order) or at, key=lambda at: at.cost)
