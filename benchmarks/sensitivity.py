@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from splitband.runtime.caching import KEPT
 
 import splitband as sb
 from benchmarks import clock, driven, kinds, residuals
@@ -34,7 +35,6 @@ from benchmarks.recommendation import BASELINES, RecordJob, _comparison
 from docs.constants import SOURCE, constants
 from splitband.filters.cutoff import choose
 from splitband.metrics import rmse
-from splitband.runtime.caching import KEPT
 
 FILE = Path(__file__).parents[1] / "docs/results/benchmarks/constants.jsonl"
 FACTORS = 0.5, 2.0
@@ -169,7 +169,7 @@ GROUPS: dict[str, tuple[Callable[[], Results], tuple[str, ...]]] = {
     "bands": (bands, ("filters/cutoff.py",)),
     "simulators": (simulators, ("forecasters/grey_box.py", *_files("simulators", *_SIMULATORS))),
     "networks": (networks, ("networks/state_space.py",)),
-    "tests": (tests, ("forecasters/residuals.py",)),
+    "tests": (tests, ("checks/residuals.py",)),
 }
 """Results of a group, and the files whose constants they depend on."""
 
