@@ -35,8 +35,9 @@ from benchmarks.clock import Row
 from benchmarks.commands import written
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED
 from benchmarks.page import spread
-from splitband import Record, plan
+from splitband import Record
 from splitband.cli.options import seconds
+from splitband.comparison.plan import plan
 from splitband.data.named import overhead_crane
 from splitband.filters import Band
 from splitband.forecasters.bands import Bands

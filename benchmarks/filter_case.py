@@ -73,8 +73,9 @@ from benchmarks import clock, families, page
 from benchmarks.clock import Row
 from benchmarks.families import SAMPLES, STEP, Array, Generator
 from splitband import models
+from splitband.comparison.plan import TRAINING_SHARE, chosen_bands, high_bands, plan
+from splitband.comparison.run import run
 from splitband.data.public import drill_string
-from splitband.evaluation.plan import TRAINING_SHARE, chosen_bands, high_bands
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN
 from splitband.forecasters.network import Network
@@ -225,10 +226,10 @@ def measured(row: Row) -> Row:
             told["error"] = rmse(record.truth[ahead], y[ahead])
         else:
             method, seen = arm(row, record, bands)
-            planned = sb.plan(seen, None, [method], rounds=row["rounds"], seed=row["seed"])
+            planned = plan(seen, None, [method], rounds=row["rounds"], seed=row["seed"])
             # Sizes are searched, as for the method that a name stands for.
             sized = {method.name: row["cell"] != "gru"}
-            result = sb.run(replace(planned, searched=sized))
+            result = run(replace(planned, searched=sized))
             told["error"] = result.errors(result.medians[method.name]).forecast
             tried = result.attempts
             told |= {"trainings": len(tried), "weights": len({each.seed for each in tried})}

@@ -26,8 +26,8 @@ import torch
 import splitband as sb
 from benchmarks.rollout import training_step
 from benchmarks.timing import circumstances, medians, threads, write
+from splitband.comparison.methods import BASED, GREY_BOX, TRAINED, Sizes, named
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import BASED, GREY_BOX, TRAINED, Sizes, named
 from splitband.forecasters.network import Network, with_defaults
 from splitband.networks import GRU, rollout
 from splitband.runtime.arguments import check_device

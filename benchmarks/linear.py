@@ -298,7 +298,7 @@ def errors(seeds: int) -> None:
             model = identified(
                 [(z, u) for u, _, z in runs], len(a), np.zeros((len(c), b.shape[1]), int)
             )
-            found = model.accuracy
+            found = model.uncertainty
             assert found is not None
             true = poles[abs(poles) < 1]
             for p in true:

@@ -32,12 +32,12 @@ import numpy.typing as npt
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, SAMPLES, TRAINING, WITH_INPUTS, drawn
 from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
+from splitband.comparison.methods import QUICK
+from splitband.comparison.plan import default_names
+from splitband.comparison.recommendation import Trial
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol
-from splitband.evaluation.plan import default_names
-from splitband.evaluation.recommendation import Trial
 from splitband.forecasters.intervals import Interval
-from splitband.forecasters.names import QUICK
 from splitband.metrics import rmse
 from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, run_jobs

@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from splitband.runtime.caching import KEPT
 
 import splitband as sb
 from benchmarks import clock, driven, kinds, residuals
@@ -161,10 +160,10 @@ _SIMULATORS = "identification", "parameters", "shooting", "calibration"
 _COMPARISON = "held_out", "intervals", "prehistory"
 GROUPS: dict[str, tuple[Callable[[], Results], tuple[str, ...]]] = {
     "linear": (linear, _files("baselines", *_LINEAR)),
-    "time": (time, (*_files("baselines", "seasonal", "sinusoids"), "forecasters/closed_form.py")),
+    "time": (time, (*_files("baselines", "seasonal", "sinusoids"), "forecasters/baselines.py")),
     "comparison": (
         comparison,
-        (*_files("forecasters", *_COMPARISON), "metrics.py", "evaluation/recommendation.py"),
+        (*_files("forecasters", *_COMPARISON), "metrics.py", "comparison/recommendation.py"),
     ),
     "bands": (bands, ("filters/cutoff.py",)),
     "simulators": (simulators, ("forecasters/grey_box.py", *_files("simulators", *_SIMULATORS))),
@@ -195,7 +194,6 @@ class Moved:
             for name, module in [*sys.modules.items()]
             if name.startswith("splitband") and vars(module).get(self.name) is before
         ]
-        KEPT.clear()
         try:
             for module in with_it:
                 setattr(module, self.name, moved(before, self.factor))
@@ -203,7 +201,6 @@ class Moved:
         finally:
             for module in with_it:
                 setattr(module, self.name, before)
-            KEPT.clear()
 
 
 def moved(value: Any, factor: float) -> Any:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 import splitband as sb
+from splitband.forecasters.prediction import ForecastContext
 
 
 class Drift(sb.Forecaster):
@@ -18,7 +19,7 @@ class Drift(sb.Forecaster):
         y = records[0].y
         self.slope = (y[-1] - y[0]) / (len(y) - 1)
 
-    def extrapolate(self, known: sb.ForecastContext) -> np.ndarray:
+    def extrapolate(self, known: ForecastContext) -> np.ndarray:
         """Go on with it from the last sample of the history."""
         return known.y[-1] + self.slope * np.arange(1, known.steps + 1)[:, None]
 

@@ -22,8 +22,8 @@ from reproduction.jobs import SYSTEMS
 from reproduction.runs import complete, missing, write_json_lines
 from reproduction.specs import SPECS, TITLES, Line, lines
 from reproduction.tables import Table, table
-from splitband.cli.live import workers
-from splitband.forecasters.names import TRAINED
+from splitband.cli.display import workers
+from splitband.comparison.methods import TRAINED
 from splitband.report import pictures
 from splitband.runtime.files import output_folder, write_json
 from splitband.runtime.workers import Workers

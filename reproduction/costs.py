@@ -12,7 +12,7 @@ from pathlib import Path
 from reproduction import published
 from reproduction.jobs import ORACLE, Job
 from reproduction.runs import missing
-from splitband.forecasters.names import QUICK
+from splitband.comparison.methods import QUICK
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from reproduction import pictures as drawn
 from reproduction.jobs import ORACLE, SYSTEMS, Job
 from reproduction.runs import as_fit, finished, load
 from reproduction.specs import SPECS, Line, chosen, lines
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import Plan
-from splitband.forecasters.backtest import Fit
-from splitband.forecasters.names import QUICK
+from splitband.comparison.backtest import Fit
+from splitband.comparison.methods import QUICK
+from splitband.comparison.plan import Plan
+from splitband.comparison.result import Comparison
 
 
 def _unfiltered(comparison: Comparison) -> Figure:

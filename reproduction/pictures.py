@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from splitband.evaluation.comparison import Comparison
+from splitband.comparison.backtest import Fit
+from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import coherence, periodogram
-from splitband.forecasters.backtest import Fit
 from splitband.metrics import cumulative_rmse, rmse
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import squared

@@ -17,10 +17,10 @@ import torch
 
 from reproduction.jobs import Job
 from reproduction.settings import Setup
+from splitband.comparison.backtest import BacktestSpec, Fit, backtest, first_origin
+from splitband.comparison.methods import QUICK, named
 from splitband.data import Record
-from splitband.forecasters.backtest import BacktestSpec, Fit, backtest, first_origin
 from splitband.forecasters.held_out import Origin
-from splitband.forecasters.names import QUICK, named
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from splitband.comparison.methods import Sizes, named
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import with_defaults
 from splitband.training import TrainingSettings
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from reproduction import published
 from reproduction.jobs import ORACLE, Job
 from reproduction.published import Row
-from splitband.forecasters.names import QUICK
+from splitband.comparison.methods import QUICK
 
 _NAIVE = ("persistence", "seasonal-naive", "harmonic")
 _GRU = ("gru", "split-gru", "split-gru-hp")

@@ -23,7 +23,7 @@ from reproduction.runs import (
     whole_rmse,
 )
 from reproduction.specs import SPECS, TITLES, Line, Spec
-from splitband.forecasters.names import QUICK
+from splitband.comparison.methods import QUICK
 
 SETTLED_SHARE = 0.9
 """A training loss has settled where at least twice the epochs leave so much of it."""

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband import Record, TrainingSettings
+from splitband.comparison.methods import Sizes, named
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import Sizes, named
 from splitband.forecasters.network import with_defaults
 
 Array = npt.NDArray[np.float64]

@@ -63,7 +63,7 @@ WITH_INPUTS: dict[str, Callable[[], sb.Forecaster]] = {
     "linear": sb.Linear,
     "simulator": lambda: sb.Calibrated(terms=("gain", "offset")),
     "gru": lambda: sb.Single(sb.GRU(5), SHORT),
-    "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=7, recognition_size=5), SHORT),
+    "rnn": lambda: sb.Single(sb.networks.EulerMLP(hidden_size=7, recognition_size=5), SHORT),
     "state-space": lambda: sb.Single(sb.StateSpace(3, 4), SHORT),
     "own cell": lambda: sb.Single(Leaky(), SHORT),
     "split": lambda: sb.Split(sb.GRU(4), sb.GRU(5), BANDS, settings=SHORT),

@@ -14,9 +14,9 @@ import pytest
 from torch import Tensor, nn
 
 from splitband import Forecaster, Record
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.run import compare as compared
-from splitband.forecasters.backtest import BacktestSpec, Fit, backtest, first_origin
+from splitband.comparison.backtest import BacktestSpec, Fit, backtest, first_origin
+from splitband.comparison.result import Comparison
+from splitband.comparison.run import compare as compared
 from splitband.forecasters.held_out import Origin
 from splitband.forecasters.loading import load
 from splitband.forecasters.network import Network

@@ -21,7 +21,7 @@ ROOMS = [
     "forecasters",
     "checks",
     "export",
-    "evaluation",
+    "comparison",
     "report",
     "cli",
 ]
@@ -29,7 +29,7 @@ ROOMS = [
 DELEGATES = {
     "forecasters.base": {"export"},
     "forecasters.prediction": {"plot"},
-    "evaluation.comparison": {"plot", "report", "save", "_as_table"},
+    "comparison.result": {"plot", "report", "save", "_as_table"},
 }
 """Methods that users look for there: one line, which hands over to a function of a higher room."""
 FILES = {

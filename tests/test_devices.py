@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from splitband import GRU, EulerMLP, Record, Single, TrainingSettings, compare
+from splitband import GRU, Record, Single, TrainingSettings, compare
+from splitband.comparison.methods import Sizes
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import Sizes
 from splitband.models import Signals, Task
-from splitband.networks import Backend, rollout
+from splitband.networks import Backend, EulerMLP, rollout
 from splitband.training import fit
 from splitband.training.windows import targets
 from tests.records import Setup

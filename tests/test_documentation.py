@@ -20,7 +20,7 @@ import pytest
 
 import splitband
 from splitband.cli import COMMANDS
-from splitband.forecasters.names import NAMES
+from splitband.comparison.methods import NAMES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = (

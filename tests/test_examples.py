@@ -82,9 +82,9 @@ def test_many_records_are_compared_one_by_one_and_summed_up(
 ) -> None:
     """As jobs of an array do it, with a network that is trained shortly."""
     for name in ("FIRST_ROUND", "FIRST_STEPS"):
-        monkeypatch.setattr(f"splitband.evaluation.candidates.{name}", 2)
+        monkeypatch.setattr(f"splitband.comparison.candidates.{name}", 2)
     monkeypatch.setattr(
-        "splitband.evaluation.plan.usual_names", lambda *_: ["gru", "linear", "mean"]
+        "splitband.comparison.plan.usual_names", lambda *_: ["gru", "linear", "mean"]
     )
     (tmp_path / "records").mkdir()
     for i, name in enumerate(("arm", "pump")):
@@ -111,7 +111,7 @@ def test_the_python_of_the_readme_runs_as_it_stands(
     """On a driven system; fewer methods are compared here."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     monkeypatch.setattr(
-        "splitband.evaluation.plan.usual_names", lambda *_: ["linear", "mean", "persistence"]
+        "splitband.comparison.plan.usual_names", lambda *_: ["linear", "mean", "persistence"]
     )
     monkeypatch.chdir(tmp_path)
     force = np.random.default_rng(0).uniform(-1, 1, 2000)

@@ -20,7 +20,7 @@ import splitband as sb
 from splitband.filters.cutoff import choose
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.held_out import held_out_of
-from splitband.forecasters.names import NAMES, named, with_base, with_variants
+from splitband.comparison.methods import NAMES, named, with_base, with_variants
 
 record, u = sb.read("rig.csv", inputs=["force"]), np.zeros((5, 1))
 for model in (sb.Mean(), sb.Persistence(), sb.Linear(), sb.Harmonic()):
@@ -40,7 +40,7 @@ oracle(record.y, low, record.sampling_rate, chosen.cutoff)
 assert "filtered-linear-gru" in with_base(["filtered-gru"], "linear")
 assert with_variants(["filtered-gru"], calibrate=True, conditioned=False)
 assert all(method.in_words() for method in NAMES.values())
-sb.Clock, sb.Ode, sb.Fmu, sb.TrainingSettings, sb.Progress
+Clock, sb.Ode, sb.Fmu, sb.TrainingSettings, Progress
 """
 
 
@@ -66,7 +66,7 @@ def test_baselines_and_filters_need_no_torch(folder: Path) -> None:
 
 
 def test_a_network_is_loaded_where_it_is_named(folder: Path) -> None:
-    program = "import sys\nfrom splitband.forecasters.names import named\n"
+    program = "import sys\nfrom splitband.comparison.methods import named\n"
     done = run(folder, "-c", f"{program}{LOADED}\nnamed('gru')\n{LOADED}")
     assert done.stdout == "[]\n['torch']\n", done.stderr
 

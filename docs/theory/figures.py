@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 import splitband as sb
 from splitband.data.named import double_mass_spring, van_der_pol
+from splitband.metrics import cumulative_rmse
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE.parent / "results"
@@ -90,9 +91,9 @@ def drift() -> Figure:
     for seed in range(5):
         y = np.asarray(_run(f"v/gru/seed{seed}")["from_start"][0])
         label = "GRU alone, five seeds" if seed == 0 else None
-        axes.plot(time, sb.cumulative_rmse(truth, y), "C3", lw=1, label=label)
+        axes.plot(time, cumulative_rmse(truth, y), "C3", lw=1, label=label)
     y_sim = record.y_sim[warmup:, 0]
-    axes.plot(time, sb.cumulative_rmse(truth, y_sim), "C0", lw=2, label="simulator")
+    axes.plot(time, cumulative_rmse(truth, y_sim), "C0", lw=2, label="simulator")
     axes.axvline(record.time[TRAIN], color="0.5", ls=":", label="end of the training samples")
     axes.set(xlabel="time (s)", ylabel="RMSE up to then", ylim=(0, None))
     axes.legend()

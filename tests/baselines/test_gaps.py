@@ -11,8 +11,8 @@ import scipy.stats
 
 from splitband.baselines.seasonal import LastPeriod, _last_period, periodic
 from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, harmonic, recent
-from splitband.forecasters.closed_form import ByTime
-from splitband.forecasters.names import named
+from splitband.comparison.methods import named
+from splitband.forecasters.baselines import ByTime
 from tests.records import NAN, TRAIN, holed, record, rms, with_gaps
 
 Array = npt.NDArray[np.float64]

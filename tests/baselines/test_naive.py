@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from splitband.baselines.seasonal import LastPeriod, periodic
 from splitband.baselines.sinusoids import SinusoidRegression, harmonic
 from splitband.data.named import double_mass_spring
-from splitband.forecasters.closed_form import ByTime, Persistence
+from splitband.forecasters.baselines import ByTime, Persistence
 from splitband.forecasters.prediction import ForecastContext
 
 Array = npt.NDArray[Any]

@@ -9,7 +9,7 @@ import pytest
 import scipy
 
 from splitband.baselines.sinusoids import MAX_FIT_SAMPLES, Sinusoids, harmonic, trend
-from splitband.forecasters.closed_form import ByTime
+from splitband.forecasters.baselines import ByTime
 from tests.baselines.test_naive import FITS, one_period, repeated
 
 Array = npt.NDArray[Any]

@@ -12,6 +12,7 @@ import scipy
 import splitband as sb
 from benchmarks import residuals
 from splitband.checks.residuals import LAGS, ResidualTests, residual_tests
+from splitband.forecasters.prediction import ForecastContext
 
 Array = npt.NDArray[np.float64]
 
@@ -208,7 +209,7 @@ class Growing(sb.Forecaster):
 
     name = "growing"
 
-    def extrapolate(self, known: sb.ForecastContext) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         return np.asarray(known.y[-1] * 2.0 ** (np.arange(1, known.steps + 1)[:, None] / 100))
 
 

@@ -11,6 +11,7 @@ import scipy
 
 import splitband as sb
 from splitband.checks.responses import respond_over_range
+from splitband.forecasters.prediction import ForecastContext
 
 DT, LATE = 0.1, 4
 A1, A2 = [1.0, -1.2, 0.5], [1.0, -0.9]
@@ -125,7 +126,7 @@ class Swinging(sb.Forecaster):
     needs = frozenset({"inputs"})
     A = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
 
-    def extrapolate(self, known: sb.ForecastContext) -> Any:
+    def extrapolate(self, known: ForecastContext) -> Any:
         assert known.u is not None
         return scipy.signal.lfilter([0.0, 0.1], self.A, known.u[:, :1], axis=0)[len(known.y) :]
 
@@ -155,7 +156,7 @@ class Rooted(sb.Forecaster):
     name = "rooted"
     needs = frozenset({"inputs"})
 
-    def extrapolate(self, known: sb.ForecastContext) -> Any:
+    def extrapolate(self, known: ForecastContext) -> Any:
         assert known.u is not None
         u = known.u[len(known.y) :, 1:]
         return np.where(u < 1, np.nan, u)
@@ -167,7 +168,7 @@ class Squared(sb.Forecaster):
     name = "squared"
     needs = frozenset({"inputs"})
 
-    def extrapolate(self, known: sb.ForecastContext) -> Any:
+    def extrapolate(self, known: ForecastContext) -> Any:
         assert known.u is not None
         return known.u[len(known.y) :] ** 2
 

@@ -45,5 +45,5 @@ def driven_model(workspace: Path) -> Path:
 @pytest.fixture
 def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Candidates of a search are trained for a few steps only."""
-    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_ROUND", 3)
-    monkeypatch.setattr("splitband.evaluation.candidates.FIRST_STEPS", 3)
+    monkeypatch.setattr("splitband.comparison.candidates.FIRST_ROUND", 3)
+    monkeypatch.setattr("splitband.comparison.candidates.FIRST_STEPS", 3)

@@ -284,7 +284,7 @@ def command_line(
         words += [word for option in options for word in option]
         before = files(folder)
         said, complained = io.StringIO(), io.StringIO()
-        quick = patch("splitband.evaluation.plan.BUDGET", 5.0)
+        quick = patch("splitband.comparison.plan.BUDGET", 5.0)
         with chdir(folder), quick, redirect_stdout(said), redirect_stderr(complained):
             status = main(words)
         after = {k: v for k, v in files(folder).items() if k.split("/")[0] != "out"}

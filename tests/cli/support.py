@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 
 from splitband.cli import main
-from splitband.cli.live import Display
-from splitband.evaluation.run import Run
+from splitband.cli.display import Display
+from splitband.comparison.run import Run
 
 Files = dict[str, bytes]
 

@@ -12,10 +12,10 @@ import scipy.signal
 
 from splitband import Record, read
 from splitband.cli.options import RecordOptions, SimulatorOptions
+from splitband.cli.printing import saying
 from splitband.cli.records import load_further, simulator_of
-from splitband.cli.showing import saying
 from splitband.metrics import rmse
-from splitband.simulators.opening import simulated
+from splitband.simulators.open_simulator import simulated
 from tests.cli.support import QUICK, assert_fails, call
 from tests.data.support import SAMPLES, signal, times, write
 from tests.support import edit

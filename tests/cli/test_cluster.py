@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from splitband.cli.live import workers
+from splitband.cli.display import workers
 from tests.cli.support import assert_fails, call, results
 
 dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")

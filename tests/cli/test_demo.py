@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from splitband.cli import demo
+from splitband.comparison.methods import named
 from splitband.data.named import overhead_crane
-from splitband.forecasters.names import named
 from tests.cli.support import call, results
 
 pytestmark = pytest.mark.usefixtures("inside")

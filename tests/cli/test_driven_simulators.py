@@ -8,6 +8,7 @@ import pytest
 import scipy.signal
 
 import splitband as sb
+from splitband.simulators.open_simulator import open_simulator
 from tests.cli.support import assert_fails, call, results
 from tests.simulators.fmus import COMPILES, built
 
@@ -59,12 +60,12 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
     record = sb.read("rig.csv", inputs=["heater", "valve"], columns=["level"])
-    model = sb.Simulation(sb.open_simulator("Plant.fmu", record)).fit(record[:TRAIN])
+    model = sb.Simulation(open_simulator("Plant.fmu", record)).fit(record[:TRAIN])
     found = model.predict(10, u=np.stack([HEATER, VALVE], axis=1)[TRAIN:])
     assert abs(found.y - record.y[TRAIN:][:10]).max() < 1e-6
     other = sb.read("other.csv", inputs=["heater", "opening"], columns=["level"])
     with pytest.raises(ValueError, match=r"inputs, heater, opening, .* it has valve, heater"):
-        sb.open_simulator("Plant.fmu", other)
+        open_simulator("Plant.fmu", other)
 
 
 @needs_gcc
@@ -73,7 +74,7 @@ def test_an_fmu_without_parameters_to_fit_runs_as_it_was_fitted(tmp_path: Path) 
     built(Path("Plant.fmu").resolve(), ["ModelExchange"], inputs=("valve",), output="level")
     past, ahead = (sb.read(f"{part}.csv", inputs=["valve"], columns=["level"])
                    for part in ("past", "ahead"))  # fmt: skip
-    model = sb.GreyBox(sb.Fmu("Plant.fmu", held=True)).fit(past)
+    model = sb.GreyBox(sb.Fmu("Plant.fmu", hold="zoh")).fit(past)
     model.save("model")
     call(
         "simulate model --simulator Plant.fmu --future-inputs ahead.csv --steps 40",

@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 
 import splitband as sb
+from splitband.comparison.clock import Clock
+from splitband.comparison.plan import Plan
 from tests.cli.support import QUICK, SAMPLES, WARMUP, A, B, call, files, results
 from tests.records import rms
 from tests.support import load_model as load
@@ -48,7 +50,7 @@ def test_a_record_too_short_for_intervals_still_has_its_model(
 def test_what_a_deadline_has_changed_is_said_and_stored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def late(plan: sb.Plan, clock: sb.Clock, **_: object) -> sb.Forecaster:
+    def late(plan: Plan, clock: Clock, **_: object) -> sb.Forecaster:
         clock.notes.append("results are of three quarters of it")
         return plan.methods[0].fit(plan.training)
 

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from splitband import TrainingSettings, read
+from splitband.comparison.methods import Sizes
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import Sizes
 from tests.cli.support import QUICK, A, B, assert_fails, call, results, written
 from tests.records import DT, NAN, Setup, rms
 from tests.support import compare, simulated

@@ -10,7 +10,7 @@ import pytest
 
 import splitband as sb
 from splitband.cli import COMMANDS, main
-from splitband.forecasters.names import NAMES
+from splitband.comparison.methods import NAMES
 from tests.cli.support import QUICK, assert_fails, call, complaints, process, results
 
 pytestmark = pytest.mark.usefixtures("inside")

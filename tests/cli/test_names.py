@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli.comparing import Request, planned
 from splitband.cli.options import RecordOptions, names
+from splitband.cli.requests import Request, planned
 from tests.cli.support import DT, FORCE, SAMPLES, assert_fails, call, results
 
 pytestmark = pytest.mark.usefixtures("inside")

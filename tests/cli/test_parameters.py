@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from splitband.cli.comparing import Request, planned
 from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
+from splitband.cli.requests import Request, planned
 from tests.cli.support import assert_fails, call, process, results
 
 PLANT = """
@@ -105,29 +105,33 @@ def test_a_saved_grey_box_simulates_with_its_values(
 def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"fit {RIG} --method grey-box --held --jobs 1", tmp_path / "held")
+    call(f"fit {RIG} --method grey-box --simulator-hold zoh --jobs 1", tmp_path / "held")
     said = capsys.readouterr().out
     assert "warning: the record favours inputs that are interpolated" in said
     assert said.count("the record favours") == 1
     found = results(tmp_path / "held")["parameters"]
-    assert found["held"] is True
-    for held in ("", "--held"):  # without it, too, the saved model is run as it was fitted
+    assert found["hold"] == "zoh"
+    for name, hold in ("ahead", ""), ("zoh", "--simulator-hold zoh"):  # as fitted without it, too
         call(f"simulate {tmp_path}/held --history history.csv --future-inputs coming.csv --steps 5 "
-             f"--simulator plant.py:lag {held}", tmp_path / f"ahead{held}.csv")  # fmt: skip
-    assert (tmp_path / "ahead.csv").read_text() == (tmp_path / "ahead--held.csv").read_text()
+             f"--simulator plant.py:lag {hold}", tmp_path / f"{name}.csv")  # fmt: skip
+    assert (tmp_path / "ahead.csv").read_text() == (tmp_path / "zoh.csv").read_text()
     capsys.readouterr()
     call(f"fit {RIG} --method grey-box --jobs 1", tmp_path / "straight")
     assert "the record favours" not in capsys.readouterr().out
-    line = f"check {tmp_path}/straight --record record.csv --simulator plant.py:lag --held"
-    says = ("--simulator must have held=False",)
+    given = "--record record.csv --simulator plant.py:lag --simulator-hold zoh"
+    line = f"check {tmp_path}/straight {given}"
+    says = ("--simulator must have hold='linear'",)
     assert_fails(f"{line} --out {tmp_path}/check", says, capsys)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("--simulator plant.py:decay --parameters level=1 --held", "the inputs alone"),
-        ("--held", "must be given where --held is"),
+        (
+            "--simulator plant.py:decay --parameters level=1 --simulator-hold zoh",
+            "the inputs alone",
+        ),
+        ("--simulator-hold zoh", "must be given where --simulator-hold is"),
         ("--simulator plant.py:lag --parameters rate=1:x", "parameters must be given as NAME="),
         ("--simulator plant.py:lag --parameters rate=0.1:1", "how many states"),
         ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),

@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 import splitband as sb
-from splitband.cli.live import in_place
-from splitband.evaluation.run import Run
+from splitband.cli.display import in_place
+from splitband.comparison.clock import Clock
+from splitband.comparison.run import Run
 from splitband.report import results as written
 from splitband.runtime.outputs import FACTS, LOCK
 from tests.cli.support import assert_fails, call, files, results, watched
@@ -162,11 +163,11 @@ def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
 
 
 def test_the_time_left_is_that_to_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = sb.Clock(120.0, writing=2.0)
-    for module in ("runtime.deadlines", "evaluation.clock"):
+    clock = Clock(120.0, writing=2.0)
+    for module in ("runtime.deadlines", "comparison.clock"):
         monkeypatch.setattr(f"splitband.{module}.now", lambda: clock.began + 65.0)
     assert clock.left_in_words() == "0:53 left of 2:00"
-    assert sb.Clock(began=clock.began).left_in_words() == "1:05 so far"
+    assert Clock(began=clock.began).left_in_words() == "1:05 so far"
 
 
 def test_a_notebook_whose_cursor_only_moves_on_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import splitband as sb
 from splitband.cli import main
-from splitband.simulators.opening import open_simulator, simulated
+from splitband.simulators.open_simulator import open_simulator, simulated
 from tests.simulators.fmus import COMPILES, built
 
 pytestmark = pytest.mark.filterwarnings("ignore::splitband.data.signals.ReadingWarning")

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband.cli.comparing import Request, planned
 from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
+from splitband.cli.requests import Request, planned
+from splitband.comparison.plan import plan
 from tests.cli.support import QUICK, SIMULATED, TRAIN, WARMUP, A, call, results
 from tests.records import rms
 
@@ -31,7 +32,7 @@ def test_python_takes_what_the_command_line_names(simulator: str) -> None:
         calibrate=simulator != "periodic",
     )  # fmt: skip
     record = sb.read("record.csv", columns="a")
-    found = sb.plan(record, None, methods, simulator=simulator, calibrate=asked.calibrate)
+    found = plan(record, None, methods, simulator=simulator, calibrate=asked.calibrate)
     expected = planned(asked)
     assert found.names == expected.names
     assert found.bands.cutoff == expected.bands.cutoff

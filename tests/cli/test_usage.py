@@ -10,7 +10,8 @@ import pytest
 import splitband as sb
 from splitband.cli import main
 from splitband.cli.usage import usage
-from splitband.evaluation.plan import Plan
+from splitband.comparison.methods import named
+from splitband.comparison.plan import Plan
 
 GIVEN = {
     "record": "my rig.csv", "inputs": "force", "columns": None, "gaps": "mask", "cutoff": "auto",
@@ -35,9 +36,9 @@ def said(command: str) -> list[str]:
 
 def test_the_trained_model_is_simulated_with_what_was_given() -> None:
     """What decides how a network is trained is in the folder; the record and the device are not."""
-    found = usage("compare", GIVEN, OUT, planned(1), sb.named("gru"))
+    found = usage("compare", GIVEN, OUT, planned(1), named("gru"))
     (_, simulate), (_, fit), (_, export), (_, checked), (_, python) = found.commands
-    without_stamps = usage("compare", GIVEN, OUT, planned(1, None), sb.named("gru"))
+    without_stamps = usage("compare", GIVEN, OUT, planned(1, None), named("gru"))
     assert "--future-inputs FILE" in without_stamps.commands[-2][1]
     assert export == "splitband export out/model model.fmu"
     assert said(checked) == said("splitband check out/model --gaps mask --record later.csv")
@@ -56,7 +57,7 @@ def test_the_trained_model_is_simulated_with_what_was_given() -> None:
 
 def test_the_check_of_the_page_reads_the_test_record_as_it_was_read() -> None:
     given = {**GIVEN, "skip_rows": 2, "missing": "Bad,-9", "time_column": "when"}
-    (checked,) = [c for _, c in usage("compare", given, OUT, planned(), sb.named("gru")).commands
+    (checked,) = [c for _, c in usage("compare", given, OUT, planned(), named("gru")).commands
                   if " check " in c]  # fmt: skip
     words = " ".join(said(checked))
     assert "--gaps mask --time-column when --missing Bad,-9 --skip-rows 2" in words
@@ -65,7 +66,7 @@ def test_the_check_of_the_page_reads_the_test_record_as_it_was_read() -> None:
 def test_rounds_of_a_search_are_left_out_for_a_method_that_is_not_trained() -> None:
     given = {**GIVEN, "rounds": 1}
     for method in ("mean", "gru"):
-        commands = dict(usage("compare", given, OUT, planned(), sb.named(method)).commands)
+        commands = dict(usage("compare", given, OUT, planned(), named(method)).commands)
         assert "--rounds" not in commands["Fit it to the whole record"]
 
 
@@ -73,7 +74,7 @@ def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
     given = {"record": "rig.csv", "simulator": "rig.fmu", "simulator_columns": "y",
              "simulator_start": "record", "simulator_timeout": 600.0}  # fmt: skip
     for method, asked in (("filtered-gru", True), ("gru", False), ("linear", False)):
-        (_, simulate), *_ = usage("compare", given, OUT, planned(), sb.named(method)).commands
+        (_, simulate), *_ = usage("compare", given, OUT, planned(), named(method)).commands
         words = " ".join(said(simulate))
         opened = "--simulator rig.fmu --simulator-columns y --simulator-start record --steps"
         assert (opened in words) == asked
@@ -81,7 +82,7 @@ def test_only_a_model_that_asks_for_a_simulator_is_simulated_with_one() -> None:
 
 def test_a_record_that_the_command_made_has_a_name_for_the_others() -> None:
     made = planned(1, name="overhead-crane")
-    found = usage("demo", {"out": "demo"}, OUT, made, sb.named("harmonic"))
+    found = usage("demo", {"out": "demo"}, OUT, made, named("harmonic"))
     (_, simulate), (_, command), *_ = found.commands
     assert "--future-inputs overhead-crane" in simulate
     assert command.startswith("splitband fit overhead-crane --method harmonic")

@@ -8,6 +8,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.forecasters.prediction import ForecastContext
 
 DT = 0.1
 RNG = np.random.default_rng(0)
@@ -43,7 +44,7 @@ class WithTrend(sb.Forecaster):
 
     name = "with-trend"
 
-    def extrapolate(self, known: sb.ForecastContext) -> dict[str, np.ndarray]:
+    def extrapolate(self, known: ForecastContext) -> dict[str, np.ndarray]:
         ones = np.ones((known.steps, 1))
         return {"trend": 2 * ones, "season": 3 * ones}
 

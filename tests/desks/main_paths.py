@@ -61,7 +61,7 @@ def results(folder: str) -> dict[str, Any]:
 def main_paths() -> None:
     """Compare on two cores, with a simulator in its own process; forecast, fit, use, export."""
     import splitband as sb  # noqa: PLC0415  as above
-    from splitband.evaluation import candidates  # noqa: PLC0415
+    from splitband.comparison import candidates  # noqa: PLC0415
 
     candidates.FIRST_STEPS = candidates.FIRST_ROUND = 3  # a round takes a moment
     given = ["rig.csv", "--inputs", "force"]

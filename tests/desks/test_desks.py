@@ -11,7 +11,7 @@ import pytest
 from splitband.runtime import system
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import locked, staged, write_facts
-from splitband.simulators import code
+from splitband.simulators import user_code
 
 HERE = Path(__file__).parent
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Windows is pretended on Linux")
@@ -166,5 +166,5 @@ def test_a_result_that_is_open_elsewhere_is_told_first_and_stays_whole(
 
 def test_compiled_modules_of_python_are_not_the_users(tmp_path: Path) -> None:
     """On Windows they lie in a folder of their own."""
-    assert not code._of_the_user(Path(sys.base_prefix).resolve() / "DLLs" / "_ssl.pyd")
-    assert code._of_the_user(tmp_path.resolve() / "rig.py")
+    assert not user_code._of_the_user(Path(sys.base_prefix).resolve() / "DLLs" / "_ssl.pyd")
+    assert user_code._of_the_user(tmp_path.resolve() / "rig.py")

@@ -146,7 +146,7 @@ def test_samples_are_those_that_are_measured() -> None:
 def test_what_has_no_casadi_function_is_named() -> None:
     record = free()
     conditioned = sb.Filtered(None, sb.GRU(3), BANDS, conditioned=True, settings=SHORT)
-    rnn = sb.Single(sb.EulerMLP(hidden_size=5, recognition_size=4), SHORT)
+    rnn = sb.Single(sb.networks.EulerMLP(hidden_size=5, recognition_size=4), SHORT)
     for model, message in ((conditioned, "looks one sample ahead"), (rnn, "an EulerMLP cannot")):
         with pytest.raises(ValueError, match=message):
             sb.casadi_step(model.fit(record[:150]))

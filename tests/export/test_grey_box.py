@@ -55,7 +55,7 @@ EQUATIONS: dict[str, Callable[[], sb.Ode]] = {
         stiffening, [0.1, 0.0], parameters=RANGES, tolerances=EXACT
     ),
     "held inputs": lambda: sb.Ode(
-        stiffening, [0.1, 0.0], parameters=RANGES, held=True, tolerances=EXACT
+        stiffening, [0.1, 0.0], parameters=RANGES, hold="zoh", tolerances=EXACT
     ),
     "time, and an array that is written to": lambda: sb.Ode(
         timed, [0.0, 0.0], parameters={"k": (0.5, 5.0)}, tolerances=EXACT, start=3.0
@@ -166,9 +166,9 @@ def test_a_hybrid_contains_the_equation_of_its_grey_box(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 4])
-@pytest.mark.parametrize("held", [False, True])
-def test_equal_steps_are_those_of_the_solver(count: int, held: bool) -> None:
-    ode = sb.Ode(timed, [0.3, 0.1], parameters={"k": 2.0}, held=held).matched(["y"], ["u"])
+@pytest.mark.parametrize("hold", ["linear", "zoh"])
+def test_equal_steps_are_those_of_the_solver(count: int, hold: Any) -> None:
+    ode = sb.Ode(timed, [0.3, 0.1], parameters={"k": 2.0}, hold=hold).matched(["y"], ["u"])
     time, u = 0.1 * np.arange(20.0), inputs(20)
     y, x = ode.stepped({"k": 2.0}, None, time, u, count)
     steps, now = FixedSteps(ode, {"k": 2.0}, 0.1, count), x[0]
@@ -226,7 +226,7 @@ def multiples(x: Any, u: Any, _: Any) -> Any:
 
 @pytest.mark.parametrize("observe", [flags, jump, multiples])
 def test_flags_jumps_and_multiples_are_those_of_numpy(observe: Any, tmp_path: Path) -> None:
-    ode = sb.Ode(lagging, [0.1], observe, {"k": (0.5, 5.0)}, tolerances=EXACT, held=True)
+    ode = sb.Ode(lagging, [0.1], observe, {"k": (0.5, 5.0)}, tolerances=EXACT, hold="zoh")
     u = np.repeat(np.random.default_rng(0).integers(0, 2, 16), 10).astype(float)[:, None]
     columns = [f"y{i}" for i in range(len(observe(np.zeros((1, 1)), np.zeros((1, 1)), None)[0]))]
     y = np.asarray(

@@ -9,7 +9,7 @@ import pandas as pd
 
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, TrainingSettings
-from splitband.forecasters.names import QUICK, Sizes
+from splitband.comparison.methods import QUICK, Sizes
 from tests.records import Setup
 
 Array = npt.NDArray[np.float64]

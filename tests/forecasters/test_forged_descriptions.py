@@ -21,7 +21,7 @@ SHORT = sb.TrainingSettings.paper(window=30, warmup=12, epochs=1)
 BANDS = sb.Bands(0.5, 1, 2)
 MADE: dict[str, Any] = {
     "single": lambda: sb.Single(sb.GRU(2), SHORT),
-    "rnn": lambda: sb.Single(sb.EulerMLP(hidden_size=4, recognition_size=3), SHORT),
+    "rnn": lambda: sb.Single(sb.networks.EulerMLP(hidden_size=4, recognition_size=3), SHORT),
     "split": lambda: sb.Split(sb.GRU(2), sb.GRU(3), BANDS, settings=SHORT),
     "ensemble": lambda: sb.Ensemble(sb.Single(sb.GRU(2), SHORT), 2),
     "residual": lambda: sb.Residual(sb.Periodic(), sb.GRU(2), settings=SHORT),

@@ -10,8 +10,9 @@ import pytest
 from torch import nn
 
 import splitband as sb
-from splitband import ForecastContext, Forecaster, Record
-from splitband.forecasters.names import NAMES
+from splitband import Forecaster, Record
+from splitband.comparison.methods import NAMES, named
+from splitband.forecasters.prediction import ForecastContext
 
 SETTINGS = sb.TrainingSettings.paper(
     40, 10, 3, lbfgs_iterations=20, clip=1.0, milestones=((2, 1e-4),)
@@ -21,7 +22,7 @@ BANDS = sb.Bands(0.5, 2, 3)
 MADE: dict[str, Forecaster] = {
     "single": sb.Single(sb.GRU(5), SETTINGS),
     "sized": sb.Single(sb.GRU(5, ny=2, nu=1), SETTINGS, "my 'first', best = network"),
-    "rnn": sb.Single(sb.EulerMLP(state_size=7, hidden_size=9, step_size=0.25), SETTINGS),
+    "rnn": sb.Single(sb.networks.EulerMLP(state_size=7, hidden_size=9, step_size=0.25), SETTINGS),
     "split": sb.Split(sb.GRU(2), sb.GRU(3), BANDS, filter_output=True, settings=SETTINGS),
     "open bands": sb.Split(sb.GRU(2), sb.GRU(3), conditioned=True, settings=SETTINGS),
     "filtered": sb.Filtered(sb.Calibrated(), sb.GRU(4), BANDS, settings=SETTINGS),
@@ -76,7 +77,7 @@ def record() -> Record:
 
 def seen(value: object) -> Any:
     """All that a forecaster was made with, and is."""
-    if isinstance(value, sb.GRU | sb.EulerMLP):
+    if isinstance(value, sb.GRU | sb.networks.EulerMLP):
         sizes = "ny", "nu", "warmup", "hidden_size", "state_size", "recognition_size", "step_size"
         return type(value), [getattr(value, name, None) for name in sizes]
     if isinstance(value, Forecaster):
@@ -173,10 +174,10 @@ def test_an_option_that_is_not_kept_is_named() -> None:
 class NonLinear(sb.Forecaster):
     name = "nonlinear"
 
-    def trajectory(self, known: sb.ForecastContext) -> npt.NDArray[np.float64]:
+    def trajectory(self, known: ForecastContext) -> npt.NDArray[np.float64]:
         return np.zeros((len(known.y) + known.steps, 1))
 
-    def extrapolate(self, known: sb.ForecastContext) -> npt.NDArray[np.float64]:
+    def extrapolate(self, known: ForecastContext) -> npt.NDArray[np.float64]:
         return self.trajectory(known)[len(known.y) :]
 
 
@@ -212,10 +213,10 @@ def test_every_name_is_that_of_its_object() -> None:
 
 
 def test_a_model_of_bands_says_its_cut_off_once_it_is_known() -> None:
-    assert sb.named("filtered-gru").in_words() == "simulator in the low band, GRU in the high band"
+    assert named("filtered-gru").in_words() == "simulator in the low band, GRU in the high band"
     model = sb.Filtered(None, sb.GRU(4), sb.Bands(0.15, 1, 1), conditioned=True)
     assert model.in_words() == "simulator below 0.15 Hz, GRU above"
-    assert sb.named("residual-gru-calibrated").in_words() == "calibrated simulator + GRU"
+    assert named("residual-gru-calibrated").in_words() == "calibrated simulator + GRU"
 
 
 def test_words_are_short_enough_for_a_legend() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 import splitband as sb
 from splitband import GRU, Forecaster, Record
+from splitband.comparison.methods import named
 from tests.forecasters.support import (
     DT,
     LENGTH,
@@ -109,7 +110,7 @@ def mean() -> Forecaster:
             lambda: fitted("simulator").predict(2, y_sim=[1.0, np.nan]),
             "y_sim must hold finite numbers",
         ),
-        (lambda: sb.named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
+        (lambda: named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),
     ],
 )
 def test_errors_say_what_is_wrong(call: Callable[[], Any], message: str) -> None:

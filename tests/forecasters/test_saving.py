@@ -21,6 +21,7 @@ from torch import nn
 
 import splitband as sb
 from splitband.forecasters import saving
+from splitband.forecasters.prediction import ForecastContext
 from tests.streams import Leaky
 from tests.support import edit
 
@@ -105,7 +106,7 @@ class OwnForecaster(sb.Forecaster):
         self.found = {"levels": (np.array([[np.nan, 2.0]]), float("inf")), "day": None}
         self.of_inner = self.inner.clone().fit(*records)
 
-    def extrapolate(self, known: sb.ForecastContext) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         parts = self.of_inner.extrapolate(known)
         values = sum(parts.values()) if isinstance(parts, dict) else parts
         return self.factor * np.asarray(values)
@@ -179,7 +180,7 @@ class LastTwenty(sb.Forecaster):
     def learn(self, records: Any, **_: Any) -> None:
         self.kept = type(self).value
 
-    def extrapolate(self, known: sb.ForecastContext) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         return np.tile(known.y[-20:].mean(axis=0), (known.steps, 1))
 
 

@@ -5,6 +5,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
+from splitband.forecasters.prediction import ForecastContext
 from tests.streams import BANDS, SHORT, WITH_INPUTS, WITHOUT, driven, fitted, free, rows
 
 Array = npt.NDArray[np.float64]
@@ -80,7 +81,7 @@ class Twice(sb.Forecaster):
 
     name = "twice"
 
-    def extrapolate(self, known: sb.ForecastContext) -> Array:
+    def extrapolate(self, known: ForecastContext) -> Array:
         return np.tile(2 * known.y[-1], (known.steps, 1))
 
 

@@ -18,7 +18,7 @@ from numba.core.dispatcher import Dispatcher
 
 import splitband
 from splitband import kernels
-from splitband.evaluation.jobs import every_kernel
+from splitband.comparison.jobs import every_kernel
 from splitband.filters import tensors
 from splitband.kernels import common, rollouts
 from splitband.kernels import matmul as products

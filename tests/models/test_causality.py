@@ -8,9 +8,10 @@ import pytest
 import scipy.signal
 import torch
 
-from splitband import GRU, ComplementaryPair, EulerMLP
+from splitband import GRU, ComplementaryPair
 from splitband.filters import butterworth
 from splitband.models import Filtered, FilteredHigh, Model, Recurrent, Residual, Signals, Split
+from splitband.networks import EulerMLP
 from tests.support import Scripted
 from tests.support import simulated as summed
 

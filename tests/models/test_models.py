@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from splitband import GRU, ComplementaryPair, Record
+from splitband.comparison.backtest import first_origin
 from splitband.filters import butterworth
-from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.held_out import Origin
 from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
 from splitband.training import fit

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from splitband import Record, TrainingSettings
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.run import compare
-from splitband.evaluation.search import Attempt
-from splitband.forecasters.backtest import Fit
+from splitband.comparison.backtest import Fit
+from splitband.comparison.result import Comparison
+from splitband.comparison.run import compare
+from splitband.comparison.search import Attempt
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport
 

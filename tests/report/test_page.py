@@ -15,7 +15,7 @@ from bokeh.models import HoverTool
 
 import splitband as sb
 from splitband import Record
-from splitband.evaluation.comparison import Comparison
+from splitband.comparison.result import Comparison
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.report.numbers import number

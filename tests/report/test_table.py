@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from splitband import rmse
-from splitband.cli import showing
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.recommendation import WORTH_TRAINING
+from splitband.cli import printing
+from splitband.comparison.recommendation import WORTH_TRAINING
+from splitband.comparison.result import Comparison
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words
 from splitband.report.environment import environment
@@ -58,9 +58,9 @@ def column(comparison: Comparison, heading: str, channel: str = "") -> Column:
 
 def printed(comparison: Comparison, width: int = 400) -> str:
     """Return the table as a terminal of this width shows it."""
-    with showing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(showing.console, "width", width)
-        showing.table(of_comparison(comparison))
+    with printing.console.capture() as captured, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(printing.console, "width", width)
+        printing.table(of_comparison(comparison))
     return captured.get()
 
 

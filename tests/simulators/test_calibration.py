@@ -7,12 +7,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from splitband import Record, plan
+from splitband import Record
+from splitband.comparison.methods import named
+from splitband.comparison.plan import plan
 from splitband.data import drill_string
 from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.learned import Filtered, Residual
-from splitband.forecasters.names import named
+from splitband.forecasters.hybrid import Filtered, Residual
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import ExtrapolationWarning, rmse
 from splitband.simulators import Recorded

@@ -67,9 +67,9 @@ def robertson() -> Array:
     return np.asarray(solved.y[0])
 
 
-def fmu(*kinds: str, held: bool = False, **how: Any) -> Callable[[Path], sb.Fmu]:
+def fmu(*kinds: str, hold: Any = "linear", **how: Any) -> Callable[[Path], sb.Fmu]:
     """An FMU of these kinds, by default for co-simulation, see `built`."""
-    return lambda at: sb.Fmu(built(at, kinds or ("CoSimulation",), **how), held=held)
+    return lambda at: sb.Fmu(built(at, kinds or ("CoSimulation",), **how), hold=hold)
 
 
 def ode(**how: Any) -> Callable[[Path], sb.Ode]:
@@ -101,7 +101,7 @@ TABLE: dict[str, Row] = {
     ),
     "model exchange": (fmu(EXCHANGE), {"u": WAVE}, lambda: lag(WAVE, False), 2e-6),
     "model exchange, inputs held": (
-        fmu(EXCHANGE, held=True), {"u": STEPS}, lambda: lag(STEPS), 1e-6,
+        fmu(EXCHANGE, hold="zoh"), {"u": STEPS}, lambda: lag(STEPS), 1e-6,
     ),
     "both kinds, with feedthrough": (
         fmu("CoSimulation", EXCHANGE, out=THROUGH, mode=1),
@@ -126,7 +126,7 @@ TABLE: dict[str, Row] = {
         fmu(EXCHANGE, version=3), {"u": WAVE}, lambda: lag(WAVE, False), 2e-6,
     ),
     "equation": (ode(), {"u": WAVE}, lambda: lag(WAVE, False), 1e-6),
-    "equation, inputs held": (ode(held=True), {"u": STEPS}, lambda: lag(STEPS), 1e-6),
+    "equation, inputs held": (ode(hold="zoh"), {"u": STEPS}, lambda: lag(STEPS), 1e-6),
     "stiff equation": (
         lambda _: sb.Ode(stiff, [1.0, 0.0, 0.0], method="BDF"), {"u": 0.1 + 0.1 * GATE},
         robertson, 1e-4,

@@ -111,23 +111,25 @@ def driven(t: float, x: Any, u: Any, p: Any) -> list[float]:
     return [(p.gain * u[0] - x[0]) / p.lag]
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_inputs_are_held_or_interpolated(held: bool) -> None:
+@pytest.mark.parametrize(("hold", "other"), [("zoh", "linear"), ("linear", "zoh")])
+def test_inputs_are_held_or_interpolated(hold: Any, other: Any) -> None:
     """As SciPy's linear systems have it: zero-order and first-order hold; the wrong one is told."""
     u = np.random.default_rng(0).normal(size=100)
     time = DT * np.arange(100)
-    _, y, _ = scipy.signal.lsim(([[-2.0]], [[6.0]], [[1.0]], [[0.0]]), u, time, interp=not held)
-    simulator = sb.Ode(driven, [0.0], held=held, parameters={"gain": (0, 10.0), "lag": (0.1, 2.0)})
+    _, y, _ = scipy.signal.lsim(
+        ([[-2.0]], [[6.0]], [[1.0]], [[0.0]]), u, time, interp=hold == "linear"
+    )
+    simulator = sb.Ode(driven, [0.0], hold=hold, parameters={"gain": (0, 10.0), "lag": (0.1, 2.0)})
     found = identify(simulator, sb.Record(y, DT, u=u), effort=FEW)
     assert found.values == pytest.approx({"gain": 3.0, "lag": 0.5}, rel=1e-4)
     assert not found.doubt
     noisy = sb.Record(y + np.random.default_rng(1).normal(0, 0.1, 100), DT, u=u)
-    model = sb.GreyBox(replace(simulator, held=not held), starts=1).fit(noisy)
-    assert f"the record favours inputs that are {'held' if held else 'inter'}" in str(
+    model = sb.GreyBox(replace(simulator, hold=other), starts=1).fit(noisy)
+    assert f"the record favours inputs that are {'held' if hold == 'zoh' else 'inter'}" in str(
         model.estimate
     )
     known = replace(model.simulator, parameters=dict(found.values))
-    assert f"held={held}" in identify(known, noisy).doubt
+    assert f"hold={hold!r}" in identify(known, noisy).doubt
     with pytest.warns(ExtrapolationWarning, match="the record favours"):
         model.predict(1, u=[[0.0]])
 

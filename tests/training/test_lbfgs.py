@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from splitband import Record, Single, StateSpace, TrainingSettings
 from splitband.runtime.deadlines import Deadline
-from splitband.training import fit, lbfgs_iterations
-from splitband.training.lbfgs import QuasiNewton, end_to_end
+from splitband.training import fit, lbfgs
+from splitband.training.lbfgs import Lbfgs, end_to_end
 from tests.records import SETUP, TRAIN, holed, record, standing_in
 from tests.streams import Leaky
 from tests.support import slowed, untrained
@@ -24,7 +24,7 @@ def rosenbrock(at: nn.Parameter) -> Tensor:
     return (100 * (at[1:] - at[:-1] ** 2) ** 2 + (1 - at[:-1]) ** 2).sum()
 
 
-def run(finish: QuasiNewton, rounds: int = 30) -> list[float]:
+def run(finish: Lbfgs, rounds: int = 30) -> list[float]:
     found: list[float] = []
     while not finish.settled and len(found) < rounds:
         found.append(finish.round())
@@ -34,7 +34,7 @@ def run(finish: QuasiNewton, rounds: int = 30) -> list[float]:
 def test_it_finds_the_minimum_that_scipy_finds() -> None:
     begin = np.array([-1.2, 1.0, 0.5, 2.0])
     at = nn.Parameter(torch.tensor(begin))
-    losses = run(QuasiNewton([at], lambda: rosenbrock(at)))
+    losses = run(Lbfgs([at], lambda: rosenbrock(at)))
     assert losses == sorted(losses, reverse=True)  # a round never raises the error
     expected = scipy.optimize.minimize(scipy.optimize.rosen, begin, method="BFGS", tol=1e-10).x
     np.testing.assert_allclose(at.detach().numpy(), expected, atol=1e-5)
@@ -46,7 +46,7 @@ def test_where_the_error_is_not_finite_the_weights_stay() -> None:
     def fails_below_two() -> Tensor:
         return torch.where(at > 2, at**2, torch.nan * at).sum()
 
-    finish = QuasiNewton([at], fails_below_two)
+    finish = Lbfgs([at], fails_below_two)
     run(finish)
     assert finish.settled
     assert at.item() > 2
@@ -59,7 +59,7 @@ def test_a_first_step_that_ends_at_an_infinite_slope_is_made_shorter() -> None:
     def grows_without_bound() -> Tensor:
         return torch.sum(1000 * (w - 1) ** 2 + torch.exp(1e5 * (w - 0.99912)))
 
-    finish = QuasiNewton([w], grows_without_bound)
+    finish = Lbfgs([w], grows_without_bound)
     for _ in range(3):
         error = finish.round()
     assert error < 1
@@ -72,7 +72,7 @@ def test_every_sample_after_the_first_warmup_is_in_a_window(
     samples: int, window: int, warmup: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for halved in (0, 10_000):
-        monkeypatch.setattr(lbfgs_iterations, "MAX_WINDOWS_WITH_OVERLAP", halved)
+        monkeypatch.setattr(lbfgs, "MAX_WINDOWS_WITH_OVERLAP", halved)
         chosen = end_to_end(torch.arange(samples - window + 1), window, warmup, 10_000)
         predicted = {n for start in chosen.tolist() for n in range(start + warmup, start + window)}
         assert predicted == set(range(warmup, samples))
@@ -137,7 +137,7 @@ class InFloat32(Leaky):
 def test_a_cell_that_computes_in_float32_alone_ends_where_it_settles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(lbfgs_iterations, "CONVERGED", 1.0)
+    monkeypatch.setattr(lbfgs, "CONVERGED", 1.0)
     fitted = Single(InFloat32(), replace(RECIPE, epochs=1, lbfgs_iterations=200)).fit(
         record()[:TRAIN]
     )
@@ -162,7 +162,7 @@ def test_a_round_that_a_deadline_cuts_keeps_the_best_weights(
     clock = slowed(monkeypatch, 1.0)
     at = nn.Parameter(torch.tensor([-1.2, 1.0], dtype=torch.float64))
     before = float(rosenbrock(at).detach())
-    finish = QuasiNewton([at], lambda: rosenbrock(at), Deadline(clock.at + 12))
+    finish = Lbfgs([at], lambda: rosenbrock(at), Deadline(clock.at + 12))
     reached = finish.round()
     assert finish.cut
     assert reached == pytest.approx(float(rosenbrock(at).detach()) ** 0.5)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splitband import GRU, Record
-from splitband.evaluation.plan import plan
+from splitband.comparison.plan import plan
 from splitband.forecasters.held_out import Origin
 from splitband.models import Recurrent
 from splitband.training.windows import joined, select, windows, windows_in

@@ -130,9 +130,9 @@ def splitband(
     ] = False,
 ) -> None:
     """Set what holds for every command."""
-    from splitband.cli import showing  # noqa: PLC0415  which loads what commands need
+    from splitband.cli import printing  # noqa: PLC0415  which loads what commands need
 
-    context.with_resource(showing.saying(quiet, json, verbose))
+    context.with_resource(printing.saying(quiet, json, verbose))
 
 
 GONE = {

@@ -9,7 +9,7 @@ import typer
 
 from splitband.checks import model as checks
 from splitband.checks.responses import respond_over_range
-from splitband.cli import options, records, showing
+from splitband.cli import options, printing, records
 from splitband.cli.usage import checking, command_of
 from splitband.forecasters.loading import load
 from splitband.report import results, tables
@@ -45,16 +45,16 @@ def check(
     past = records.history_of(record, "--record", model, files)
     model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
     model.to(device)
-    with showing.warnings_as_lines():
+    with printing.warnings_as_lines():
         found = checks.check(model, past)
         responses = respond_over_range(model)
     facts = command_of(context)
     used = Usage(asked=checking(facts["arguments"]))
     results.save_check(found, out, model, responses, facts, used)
     for line in str(found).splitlines():
-        showing.console.print(line)
+        printing.console.print(line)
     for remark in responses[0].remarks if responses else ():
-        showing.warn(remark)
+        printing.warn(remark)
     for gains in tables.of_gains(responses):
-        showing.table(gains)
-    showing.results_of(out)
+        printing.table(gains)
+    printing.results_of(out)

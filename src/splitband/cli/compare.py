@@ -8,13 +8,13 @@ from pathlib import Path
 
 import typer
 
-from splitband.cli import INTERRUPTED, options, showing
-from splitband.cli.comparing import Request, planned
-from splitband.cli.live import running, workers
+from splitband.cli import INTERRUPTED, options, printing
+from splitband.cli.display import running, workers
+from splitband.cli.requests import Request, planned
 from splitband.cli.usage import command_of, usage
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.run import run
+from splitband.comparison.plan import Plan
+from splitband.comparison.result import Comparison
+from splitband.comparison.run import run
 from splitband.forecasters.base import titled
 from splitband.forecasters.network import Network
 from splitband.report import results, words
@@ -54,8 +54,8 @@ def compare(
     --conditioned add methods.
     """
     if skip_done and (done := finished_comparison(out)) is not None:
-        showing.console.print(f"{out} has a finished comparison of {done}: left alone")
-        showing.facts_of(out)
+        printing.console.print(f"{out} has a finished comparison of {done}: left alone")
+        printing.facts_of(out)
         return
     result = compared(context, planned(asked), out, jobs, cluster)
     if result.interrupted:
@@ -78,27 +78,27 @@ def compared(
 
 def _show(result: Comparison, out: Path, used: Usage) -> None:
     """Print the answer, then the table, then the time; with --verbose the reasons, too."""
-    listed, best, say = of_comparison(result), result.recommended, showing.console.print
+    listed, best, say = of_comparison(result), result.recommended, printing.console.print
     say(f"\nrecommended: {titled(best, listed.label(best))}", style="bold")
     for predicted, said in words.headline(result):
         say(f"{predicted}: {', '.join(said)}", style="bold")
     if result.model.parameters:
         say(f"parameters: {result.fits[best][0].description}")
     for message in words.warnings(result):
-        showing.warn(message)
+        printing.warn(message)
     say(f"trained model: {out / MODEL_FOLDER}/, page: {out / PAGE}\n")
     # The warnings say why a method has no result.
-    showing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))
-    if showing.verbose():
+    printing.table(replace(listed, rows=dict.fromkeys(listed.rows, "")))
+    if printing.verbose():
         _explain(result, listed.labels)
-    showing.use_of(used)
+    printing.use_of(used)
     say(result.clock.in_words())
-    showing.facts_of(out)
+    printing.facts_of(out)
 
 
 def _explain(result: Comparison, called: Mapping[str, str]) -> None:
     """Print why the method is recommended, what its residuals say, and its bands."""
-    plan, say = result.plan, showing.console.print
+    plan, say = result.plan, printing.console.print
     say(" ".join(words.why(result.require_trial(), plan.train, called)))
     for verdict in words.verdicts(result):
         say(f"residual tests: {verdict}")

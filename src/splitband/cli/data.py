@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from rich.table import Column, Table
 
-from splitband.cli import showing
+from splitband.cli import printing
 from splitband.data import PUBLIC, fetch
 from splitband.data.named import RECORDS
 
@@ -24,6 +24,6 @@ def data(
     found = {n: str(fetch(n)) if download else each.description for n, each in PUBLIC.items()}
     for name, each in PUBLIC.items():
         table.add_row(name, found[name], each.licence, f"{each.size / 1000:.0f} kB")
-    showing.console.print(table)
-    showing.console.print(f"named records: {', '.join(RECORDS)}")
-    showing.as_json({"files": found, "named": [*RECORDS]})
+    printing.console.print(table)
+    printing.console.print(f"named records: {', '.join(RECORDS)}")
+    printing.as_json({"files": found, "named": [*RECORDS]})

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import typer
 
-from splitband.cli import options, showing
+from splitband.cli import options, printing
 from splitband.cli.compare import compared
+from splitband.comparison.methods import Sizes
+from splitband.comparison.plan import plan
+from splitband.comparison.result import Comparison
 from splitband.data.named import overhead_crane
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import plan
-from splitband.forecasters.names import Sizes
-from splitband.report.predicted import run_of
+from splitband.report.predictions import run_of
 from splitband.report.tables import labels_of
 
 TRAIN = 2000
@@ -45,7 +45,7 @@ def demo(
     the other commands, as `splitband compare overhead-crane`.
     """
     record = overhead_crane()
-    showing.console.print(
+    printing.console.print(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
         f"{TRAIN} of them for training"
     )
@@ -65,17 +65,19 @@ def _tell(result: Comparison) -> None:
     called, run, step = labels_of(result), run_of(result.record), result.record.sampling_time
     samples = round(STRETCH / step)
     truth = result.record.truth[result.plan.train :]
-    showing.console.print(
+    printing.console.print(
         f"\n{run} of {len(truth) * step:g} s, RMSE of its first and of its last {STRETCH:g} s:"
     )
     for number, (name, what) in enumerate(story, 1):
         left = result.medians[name].ahead - truth
         first, last = (np.sqrt(np.mean(part**2)) for part in (left[:samples], left[-samples:]))
-        showing.console.print(f"{number}. {called[name]}: {first:.2f} m, then {last:.2f} m; {what}")
+        printing.console.print(
+            f"{number}. {called[name]}: {first:.2f} m, then {last:.2f} m; {what}"
+        )
     best = result.recommended
     errors = {name: result.errors(fit).forecast for name, fit in result.medians.items()}
     alone = min(ALONE, key=errors.__getitem__)
-    showing.console.print(
+    printing.console.print(
         f"over the whole {run}: {called[best]} {errors[best]:.2f} m; the best of simulator, "
         f"linear model and network alone ({called[alone]}): {errors[alone]:.2f} m"
     )

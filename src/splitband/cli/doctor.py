@@ -8,10 +8,10 @@ from importlib.util import find_spec
 import torch
 from rich.table import Table
 
-from splitband.cli import showing
+from splitband.cli import printing
+from splitband.comparison.jobs import every_kernel
 from splitband.data import PUBLIC, fetch
 from splitband.data.public import data_folder
-from splitband.evaluation.jobs import every_kernel
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.system import available_cores
@@ -57,8 +57,8 @@ def doctor() -> None:
     for name, value in facts.items():
         pairs = value.items() if isinstance(value, dict) else [("", value)]
         table.add_row(name, "\n".join(f"{key} {said}".strip() for key, said in pairs))
-    showing.console.print(table)
-    showing.as_json(facts)
+    printing.console.print(table)
+    printing.as_json(facts)
 
 
 def _accelerators() -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from splitband.cli import records, showing
+from splitband.cli import printing, records
 from splitband.cli.options import (
     FileOptions,
     History,
@@ -65,9 +65,9 @@ def export(
             forecaster, model_dir, simulator, past, 0, files.time_column
         )
     output_folder(out.parent, "OUT")
-    with showing.warnings_as_lines():
+    with printing.warnings_as_lines():
         written = forecaster.export(out, precision, past if history else None, other_run)
-    showing.console.print(f"{forecaster.name} is written to {', '.join(map(str, written))}")
+    printing.console.print(f"{forecaster.name} is written to {', '.join(map(str, written))}")
     needed, elsewhere = max(forecaster.warmup, 1), "export it with --history"
     cleared = {".c": f"call {out.stem}_clear", ".fmu": "set begin_empty"}.get(out.suffix.lower())
     if holds_equation(forecaster):
@@ -76,13 +76,13 @@ def export(
         elsewhere += ", as its periods count time"
     elif cleared:
         elsewhere = f"{cleared}, and let it observe {needed} measured sample(s) or more"
-    showing.console.print(
+    printing.console.print(
         f"It begins at the end of {history or 'the training record'}; to begin elsewhere, "
         f"{elsewhere}."
     )
     facts: dict[str, Any] = {"model": str(model_dir), "method": forecaster.name}
     facts |= {"precision": precision, "files": [str(file) for file in written]}
     if out.suffix.lower() == ".fmu":
-        showing.console.print(ORDER)
+        printing.console.print(ORDER)
         facts["platforms"] = platforms(out)
-    showing.as_json(facts)
+    printing.as_json(facts)

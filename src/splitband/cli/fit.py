@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
 from rich.progress import Progress as BarOfEpochs
 
-from splitband.cli import options, showing
-from splitband.cli.comparing import Request, planned
-from splitband.cli.live import running, workers
+from splitband.cli import options, printing
+from splitband.cli.display import running, workers
+from splitband.cli.requests import Request, planned
+from splitband.comparison.backtest import first_origin
+from splitband.comparison.run import fit as fit_planned
 from splitband.data.timing import as_json
-from splitband.evaluation.run import fit as fit_planned
 from splitband.forecasters import saving
-from splitband.forecasters.backtest import first_origin
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import held_out_of
 from splitband.metrics import rmse
@@ -121,7 +121,7 @@ def fit(
     described = training_in_words or forecaster.describe()
     for note in dict.fromkeys((*plan.warnings, *report.notes, *doubts, *late)):
         if note not in plan.warnings:
-            showing.warn(note)
+            printing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
     said = f"{forecaster._title}, {described}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
@@ -130,8 +130,8 @@ def fit(
         said += f"; free run over them from the first {begin}: RMSE {error:.4g}"
     if calibration is not None:
         said += f"\nsimulator calibrated: {calibration}"
-    showing.console.print(f"{said}\nmodel: {out}/")
-    showing.results_of(out)
+    printing.console.print(f"{said}\nmodel: {out}/")
+    printing.results_of(out)
 
 
 @contextmanager
@@ -140,7 +140,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
     bar = BarOfEpochs(
         "[progress.description]{task.description}", BarColumn(), TaskProgressColumn(),
         TimeRemainingColumn(), console=Console(stderr=True), transient=True,
-        disable=showing.console.quiet or not sys.stderr.isatty(),
+        disable=printing.console.quiet or not sys.stderr.isatty(),
     )  # fmt: skip
     with bar:
         task = bar.add_task("training", total=1.0)
@@ -155,10 +155,10 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
 def _try_out(forecaster: Forecaster) -> None:
     """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
-        with showing.without_warnings():
+        with printing.without_warnings():
             held_out_of(forecaster)
     except (InputError, FloatingPointError) as error:
-        showing.warn(f"the model has no intervals: {error}")
+        printing.warn(f"the model has no intervals: {error}")
 
 
 def _training_error(forecaster: Forecaster) -> float | None:
@@ -167,6 +167,6 @@ def _training_error(forecaster: Forecaster) -> float | None:
     start = first_origin(record, len(record), forecaster.warmup).at
     if start == len(record):
         return None
-    with showing.without_warnings():
+    with printing.without_warnings():
         y = forecaster.predict(len(record) - start, record[:start]).y
     return rmse(record.y_with_gaps[start:], np.asarray(y))

@@ -9,9 +9,9 @@ import typer
 
 from splitband.cli import INTERRUPTED, options, records
 from splitband.cli.compare import compared
-from splitband.cli.comparing import Request, planned
+from splitband.cli.requests import Request, planned
 from splitband.cli.simulate import predicted
-from splitband.evaluation.recommendation import COVERAGE
+from splitband.comparison.recommendation import COVERAGE
 
 
 @options.with_groups

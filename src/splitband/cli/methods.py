@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from rich.table import Column, Table
 
-from splitband.cli import showing
+from splitband.cli import printing
+from splitband.comparison.methods import NAMES, variants
 from splitband.forecasters.base import all_parts
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.names import NAMES, variants
 
 
 def methods() -> None:
@@ -32,5 +32,5 @@ def methods() -> None:
             name, ", ".join(other.removeprefix(name) for other in others), method.in_words(),
             ", ".join(f"--{each}" for each in sorted(needs)),
         )  # fmt: skip
-    showing.console.print(table)
-    showing.as_json({name: method.in_words() for name, method in NAMES.items()})
+    printing.console.print(table)
+    printing.as_json({name: method.in_words() for name, method in NAMES.items()})

@@ -18,6 +18,7 @@ from splitband.data.signals import Gaps
 from splitband.data.stamps import TIME_NAMES
 from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.errors import InputError
+from splitband.simulators.base import Hold
 from splitband.simulators.named import SIMULATORS
 from splitband.training.settings import Recipe
 
@@ -364,10 +365,13 @@ class SimulatorOptions:
         None, "Communication step of an FMU for co-simulation, which divides the sampling time.",
         "SECONDS", "the step that it declares",
     )  # fmt: skip
-    held: bool = _simulator(
-        False, "Hold its inputs until the next sample (zero-order hold), as a D/A converter does, "
-        "where an equation or an FMU for model exchange interpolates them.", None, True, "--held",
-    )  # fmt: skip
+    simulator_hold: Hold | None = _simulator(
+        None,
+        "How inputs of an equation, or of an FMU for model exchange, run between samples: held "
+        "(zero-order hold), as by a D/A converter, or interpolated.",
+        "zoh|linear",
+        "linear",
+    )
     simulator_timeout: float = _simulator(
         600.0, "Give up on a simulator after this time.", "SECONDS", min=0.0
     )

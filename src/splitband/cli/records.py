@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splitband.cli import showing
+from splitband.cli import printing
 from splitband.cli.options import (
     FileOptions,
     RecordOptions,
@@ -18,6 +18,7 @@ from splitband.cli.options import (
     names,
     periods,
 )
+from splitband.comparison.methods import BASES
 from splitband.data import Record, aligned, read, resampled
 from splitband.data.alignment import reach
 from splitband.data.named import RECORDS
@@ -27,13 +28,12 @@ from splitband.data.signals import described, row_ranges, same_names
 from splitband.data.timing import near_sampling, same_sampling
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import load
-from splitband.forecasters.names import BASES
 from splitband.forecasters.prediction import continued
 from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Recorded, matched
-from splitband.simulators.opening import is_fitted, open_simulator, read_beside, simulated
+from splitband.simulators.open_simulator import is_fitted, open_simulator, read_beside, simulated
 from splitband.simulators.parameters import Adjustable
 
 
@@ -69,7 +69,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
             record = record.clip_outliers(columns=names(reading.clip_outliers))
         if record.measured is not None:
             missing = ~record.complete
-            showing.console.print(
+            printing.console.print(
                 f"{name}: {missing.sum()} of {len(missing)} samples have missing values "
                 f"and are masked: {row_ranges(missing)}"
             )
@@ -87,7 +87,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
 
 def announce(record: Record, name: str) -> None:
     """Print what a record holds, on one line."""
-    showing.console.print(
+    printing.console.print(
         f"{name}: {described(record.columns, record.inputs)}; {len(record)} samples every "
         f"{record.sampling_time:.7g} s"
     )
@@ -138,7 +138,7 @@ def _sampled_like(record: Record, sampling_time: float, what: str) -> Record:
         record.sampling_time, sampling_time, len(record)
     ):
         return record
-    showing.console.print(
+    printing.console.print(
         f"{what}: sampled every {record.sampling_time:.7g} s, interpolated to every "
         f"{sampling_time:.7g} s"
     )
@@ -200,7 +200,7 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
             f"{past.sampling_time:g} s in {file}"
         )
     if past.start is None and record.start is not None:
-        showing.console.print(
+        printing.console.print(
             f"{file}: no time stamps, the training record has some: taken to begin together; "
             "--time-column names the column"
         )
@@ -246,7 +246,7 @@ def inputs_ahead(
     # Linear interpolation, as inputs may jump.
     u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
     if u.note:
-        showing.console.print(f"{file}: {u.note}")
+        printing.console.print(f"{file}: {u.note}")
     if (more := reach(coming.grid, ahead)) > steps:  # for a simulator whose output is late
         ahead = replace(ahead, samples=more)
         u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
@@ -260,11 +260,10 @@ def inputs_ahead(
 def simulator_of(options: SimulatorOptions, record: Record, time_column: str | None = None) -> Any:
     """Return the simulator that the options name, or the name of a baseline; None without any."""
     name, inputs = options.simulator, options.simulator_inputs
-    given = {"--simulator-inputs": inputs is not None, "--held": options.held,
-             "--simulator-start": options.simulator_start is not None,
-             "--simulator-step": options.simulator_step is not None}  # fmt: skip
-    if (name is None or name in BASES) and any(given.values()):
-        option = next(option for option in given if given[option])
+    of_runs = ("inputs", "hold", "start", "step")
+    given = [f"--simulator-{of}" for of in of_runs if vars(options)[f"simulator_{of}"] is not None]
+    if (name is None or name in BASES) and given:
+        option = given[0]
         raise InputError(
             f"--simulator must be given where {option} is, as an .fmu or FILE.py:FUNCTION, got "
             f"{name or 'none'}"
@@ -324,10 +323,10 @@ def with_simulator(
     used, runs = model.parameters.get("used"), ".py:" in options.simulator
     runs |= options.simulator.lower().endswith(".fmu")
     for saved in filter(None, map(description_of, simulations(model)) if runs else ()):
-        held = options.held or bool(saved.held)  # what is not given is as it was
+        hold = options.simulator_hold or saved.hold  # what is not given is as it was
         start = options.simulator_start or (str(saved.start) if saved.start else None)
         step = options.simulator_step or saved.step
-        options = replace(options, held=held, simulator_start=start, simulator_step=step)
+        options = replace(options, simulator_hold=hold, simulator_start=start, simulator_step=step)
     if used is not None:
         if not runs:
             raise InputError(
@@ -344,6 +343,6 @@ def with_simulator(
         if found.start is None:  # it is taken to begin with the history
             found = replace(found, start=past.start)
         if note := found.note(past.grid.after(steps)):
-            showing.console.print(f"{options.simulator}: {note}")
-    with showing.warnings_as_lines():
+            printing.console.print(f"{options.simulator}: {note}")
+    with printing.warnings_as_lines():
         return load(folder, found)

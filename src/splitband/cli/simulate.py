@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from splitband.cli import options, records, showing
+from splitband.cli import options, printing, records
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import load
 from splitband.forecasters.prediction import Prediction
@@ -17,7 +17,7 @@ from splitband.metrics import leaves_range
 from splitband.report.results import write_csv
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import is_stream, output_folder
-from splitband.simulators.opening import trajectory
+from splitband.simulators.open_simulator import trajectory
 
 
 @options.with_groups
@@ -98,7 +98,7 @@ def simulate(
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
-        showing.console.print(begins)
+        printing.console.print(begins)
     forecaster.to(device)
     _make_folder(out)
     known: dict[str, Any] = {"u": u, "level": level, "other_record": other_run}
@@ -106,7 +106,7 @@ def simulate(
         known["history"] = past
     found = predicted(out, history or "the training record", forecaster, steps, **known)
     written = {"model": str(model_dir), "method": forecaster.name, "steps": steps, "file": str(out)}
-    showing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
+    printing.as_json(written | {"leaves_range_after": leaves_range(fitted.y_range, found.y)})
 
 
 def _simulate_beside(
@@ -125,13 +125,13 @@ def _simulate_beside(
         )
     record = records.load_record(name, reading)
     simulator = records.runnable(how, record, reading.time_column)
-    with showing.warnings_as_lines():
+    with printing.warnings_as_lines():
         found = trajectory(record, simulator, steps)
     _make_folder(out)
     write_csv(out, found.to_frame())
-    showing.console.print(f"{len(found)} samples of {how.simulator}: {out}")
+    printing.console.print(f"{len(found)} samples of {how.simulator}: {out}")
     written = {"simulator": how.simulator, "record": name, "samples": len(found)}
-    showing.as_json({**written, "file": str(out)})
+    printing.as_json({**written, "file": str(out)})
 
 
 def _refuse(given: Mapping[str, Any], where: str) -> None:
@@ -150,10 +150,10 @@ def predicted(
     file: Path, after: Path | str, model: Forecaster, steps: int, **known: Any
 ) -> Prediction:
     """Write what a model predicts `after` a record; `known`: further arguments of `predict`."""
-    with showing.without_warnings():
+    with printing.without_warnings():
         found = model.predict(steps, **known)
     write_csv(file, found.to_frame())
-    showing.console.print(f"{steps} samples after {after}: {file}")
+    printing.console.print(f"{steps} samples after {after}: {file}")
     for reason in found.warnings:
-        showing.warn(reason)
+        printing.warn(reason)
     return found

@@ -9,15 +9,15 @@ from typing import Annotated, Any
 
 import typer
 
-from splitband.cli import options, records, showing
+from splitband.cli import options, printing, records
 from splitband.cli.usage import command_of, usage
+from splitband.comparison.checks import check_train
+from splitband.comparison.methods import known
+from splitband.comparison.plan import TRAINING_SHARE, chosen_bands
 from splitband.data import Record
 from splitband.data.named import RECORDS
-from splitband.evaluation.checks import check_train
-from splitband.evaluation.plan import TRAINING_SHARE, chosen_bands
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.names import known
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import results
@@ -25,7 +25,7 @@ from splitband.report.numbers import number, percent
 from splitband.report.table import Column, Table
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators.opening import is_fitted, open_simulator, simulated
+from splitband.simulators.open_simulator import is_fitted, open_simulator, simulated
 
 
 @options.with_groups
@@ -113,16 +113,16 @@ def spectrum(
             f"{bands.downsampling} samples"
         )
     for each in tables:
-        showing.table(each)
+        printing.table(each)
     for line in said:
-        showing.console.print(line)
+        printing.console.print(line)
     for warning in warnings:
-        showing.warn(warning)
+        printing.warn(warning)
     facts |= {"in_words": said, "warnings": warnings}
     asked = command_of(context)
     used = usage(asked["command"], asked["arguments"])
     results.save_spectrum(shown, bands, tables, asked | facts, out, used)
-    showing.results_of(out)
+    printing.results_of(out)
 
 
 def _peaks(record: Record, peaks: Sequence[tuple[float, float]]) -> Table:

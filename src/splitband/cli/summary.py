@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from splitband.cli import showing
+from splitband.cli import printing
 from splitband.report.results import write_csv
 from splitband.report.table import OVER_ALL, Column, Table, Unit
 from splitband.report.tables import COLUMNS
@@ -50,13 +50,13 @@ def summary(
             values.setdefault((heading, of), {})[name] = row[heading]
     keys = sorted(values, key=lambda key: order.index(key[0]))
     columns = [Column(h, units[h], values[h, line], line, ranked=False) for h, line in keys]
-    showing.table(Table("", columns, said, "folder: recommended", lines="record, output"))
+    printing.table(Table("", columns, said, "folder: recommended", lines="record, output"))
     if out is not None:
         if out.suffix == ".csv":
             write_csv(out, pd.DataFrame(rows))
         else:
             write_json(out, rows)
-    showing.as_json(rows)
+    printing.as_json(rows)
 
 
 def _rows(folder: Path, units: dict[str, Unit]) -> list[dict[str, Any]]:

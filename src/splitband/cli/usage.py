@@ -17,10 +17,10 @@ from splitband.cli.options import (
     RecordOptions,
     SimulatorOptions,
 )
+from splitband.comparison.methods import NAMES, TRAINED
+from splitband.comparison.plan import Plan
 from splitband.data.named import RECORDS
-from splitband.evaluation.plan import Plan
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import NAMES, TRAINED
 from splitband.report.page.parts import Usage
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.system import over_lines, quoted

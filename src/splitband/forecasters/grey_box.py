@@ -97,8 +97,8 @@ class GreyBox(Forecaster):
         if self.adjusted is None:
             return {}
         found = {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
-        held = getattr(self.simulator, "held", None)
-        return found if self.u is None or held is None else {**found, "held": held}
+        hold = getattr(self.simulator, "hold", None)
+        return found if self.u is None or hold is None else {**found, "hold": hold}
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for unsuitable records, and where it has no simulator."""

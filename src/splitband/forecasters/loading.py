@@ -31,7 +31,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     ValueError
         When a file is damaged, of another format, or needs a class of your own whose module has
         not been imported; for a folder that holds two forecasters; for a simulator that the
-        forecaster does not need, or whose `start` or `held` is not that of the saved one.
+        forecaster does not need, or whose `start` or `hold` is not that of the saved one.
 
     Warns
     -----

@@ -329,7 +329,7 @@ class SimulatorForecaster(Forecaster):
         else:
             return []
         step = self.require_fitted().record.sampling_time
-        said = self.applied.held(known.steps, step, begin, samples, end)
+        said = self.applied.end_warning(known.steps, step, begin, samples, end)
         return [said] if said else []
 
     def describe(self) -> str:

@@ -41,7 +41,7 @@ def rollout(
     --------
     >>> import torch
     >>> cell = sb.GRU(8)
-    >>> sb.rollout(cell, torch.zeros(2, 5, 1), steps=30).shape
+    >>> sb.networks.rollout(cell, torch.zeros(2, 5, 1), steps=30).shape
     torch.Size([2, 30, 1])
     """
     _check(cell, y_warmup, steps, u)

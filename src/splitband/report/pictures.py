@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from splitband.comparison.result import Comparison
 from splitband.data import Record
-from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import fit_percent, rmse, tenths
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import in_one_offset, number
-from splitband.report.predicted import Predicted, predicted
+from splitband.report.predictions import Predicted, predicted
 from splitband.report.tables import labels_of, ordered
 from splitband.runtime.errors import missing
 from splitband.runtime.files import replacing

@@ -15,19 +15,19 @@ import pandas as pd
 
 from splitband.checks.model import ModelCheck
 from splitband.checks.responses import Responses
+from splitband.comparison.backtest import Fit
+from splitband.comparison.result import Comparison
+from splitband.comparison.run import Run
 from splitband.data import Record
 from splitband.data.timing import as_json
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.run import Run
 from splitband.forecasters import saving
-from splitband.forecasters.backtest import Fit
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import time_header
 from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
-from splitband.report.predicted import Predicted, predicted
+from splitband.report.predictions import Predicted, predicted
 from splitband.report.table import Table
 from splitband.report.tables import columns, tried
 from splitband.runtime.deadlines import now

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.text import Text
 
-from splitband.evaluation.recommendation import by_reason
+from splitband.comparison.recommendation import by_reason
 from splitband.metrics import tenths
 from splitband.report.numbers import aligned, decimals, number, percent
 from splitband.report.page import template

@@ -15,16 +15,16 @@ import numpy as np
 
 from splitband.baselines.uncertainty import NORMAL
 from splitband.checks.responses import Responses
+from splitband.comparison.methods import NAMES
+from splitband.comparison.recommendation import COVERAGE, RULE, Trial
+from splitband.comparison.result import Comparison
+from splitband.comparison.search import Attempt
 from splitband.data import Record
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.recommendation import COVERAGE, RULE, Trial
-from splitband.evaluation.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.linear import Linear
-from splitband.forecasters.names import NAMES
 from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.report.numbers import complex_in_words, percent
-from splitband.report.predicted import Protocol, predicted, run_of, what_was_known
+from splitband.report.predictions import Protocol, predicted, run_of, what_was_known
 from splitband.report.table import Column, Table, Unit
 from splitband.runtime.arrays import Array
 

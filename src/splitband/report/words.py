@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from splitband.checks.residuals import ResidualTests
+from splitband.comparison.checks import repeats_training
+from splitband.comparison.methods import HYBRIDS
+from splitband.comparison.recommendation import WORTH_TRAINING, Trial, by_reason
+from splitband.comparison.result import Comparison
 from splitband.data import Record
-from splitband.evaluation.checks import repeats_training
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.recommendation import WORTH_TRAINING, Trial, by_reason
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
-from splitband.forecasters.names import HYBRIDS
 from splitband.metrics import Extrapolation
 from splitband.report.numbers import number, percent
-from splitband.report.predicted import run_of
+from splitband.report.predictions import run_of
 from splitband.report.tables import columns, labels_of, leaving_range
 
 MIN_HELD_OUT = 20

@@ -26,10 +26,12 @@ from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, saved
-from splitband.simulators.code import check_open, count_arguments
+from splitband.simulators.user_code import check_open, count_arguments
 
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
+Hold = Literal["zoh", "linear"]
+"""How inputs run from one sample to the next: held (zero-order hold), or along a straight line."""
 Any_simulator = TypeVar("Any_simulator")
 
 
@@ -75,6 +77,13 @@ def check_start(start: Any) -> Any:
     if math.isnan(seconds := as_float(start)):
         raise InputError(f'start must be a number of seconds or "record", got {start!r}')
     return seconds
+
+
+def check_hold(hold: Any) -> Any:
+    """Return a simulator's `hold` if it is one, or None; raises ValueError otherwise."""
+    if hold not in (None, "zoh", "linear"):
+        raise InputError(f'hold must be "zoh" or "linear", got {str(hold)[:60]!r}')
+    return hold
 
 
 def is_driven(simulator: Any) -> bool:
@@ -303,7 +312,7 @@ class Absent:
     fitted : Whether its parameters were fitted; other parameter values are then no difference.
     start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
         has time stamps of its own.
-    held : Whether it holds its inputs until the next sample; None for one that does not say.
+    hold : How its inputs run between samples; None for one that does not say.
     step : Communication step in s that was chosen for an FMU; None for its own.
     """
 
@@ -312,7 +321,7 @@ class Absent:
     fingerprint: str | None = None
     fitted: bool = False
     start: Start | None = None
-    held: bool | None = None
+    hold: Hold | None = None
     step: float | None = None
 
     def __post_init__(self) -> None:
@@ -325,8 +334,7 @@ class Absent:
                 f"a simulator must have a class and the name of a file, got "
                 f"{self.kind[:60]!r} and {self.file[:60]!r}"
             )
-        if self.held not in (None, False, True):
-            raise InputError(f"held must be true, false or null, got {str(self.held)[:60]!r}")
+        check_hold(self.hold)
         if not (self.step is None or as_float(self.step) > 0):
             raise InputError(f"step must be a number of seconds, got {str(self.step)[:60]!r}")
         vars(self)["start"] = check_start(self.start)
@@ -344,10 +352,10 @@ class Absent:
             said = f"{said} {getattr(simulator, 'known', '')}".strip()
         own = getattr(simulator, "own_times", False)
         start = None if own else getattr(simulator, "start", None) or 0.0
-        held = getattr(simulator, "held", None) if getattr(simulator, "driven", False) else None
+        hold = getattr(simulator, "hold", None) if getattr(simulator, "driven", False) else None
         kind = getattr(simulator, "kind", type(simulator).__name__)
         step = getattr(simulator, "step", None) if kind == "Fmu" else None
-        return cls(kind, file, said and str(said), fitted, start, held, step)
+        return cls(kind, file, said and str(said), fitted, start, hold, step)
 
     def simulate(self, time: object) -> NoReturn:
         """Raise ValueError; the message says which simulator to pass, and how."""
@@ -371,10 +379,10 @@ class Absent:
                 f"which the model was saved, got start={json.dumps(other.start)}; fit the model "
                 "again for another start"
             )
-        if None not in (self.held, other.held) and self.held != other.held:
+        if None not in (self.hold, other.hold) and self.hold != other.hold:
             raise InputError(
-                f"simulator must have held={self.held}, with which the model was saved, got "
-                f"held={other.held}; fit the model again for another one"
+                f"simulator must have hold={self.hold!r} (--simulator-hold), with which the model "
+                f"was saved, got hold={other.hold!r}; fit the model again for another one"
             )
         saved, found = self.fingerprint, other.fingerprint
         if saved is None or found is None or saved == found:

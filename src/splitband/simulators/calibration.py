@@ -114,7 +114,9 @@ class Calibration:
             return index
         return np.maximum(self.clock * index - self.delay / sampling_time, 0.0)
 
-    def held(self, steps: int, sampling_time: float, begin: float, samples: int, end: float) -> str:
+    def end_warning(
+        self, steps: int, sampling_time: float, begin: float, samples: int, end: float
+    ) -> str:
         """Return a sentence if the simulation ends too early, else an empty string.
 
         The last `steps` of the `samples` from `begin` on are the forecast; `end` is the position

@@ -17,9 +17,9 @@ import numpy as np
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import scan
-from splitband.simulators.code import count_arguments, failure
 from splitband.simulators.functions import Ode
 from splitband.simulators.shooting import Adjusted
+from splitband.simulators.user_code import count_arguments, failure
 
 PRECISE = 1e-11, 1e-13
 """Tolerances of the solution that equal steps are compared with. Rounding."""
@@ -89,7 +89,7 @@ class FixedSteps:
         for weights, node in zip(WEIGHTS[:-1], NODES[:-1], strict=True):
             share = begin + node / self.count
             now = before
-            if len(u) and not self.ode.held:
+            if len(u) and self.ode.hold == "linear":
                 now = before + share * (u - before)
             stage = _moved(x, size * weights, slopes)
             slopes.append(self._slope(time + share * self.width, stage, now))

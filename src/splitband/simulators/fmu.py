@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import sha256_of
-from splitband.simulators.base import Start, check_start
+from splitband.simulators.base import Hold, Start, check_hold, check_start
 from splitband.simulators.fmu_running import (
     CoSimulation,
     Exchange,
@@ -71,8 +71,8 @@ class Fmu(Adjustable):
         not take; by default those of their names. A record of one input matches an FMU of one
         input. The others keep their start values, with an empty list all of them.
     start : Time of a record's first sample in s, or "record" for its time stamp.
-    held : Whether model exchange holds inputs until the next sample, as co-simulation does. By
-        default it interpolates them.
+    hold : How inputs run between samples in model exchange: "zoh" holds them until the next
+        sample, as co-simulation does, "linear" interpolates them.
     step : Communication step of co-simulation in s, of which the sampling time is a multiple. By
         default the one that the FMU declares, or the next shorter one that divides the sampling
         time, or that if it declares none. A warning says where half of it changes the outputs by
@@ -89,13 +89,13 @@ class Fmu(Adjustable):
         parameters: Given | None = None,
         inputs: Sequence[str] | None = None,
         start: Start = 0.0,
-        held: bool = False,
+        hold: Hold = "linear",
         step: float | None = None,
     ) -> None:
         self.path = Path(path)
         self.parameters = None if parameters is None else dict(parameters)
         self.inputs = None if inputs is None else [*inputs]
-        self.start, self.held, self.step = check_start(start), held, step
+        self.start, self.hold, self.step = check_start(start), check_hold(hold), step
         self._unit, self._named = Unit(self.path), bool(outputs)
         self.outputs = [*(outputs or self._unit.variables.outputs)]
         try:
@@ -180,7 +180,7 @@ class Fmu(Adjustable):
             given = np.asarray(u, float)[:, [*map(bool, names)]]
         names = [name for name in names if name]
         check_inputs(unit, names, given)
-        task = Task(np.asarray(time, float), given, values, self.outputs, names, self.held)
+        task = Task(np.asarray(time, float), given, values, self.outputs, names, self.hold)
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
@@ -251,17 +251,17 @@ class Fmu(Adjustable):
     def otherwise(self) -> Any:
         """Return a copy with the other course of inputs; None but for model exchange with some."""
         exchange = self.driven and self._unit.kind == EXCHANGE
-        return self._with(held=not self.held) if exchange else None
+        return self._with(hold="linear" if self.hold == "zoh" else "zoh") if exchange else None
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of its file, and what is used of it; see `Simulator`."""
         step = "" if self.step is None else f" {self.step}"
-        used = f"{self.outputs} {self.inputs} {self.start} {self.held}{step}"
+        used = f"{self.outputs} {self.inputs} {self.start} {self.hold}{step}"
         return f"{sha256_of(self.path)} {used}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments, with which another process opens it."""
-        outputs, rest = self.outputs if self._named else None, (self.start, self.held, self.step)
+        outputs, rest = self.outputs if self._named else None, (self.start, self.hold, self.step)
         return type(self), (self.path, outputs, self.parameters, self.inputs, *rest)
 
     def close(self) -> None:

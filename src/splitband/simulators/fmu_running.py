@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.simulators.base import Hold
 from splitband.simulators.fmu_unit import REAL, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
@@ -30,7 +31,7 @@ class Task:
 
     `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
     of variables; `outputs`, `inputs`: names of the variables to read, and of those that take `u`;
-    `held`: whether model exchange holds inputs until the next sample, or interpolates them;
+    `hold`: how inputs run between samples in model exchange;
     `substeps`: communication steps of co-simulation from one sample to the next; `before`: whether
     it reads outputs before it sets the inputs of a sample, as the FMU refuses it after that.
     """
@@ -40,7 +41,7 @@ class Task:
     values: Mapping[str, float]
     outputs: Sequence[str]
     inputs: Sequence[str]
-    held: bool = False
+    hold: Hold = "linear"
     substeps: int = 1
     before: bool = False
 
@@ -129,7 +130,7 @@ class _Inputs:
     """Set the inputs of a run by model exchange; a solver calls `apply`."""
 
     def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
-        variables = [] if task.held else [unit.by_name[name] for name in task.inputs]
+        variables = [] if task.hold == "zoh" else [unit.by_name[name] for name in task.inputs]
         jumping = "discrete", "tunable"
         smooth = [
             i for i, v in enumerate(variables) if v.type in REAL and v.variability not in jumping

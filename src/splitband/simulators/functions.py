@@ -15,8 +15,7 @@ import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators.base import Start, check_start
-from splitband.simulators.code import arguments, check_arguments, count_arguments
+from splitband.simulators.base import Hold, Start, check_hold, check_start
 from splitband.simulators.parameters import (
     INITIAL,
     Adjustable,
@@ -25,6 +24,7 @@ from splitband.simulators.parameters import (
     Response,
     parameters_class,
 )
+from splitband.simulators.user_code import arguments, check_arguments, count_arguments
 
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
@@ -159,7 +159,8 @@ class Ode(UserCode):
         channels.
     parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
         this order. `x0_1`, `x0_2`, ... replace the elements of `x0`.
-    held : Whether inputs are held until the next sample. By default they are interpolated.
+    hold : "zoh" holds inputs until the next sample (zero-order hold), as a D/A converter does;
+        "linear" interpolates them.
     method : "RK45", the method of Dormand and Prince, compiled where it can be; or another one of
         `scipy.integrate.solve_ivp`, such as "Radau" and "BDF" for stiff equations.
     tolerances : Relative and absolute tolerance of a step.
@@ -182,7 +183,7 @@ class Ode(UserCode):
     x0: npt.ArrayLike
     observe: Callable[..., npt.ArrayLike] | None = None
     parameters: Given | None = None
-    held: bool = False
+    hold: Hold = "linear"
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
     tolerances: tuple[float, float] = (1e-8, 1e-10)
     start: Start = 0.0
@@ -190,6 +191,7 @@ class Ode(UserCode):
     def __post_init__(self) -> None:
         """Check the initial values, and that every one among the parameters names a state."""
         self._check()
+        check_hold(self.hold)
         try:
             x0 = np.atleast_1d(np.asarray(self.x0, float))
         except (TypeError, ValueError):
@@ -256,7 +258,8 @@ class Ode(UserCode):
 
     def otherwise(self) -> Any:
         """Return a copy that interpolates held inputs, or holds others; None without inputs."""
-        return self._with(held=not self.held) if self.driven else None
+        other: Hold = "linear" if self.hold == "zoh" else "zoh"
+        return self._with(hold=other) if self.driven else None
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Solve at the times `time` in s, with the inputs `(time, nu)`.
@@ -332,7 +335,7 @@ class Ode(UserCode):
 
             solve = solver(self.rhs, count_arguments(self.rhs) or 2)
             p = self.p(values)
-            x, taken, size = solve(p, begin, time, (u, self.held), steps, self.tolerances)
+            x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
@@ -363,7 +366,7 @@ class Ode(UserCode):
         def slope(t: float, x: Array) -> Any:
             place = np.clip(t / step, 0, len(time) - 1)
             n = min(int(place), len(time) - 2)
-            inputs = u[n] if self.held else u[n] + (place - n) * (u[n + 1] - u[n])
+            inputs = u[n] if self.hold == "zoh" else u[n] + (place - n) * (u[n + 1] - u[n])
             return self.rhs(*(begin + t, x, inputs, p)[:count])
 
         # Its steps are lost in the rounding of large times: it counts from 0.

@@ -25,7 +25,6 @@ from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current,
 from splitband.runtime.errors import InputError
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
-from splitband.simulators.code import failure
 from splitband.simulators.parameters import (
     Adjustable,
     Estimate,
@@ -34,6 +33,7 @@ from splitband.simulators.parameters import (
     uncertainty,
 )
 from splitband.simulators.shooting import BAD, Experiment, Shooting, projected
+from splitband.simulators.user_code import failure
 
 STARTS = 32
 """Default limit of starting points. Bounds the time."""
@@ -261,10 +261,11 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     if not favours(*found):
         return ""
     here, there = (f"{np.sqrt(np.nanmean(each**2)):.2g}" for each in found)
-    better, how = ("held", "--held") if simulator.held else ("interpolated", "without --held")
+    better = "held" if simulator.hold == "zoh" else "interpolated"
     return (
-        f"the record favours inputs that are {better} between samples, held={simulator.held} "
-        f"({how}): RMSE {there} instead of {here} standard deviations of the output"
+        f"the record favours inputs that are {better} between samples, hold={simulator.hold!r} "
+        f"(--simulator-hold {simulator.hold}): RMSE {there} instead of {here} standard deviations "
+        "of the output"
     )
 
 

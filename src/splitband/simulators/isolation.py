@@ -26,12 +26,12 @@ from splitband.runtime.errors import InputError, one_line
 from splitband.runtime.files import sha256_of
 from splitband.runtime.system import end_group, lead_group
 from splitband.runtime.workers import Workers, ended_from_outside, result_of
-from splitband.simulators.base import SimulatorError, SimulatorTimeoutError, Start
-from splitband.simulators.code import count_arguments
+from splitband.simulators.base import Hold, SimulatorError, SimulatorTimeoutError, Start
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of
 from splitband.simulators.functions import Function, Ode, UserCode
 from splitband.simulators.parameters import INITIAL, Adjustable, Parameters
+from splitband.simulators.user_code import count_arguments
 
 _STDOUT, _STDERR = 1, 2
 """File descriptors. What a simulator prints, C code included, goes to stderr: stdout is for
@@ -42,7 +42,7 @@ results."""
 class Isolated:
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
-    `timeout`: seconds to wait; `outputs`, `inputs`, `start`, `held`, `step`: see `Fmu` and
+    `timeout`: seconds to wait; `outputs`, `inputs`, `start`, `hold`, `step`: see `Fmu` and
     `Function`; `driven`: whether it takes the record's inputs, set for an FMU by `matched`.
     """
 
@@ -53,12 +53,12 @@ class Isolated:
     inputs: tuple[str, ...] | None = None
     driven: bool = False
     start: Start | None = None
-    held: bool = False
+    hold: Hold | None = None
     step: float | None = None
 
     def __post_init__(self) -> None:
         """Check that it can hold its inputs, if it is to."""
-        if self.held and self.function is not None:
+        if self.hold == "zoh" and self.function is not None:
             raise _not_an_equation(self.name)
 
     @property
@@ -115,7 +115,7 @@ class Isolated:
             return f"{content} {self.function}"
         inputs = None if self.inputs is None else [*self.inputs]
         step = "" if self.step is None else f" {self.step}"
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.held}{step}"
+        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.hold}{step}"
 
 
 def _how(code: int) -> str:
@@ -150,7 +150,11 @@ def _simulated(
 def simulate(task: Isolated, time: Array, u: Array | None = None) -> npt.ArrayLike:
     """Run the simulator in this process."""
     if task.function is None:
-        how: dict[str, Any] = {"inputs": task.inputs, "held": task.held, "step": task.step}
+        how: dict[str, Any] = {
+            "inputs": task.inputs,
+            "hold": task.hold or "linear",
+            "step": task.step,
+        }
         with Fmu(task.path, task.outputs or None, **how) as fmu:
             return fmu.simulate(time, u)
     function = named_in(task.path, task.function)
@@ -175,7 +179,7 @@ def adjustable_from(  # noqa: PLR0913
     outputs: Sequence[str] = (),
     inputs: Sequence[str] | None = None,
     start: Start | None = None,
-    held: bool = False,
+    hold: Hold | None = None,
     step: float | None = None,
 ) -> Adjustable:
     """Return a simulator with these parameters, which runs in this process.
@@ -191,26 +195,26 @@ def adjustable_from(  # noqa: PLR0913
     given : Parameters, which override those of an `Ode` or a `Function` in the file.
     outputs, inputs : Variables of an FMU.
     start : Of the simulator; None for its own.
-    held : Whether inputs are held until the next sample; False for what an `Ode` says itself.
+    hold : How inputs run between samples, see `Ode`; None for what an `Ode` of the file says.
     step : Communication step of an FMU.
     """
     if not name:
-        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, held, step)
+        return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, hold or "linear", step)
     file = str(Path(file).resolve())
-    simulator: Adjustable = _of_file(file, name, start, held, given)
+    simulator: Adjustable = _of_file(file, name, start, hold, given)
     return simulator
 
 
 def _not_an_equation(name: str) -> InputError:
     """Return the error for a function whose inputs are to be held."""
     return InputError(
-        "simulator must be a differential equation or an .fmu where inputs are held (--held, or by "
-        f"the saved model), got {name}, which is given the samples of the inputs alone"
+        "simulator must be a differential equation or an .fmu for --simulator-hold zoh, "
+        f"also of a saved model, got {name}, which is given the samples of the inputs alone"
     )
 
 
 def _of_file(
-    file: str, name: str, start: Start | None, held: bool, given: Mapping[str, Any]
+    file: str, name: str, start: Start | None, hold: Hold | None, given: Mapping[str, Any]
 ) -> Any:
     """Return a simulator of a Python file, in any process."""
     found = _defined(file, name, Path(file).read_bytes())
@@ -225,11 +229,11 @@ def _of_file(
         simulator = Function(found, dict(given))
     if start is not None:
         simulator = replace(simulator, start=start)
-    if held:
-        if not isinstance(simulator, Ode):
-            raise _not_an_equation(name)
-        simulator = replace(simulator, held=True)
-    return simulator.opened_by(partial(_of_file, file, name, start, held))
+    if isinstance(simulator, Ode):
+        simulator = replace(simulator, hold=hold or simulator.hold)
+    elif hold == "zoh":
+        raise _not_an_equation(name)
+    return simulator.opened_by(partial(_of_file, file, name, start, hold))
 
 
 @lru_cache(maxsize=16)

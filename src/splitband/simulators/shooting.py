@@ -23,8 +23,8 @@ from splitband.runtime.deadlines import DeadlineError, check
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import saved
 from splitband.simulators.base import origin
-from splitband.simulators.code import failure, place
 from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Point, Response
+from splitband.simulators.user_code import failure, place
 
 BAD = 1e3
 """Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""

@@ -55,7 +55,7 @@ class _OverError(Exception):
     """Report that the deadline has passed in the middle of a round."""
 
 
-class QuasiNewton:
+class Lbfgs:
     """Run L-BFGS with a line search for the strong Wolfe conditions, round by round.
 
     It minimises `mean_square`, the mean squared error of all windows. A round that the `deadline`

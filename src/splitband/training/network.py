@@ -13,7 +13,7 @@ from splitband.models import Task
 from splitband.networks.cell import Penalised
 from splitband.runtime.deadlines import Deadline
 from splitband.runtime.threads import one_torch_thread
-from splitband.training import lbfgs_iterations
+from splitband.training import lbfgs
 from splitband.training.optimizers import Adam
 from splitband.training.settings import ROUND, TrainingSettings
 from splitband.training.windows import WindowSet, select, targets, windows
@@ -64,10 +64,10 @@ class NetworkTraining:
         self.losses: list[float] = []
         self.restarts: list[int] = []
         """Epochs that diverged and were repeated with half the learning rate."""
-        self.finish: lbfgs_iterations.QuasiNewton | None = None
+        self.finish: lbfgs.Lbfgs | None = None
         self._given_dtype = self._dtype
         if settings.lbfgs_iterations:
-            self.finish = self._quasi_newton()
+            self.finish = self._lbfgs()
 
     @property
     def notes(self) -> list[str]:
@@ -188,20 +188,20 @@ class NetworkTraining:
     def _go_on_in_float64(self) -> None:
         settled = self.finish
         self.task.network.to(torch.float64)
-        self.finish = self._quasi_newton()
+        self.finish = self._lbfgs()
         try:
             self._mean_square(self.starts[:1])
         except RuntimeError:  # a user's cell that makes float32 tensors
             self.end()
             self.finish = settled
 
-    def _quasi_newton(self) -> lbfgs_iterations.QuasiNewton:
+    def _lbfgs(self) -> lbfgs.Lbfgs:
         settings = self.settings
-        chosen = lbfgs_iterations.end_to_end(
+        chosen = lbfgs.end_to_end(
             self.starts, settings.window, settings.warmup, settings.max_samples
         )
         error = partial(self._mean_square, chosen)
-        return lbfgs_iterations.QuasiNewton([*self.task.network.parameters()], error, self.deadline)
+        return lbfgs.Lbfgs([*self.task.network.parameters()], error, self.deadline)
 
     def _mean_square(self, starts: Tensor) -> Tensor:
         """Return the mean squared error of the windows that begin there, plus the penalty."""

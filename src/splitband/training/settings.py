@@ -123,14 +123,20 @@ class TrainingSettings(WithRepr):
 
     @classmethod
     def paper(
-        cls, window: int = 150, warmup: int = 30, epochs: int = 300, **changes: Any
+        cls,
+        window: int = 150,
+        warmup: int = 30,
+        epochs: int = 300,
+        batch_size: int = 50,
+        learning_rate: float = 1e-3,
+        **changes: Any,
     ) -> TrainingSettings:
         """Return the settings of the paper for its system (i), some of them changed.
 
         Adam at a constant rate, in batches of 50 windows (paper, Sec. 5).
         """
-        plain = cls(window, warmup, epochs, 50, 1e-3, (), False, None, 0.0, max_batches=None)
-        return replace(plain, **changes)
+        plain = cls(window, warmup, epochs, batch_size, learning_rate, (), False, None, 0.0)
+        return replace(plain, **{"max_batches": None, **changes})
 
     def batches(self, windows: int) -> int:
         """Return the steps of an epoch over so many windows."""

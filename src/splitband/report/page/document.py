@@ -13,7 +13,7 @@ import bokeh
 from bokeh.document import Document
 from bokeh.embed.util import standalone_docs_json_and_render_items
 
-from splitband.evaluation.comparison import Comparison
+from splitband.comparison.result import Comparison
 from splitband.report.colors import DARK, PALETTE
 from splitband.report.page import pages, template
 from splitband.report.page.charts import Chart

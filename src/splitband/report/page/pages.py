@@ -13,8 +13,8 @@ import numpy.typing as npt
 from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
 from splitband.checks.responses import SHARE, Responses, respond_over_range
+from splitband.comparison.result import Comparison
 from splitband.data import Record
-from splitband.evaluation.comparison import Comparison
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.linear import Linear
@@ -26,7 +26,7 @@ from splitband.report.numbers import complex_in_words, number, percent
 from splitband.report.page import plots
 from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
-from splitband.report.predicted import Predicted, predicted, what_was_known
+from splitband.report.predictions import Predicted, predicted, what_was_known
 from splitband.report.table import Table
 from splitband.report.tables import ordered
 from splitband.runtime.arrays import Array

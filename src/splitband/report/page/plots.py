@@ -13,10 +13,10 @@ from splitband.baselines.linear import LinearModel
 from splitband.baselines.uncertainty import NORMAL
 from splitband.checks.residuals import Correlation
 from splitband.checks.responses import SHARE, Responses
+from splitband.comparison.backtest import Fit
 from splitband.data import Record
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
-from splitband.forecasters.backtest import Fit
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import DIVERGED, cumulative_rmse, fit_percent, tenths
 from splitband.report.colors import PALETTE
@@ -34,7 +34,7 @@ from splitband.report.page.charts import (
     padded,
 )
 from splitband.report.page.parts import Method
-from splitband.report.predicted import Predicted
+from splitband.report.predictions import Predicted
 from splitband.runtime.arrays import Array
 
 MAX_TALL_CHANNELS = 2

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
-from splitband.cli import options, records, showing
+from splitband.cli import options, printing, records
 from splitband.cli.usage import REPLACED_BY_LIKE
+from splitband.comparison.methods import TRAINED, Sizes, known, with_variants
+from splitband.comparison.plan import Plan, default_names, plan
 from splitband.data.named import RECORDS
-from splitband.evaluation.plan import Plan, default_names, plan
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.names import TRAINED, Sizes, known, with_variants
 from splitband.runtime.errors import InputError
-from splitband.simulators.opening import is_fitted
+from splitband.simulators.open_simulator import is_fitted
 from splitband.training import TrainingSettings
 
 
@@ -112,7 +112,7 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
         **_of_model(asked.model),
     )
     for said in found.warnings:
-        showing.warn(said)
+        printing.warn(said)
     return found
 
 

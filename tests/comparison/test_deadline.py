@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import splitband as sb
-from splitband import ForecastContext, Forecaster
-from splitband.evaluation.clock import MOST_OF_BASELINE, Clock
-from splitband.evaluation.jobs import LATE
-from splitband.evaluation.plan import plan
-from splitband.evaluation.run import Run, compare, run
+from splitband import Forecaster
+from splitband.comparison.clock import MOST_OF_BASELINE, Clock
+from splitband.comparison.jobs import LATE
+from splitband.comparison.plan import plan
+from splitband.comparison.run import Run, compare, run
+from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import current
 from tests.records import SETUP, TRAIN, record
 from tests.support import slowed
@@ -111,8 +112,8 @@ def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
 
 
 def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitband.evaluation.run.MOST_OF_BASELINE", 1e6)
-    monkeypatch.setattr("splitband.evaluation.run.BASELINE_SHARE", 0.9)
+    monkeypatch.setattr("splitband.comparison.run.MOST_OF_BASELINE", 1e6)
+    monkeypatch.setattr("splitband.comparison.run.BASELINE_SHARE", 0.9)
     clock = slowed(monkeypatch, 1.0)
     planned = plan(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL)
     result = run(planned, clock=Clock(300.0, clock.at))

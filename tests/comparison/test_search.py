@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from splitband import Sizes, TrainingSettings
-from splitband.evaluation.candidates import FINAL_SHARE, FIRST_ROUND
-from splitband.evaluation.jobs import Job
-from splitband.evaluation.plan import plan
-from splitband.evaluation.search import SEEDS, Search
-from splitband.forecasters.backtest import Fit
+from splitband import TrainingSettings
+from splitband.comparison.backtest import Fit
+from splitband.comparison.candidates import FINAL_SHARE, FIRST_ROUND
+from splitband.comparison.jobs import Job
+from splitband.comparison.methods import Sizes
+from splitband.comparison.plan import plan
+from splitband.comparison.search import SEEDS, Search
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.prediction import Prediction
 from tests.records import QUICK, TRAIN, record

@@ -20,7 +20,7 @@ from splitband.runtime.errors import InputError
 from splitband.training.settings import default_warmup
 
 if TYPE_CHECKING:
-    from splitband.evaluation.plan import Plan
+    from splitband.comparison.plan import Plan
 
 LARGEST_SEED = 2**32 - 1
 """Seeds of single trainings, which are multiples of it, must fit into 64 bits."""

@@ -9,7 +9,7 @@ import scipy.signal
 import splitband as sb
 from splitband import Bands, Record, TrainingSettings
 from splitband.baselines.identification import identified
-from splitband.evaluation.candidates import candidates
+from splitband.comparison.candidates import candidates
 from splitband.metrics import ExtrapolationWarning, rmse
 from tests.records import Setup
 from tests.support import compare

@@ -16,9 +16,9 @@ from typing import Any
 
 from splitband import networks
 from splitband.forecasters.base import Forecaster, cells_of, parts_of, with_parts_changed
-from splitband.forecasters.closed_form import BASELINES
+from splitband.forecasters.baselines import BASELINES
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.learned import Filtered, Residual, Single, Split
+from splitband.forecasters.hybrid import Filtered, Residual, Single, Split
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.simulation import AFFINE, Calibrated, Simulation
 from splitband.networks.cell import Cell, Template

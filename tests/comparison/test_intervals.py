@@ -9,10 +9,11 @@ import numpy.typing as npt
 import pytest
 import scipy
 
-from splitband import ForecastContext, Forecaster
+from splitband import Forecaster
+from splitband.comparison.run import compare
 from splitband.data import Record
-from splitband.evaluation.run import compare
 from splitband.forecasters.intervals import HeldOut, Interval
+from splitband.forecasters.prediction import ForecastContext
 from tests.records import LENGTH, SETUP, TRAIN, holed, with_gaps
 
 Array = npt.NDArray[np.float64]

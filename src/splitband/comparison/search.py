@@ -15,21 +15,21 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.evaluation.candidates import (
+from splitband.comparison.backtest import Fit, held_out_score
+from splitband.comparison.candidates import (
     FINAL_SHARE,
     SHORT_RECORD,
     Candidate,
     candidates,
     combined,
 )
-from splitband.evaluation.clock import MOST_OF_TIME_LEFT
-from splitband.evaluation.jobs import Job, held_out_job
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.recommendation import WORTH_TRAINING
-from splitband.forecasters.backtest import Fit, held_out_score
+from splitband.comparison.clock import MOST_OF_TIME_LEFT
+from splitband.comparison.jobs import Job, held_out_job
+from splitband.comparison.methods import built
+from splitband.comparison.plan import Plan
+from splitband.comparison.recommendation import WORTH_TRAINING
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import HELD_OUT_SHARE
-from splitband.forecasters.names import built
 from splitband.forecasters.network import Network
 
 SEEDS = 8

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from splitband.evaluation import candidates
+from splitband.comparison import candidates
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
+from splitband.comparison.backtest import Fit
+from splitband.comparison.result import Comparison
 from splitband.data import Record
-from splitband.evaluation.comparison import Comparison
-from splitband.forecasters.backtest import Fit
 from splitband.forecasters.prediction import Prediction
 from splitband.runtime.arrays import Array
 

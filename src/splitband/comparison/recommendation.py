@@ -11,8 +11,8 @@ from statistics import median_low
 
 import numpy as np
 
+from splitband.comparison.backtest import Fit, held_out_score, median_forecasts
 from splitband.data import Record
-from splitband.forecasters.backtest import Fit, held_out_score, median_forecasts
 from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import held_out_errors, interval_errors
 from splitband.forecasters.intervals import HeldOut, Interval

@@ -8,22 +8,22 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from splitband.data import Record
-from splitband.evaluation.clock import (
+from splitband.comparison.backtest import BacktestSpec, Fit
+from splitband.comparison.clock import (
     BASELINE_SHARE,
     MOST_OF_BASELINE,
     MOST_OF_TIME_LEFT,
     Clock,
 )
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.jobs import GRACE, LATE, Bases, Job, Runner, held_out_job
-from splitband.evaluation.plan import Plan, plan
-from splitband.evaluation.recommendation import Trial, by_reason, judged, without_failed
-from splitband.forecasters.backtest import BacktestSpec, Fit
+from splitband.comparison.jobs import GRACE, LATE, Bases, Job, Runner, held_out_job
+from splitband.comparison.methods import BASES, built
+from splitband.comparison.plan import Plan, plan
+from splitband.comparison.recommendation import Trial, by_reason, judged, without_failed
+from splitband.comparison.result import Comparison
+from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin
-from splitband.forecasters.names import BASES, built
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
 from splitband.runtime.deadlines import NEVER, Deadline, within
@@ -32,7 +32,7 @@ from splitband.runtime.memory import return_freed
 from splitband.runtime.threads import one_thread
 
 if TYPE_CHECKING:
-    from splitband.evaluation.search import Search
+    from splitband.comparison.search import Search
     from splitband.training import Progress
 
 
@@ -91,7 +91,7 @@ def run(
 
     Parameters
     ----------
-    plan : From `splitband.plan`.
+    plan : From `plan`.
     cores : Trainings side by side, each in a process with one thread. With several, a script must
         keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
     executor : Runs the trainings in place of processes of this machine: any executor of
@@ -298,7 +298,7 @@ class Run:
             return
         if not networks:
             return
-        from splitband.evaluation.search import Search  # noqa: PLC0415  which loads torch
+        from splitband.comparison.search import Search  # noqa: PLC0415  which loads torch
 
         self._ready = [built(f) for f in self._ready]
         ready = replace(self.plan, methods=tuple(self._ready))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import splitband as sb
+from splitband.comparison.methods import Sizes
 from splitband.simulators import identification
 
 TIME = 0.1 * np.arange(240)
@@ -39,7 +40,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
 def test_a_grey_box_with_hybrids_on_it_is_fitted_once_a_span(fits: Counter[int]) -> None:
     ode = sb.Ode(decay, [1.0], parameters={"rate": (0.1, 1.0)})
     hybrids = ["residual-gru", "filtered-gru"]
-    how: dict[str, Any] = {"settings": SHORT, "sizes": sb.Sizes(2, 2), "seeds": 2, "refit": True}
+    how: dict[str, Any] = {"settings": SHORT, "sizes": Sizes(2, 2), "seeds": 2, "refit": True}
     found = sb.compare(RECORD, 160, ["grey-box", *hybrids], simulator=ode, **how)
     assert len(found.fits) == 3
     # Of a trial, of the training part, and of the whole record for the recommended method.

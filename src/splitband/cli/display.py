@@ -15,10 +15,10 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from splitband.cli import clock, showing
-from splitband.evaluation.clock import Clock
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.run import Run
+from splitband.cli import clock, printing
+from splitband.comparison.clock import Clock
+from splitband.comparison.plan import Plan
+from splitband.comparison.run import Run
 from splitband.report import results
 from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing
@@ -37,8 +37,8 @@ class Display:
         self._out, self._facts, self._table = out, facts, Table()
         self._said, self._clock = "starting", clock
         self._written = False
-        self._in_place = in_place() and not showing.console.quiet
-        console = Console(markup=False, emoji=False) if self._in_place else showing.console
+        self._in_place = in_place() and not printing.console.quiet
+        console = Console(markup=False, emoji=False) if self._in_place else printing.console
         self._live = Live(
             console=console, transient=True, refresh_per_second=1, get_renderable=self._now
         )
@@ -64,10 +64,10 @@ class Display:
                 record = state.plan.record
                 title = f"{record.name}: held-out errors so far"
                 table = of_trial(state.trial, record, state.methods, title)
-                self._table, _ = table.fitting(showing.console.width)
+                self._table, _ = table.fitting(printing.console.width)
             self._live.refresh()
         elif state.new_table:
-            showing.console.print(str(state))
+            printing.console.print(str(state))
         # The whole result once, which takes its time, after workers were given their trainings.
         whole = bool(state.finals) and not (state.new_table or self._written)
         if (state.new_table or whole) and state.clock.left:
@@ -87,7 +87,7 @@ class Display:
             else:
                 results.save_unfinished(state, self._out, self._facts)
         except OSError as error:  # what was there before is still there
-            showing.warn(f"{self._out} could not be written: {error}")
+            printing.warn(f"{self._out} could not be written: {error}")
 
 
 def in_place() -> bool:
@@ -133,7 +133,7 @@ def workers(jobs: int | None, cluster: str | None = None) -> Iterator[dict[str, 
         ) from None
     with client:
         if not client.nthreads():
-            showing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
+            printing.console.print(f"waiting for a worker of {cluster}; Ctrl-C stops")
         client.wait_for_workers(1)
         try:
             client.get_versions(check=True)

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
-from splitband.data import Record, require_records
-from splitband.evaluation.checks import (
+from splitband.comparison.backtest import BacktestSpec, first_origin
+from splitband.comparison.checks import (
     check,
     check_bands,
     check_limits,
@@ -18,14 +18,7 @@ from splitband.evaluation.checks import (
     check_train,
     check_trial,
 )
-from splitband.filters import Band
-from splitband.forecasters.backtest import BacktestSpec, first_origin
-from splitband.forecasters.bands import OPEN, Bands
-from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
-from splitband.forecasters.fitted import unmoved
-from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.held_out import Origin, held_out_origins
-from splitband.forecasters.names import (
+from splitband.comparison.methods import (
     BASES,
     GREY_BOX,
     HYBRIDS,
@@ -35,13 +28,20 @@ from splitband.forecasters.names import (
     with_base,
     with_variants,
 )
+from splitband.data import Record, require_records
+from splitband.filters import Band
+from splitband.forecasters.bands import OPEN, Bands
+from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
+from splitband.forecasters.fitted import unmoved
+from splitband.forecasters.grey_box import GreyBox
+from splitband.forecasters.held_out import Origin, held_out_origins
 from splitband.forecasters.network import Network, with_defaults
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
 from splitband.simulators.base import is_driven, matched
 from splitband.simulators.identification import check_runs
-from splitband.simulators.opening import is_fitted, open_simulator, simulated
+from splitband.simulators.open_simulator import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
 from splitband.training import TrainingSettings, default_warmup
 from splitband.training.settings import Recipe, recipe_settings

@@ -13,8 +13,9 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from splitband import GRU, Bands, ForecastContext, Forecaster, Record, TrainingSettings
-from splitband.forecasters.prediction import median_of
+from splitband import GRU, Bands, Forecaster, Record, TrainingSettings
+from splitband.comparison.methods import Sizes
+from splitband.forecasters.prediction import ForecastContext, median_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.workers import Workers
 from tests.records import Setup
@@ -23,7 +24,7 @@ from tests.support import compare
 Array = npt.NDArray[np.float64]
 DT, TRAIN, WARMUP = 0.1, 160, 12
 SETTINGS = TrainingSettings.paper(40, WARMUP, 1, 16)
-SETUP = Setup(TRAIN, SETTINGS, Bands(0.6, 1, 2), sb.Sizes(hidden_high=4, hidden_low=3))
+SETUP = Setup(TRAIN, SETTINGS, Bands(0.6, 1, 2), Sizes(hidden_high=4, hidden_low=3))
 
 
 def record(samples: int = 200) -> Record:

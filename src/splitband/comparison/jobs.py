@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
+from splitband.comparison.backtest import BacktestSpec, Fit, as_it_is, backtest
+from splitband.comparison.methods import NAMES, TRAINED
 from splitband.data import Record
-from splitband.forecasters.backtest import BacktestSpec, Fit, as_it_is, backtest
 from splitband.forecasters.base import Forecaster, all_parts, cells_of, fitted_like, same
-from splitband.forecasters.names import NAMES, TRAINED
 from splitband.networks.cell import label_of
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.workers import Queue, Workers, ended_from_outside
 
 if TYPE_CHECKING:
-    from splitband.evaluation.plan import Plan
+    from splitband.comparison.plan import Plan
 
 LATE = "left out, as the time was over"
 BATCH = 8

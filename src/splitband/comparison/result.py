@@ -14,11 +14,11 @@ import pandas as pd
 
 from splitband.checks.model import tests_of, tests_on
 from splitband.checks.residuals import ResidualTests
+from splitband.comparison.backtest import Fit
+from splitband.comparison.clock import Clock
+from splitband.comparison.plan import Plan
+from splitband.comparison.recommendation import Trial
 from splitband.data import Record
-from splitband.evaluation.clock import Clock
-from splitband.evaluation.plan import Plan
-from splitband.evaluation.recommendation import Trial
-from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.intervals import Misfit
@@ -30,7 +30,7 @@ from splitband.runtime.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from splitband.evaluation.search import Attempt
+    from splitband.comparison.search import Attempt
     from splitband.report.table import Column, Table
 
 

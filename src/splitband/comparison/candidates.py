@@ -7,8 +7,8 @@ from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from splitband.comparison.backtest import Fit
 from splitband.data import Record
-from splitband.forecasters.backtest import Fit
 from splitband.forecasters.base import cells_of
 from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.initialisation import LinearPart

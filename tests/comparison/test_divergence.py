@@ -13,10 +13,10 @@ import torch
 
 from splitband import GRU, Record, TrainingSettings
 from splitband.cli import main
+from splitband.comparison.methods import Sizes
 from splitband.forecasters.bands import Bands
-from splitband.forecasters.closed_form import Mean
-from splitband.forecasters.learned import Single
-from splitband.forecasters.names import Sizes
+from splitband.forecasters.baselines import Mean
+from splitband.forecasters.hybrid import Single
 from splitband.forecasters.simulation import Calibrated
 from splitband.models import Residual
 from splitband.runtime.deadlines import DeadlineError
@@ -147,7 +147,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        "splitband.evaluation.plan.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
+        "splitband.comparison.plan.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
     )
     assert main(files("forecast begun.csv --steps 50")) == 0
     assert "mean: no result: SVD did not converge" in capsys.readouterr().out

@@ -21,7 +21,7 @@ from splitband.report.page.parts import Usage
 from splitband.report.table import Table
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
-from splitband.simulators.opening import log
+from splitband.simulators.open_simulator import log
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),

@@ -17,6 +17,7 @@ from splitband.data.timing import in_words
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (
     Absent,
+    Hold,
     Recorded,
     Simulator,
     SimulatorTimeoutError,
@@ -28,11 +29,11 @@ from splitband.simulators.base import (
     run,
 )
 from splitband.simulators.calibration import samples_needed
-from splitband.simulators.code import check_open, count_arguments, outline
 from splitband.simulators.functions import UserCode
 from splitband.simulators.isolation import Isolated, adjustable_from, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.parameters import Adjustable, Parameters
+from splitband.simulators.user_code import check_open, count_arguments, outline
 
 log = logging.getLogger("splitband")
 """Says what was put together and how; the command line prints it."""
@@ -45,7 +46,7 @@ def open_simulator(  # noqa: PLR0913
     columns: Sequence[str] = (),
     inputs: Sequence[str] | None = None,
     start: Start | str | None = None,
-    held: bool = False,
+    hold: Hold | None = None,
     step: float | None = None,
     parameters: str | Mapping[str, Any] | None = None,
     timeout: float | None = None,
@@ -61,8 +62,8 @@ def open_simulator(  # noqa: PLR0913
     columns : Its columns or outputs that match the record's; by default those of the same names.
     inputs : Variables of an FMU that take the record's inputs; by default those of their names.
     start : Its time in s at the record's first sample, or "record" for its time stamp there.
-    held : Whether a differential equation or an FMU holds its inputs until the next sample, see
-        `Ode` and `Fmu`; False is what an `Ode` of the file says itself.
+    hold : How inputs run between samples, "zoh" or "linear", see `Ode` and `Fmu`; None is what an
+        `Ode` of the file says itself.
     step : Communication step of an FMU in s, see `Fmu`.
     parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
     timeout : Seconds after which a run is given up; None for no limit.
@@ -87,7 +88,7 @@ def open_simulator(  # noqa: PLR0913
         ("inputs (--simulator-inputs)", inputs, fmu),
         ("step (--simulator-step)", step, fmu),
         ("start (--simulator-start)", start, fmu or function),
-        ("held (--held)", held or None, fmu or function),
+        ("hold (--simulator-hold)", hold, fmu or function),
         ("parameters", parameters, fmu or function),
     ):
         if given is not None and not taken:
@@ -118,14 +119,14 @@ def open_simulator(  # noqa: PLR0913
         )
     if parameters is not None:
         given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return adjustable_from(file, function, given, columns, inputs, begin, held, step)
+        return adjustable_from(file, function, given, columns, inputs, begin, hold, step)
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
     made = Isolated(
         file, function or None, () if function else tuple(columns), timeout,
         None if inputs is None else tuple(inputs), driven,
-        begin if function else begin or 0.0, held, step,
+        begin if function else begin or 0.0, hold, step,
     )  # fmt: skip
     # Not before it is matched does an FMU say whether inputs drive it.
     return made.matched(record.columns, record.inputs)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from splitband import Record
-from splitband.evaluation.clock import Clock
-from splitband.evaluation.comparison import Comparison
-from splitband.evaluation.plan import plan
-from splitband.evaluation.run import Run, compare, fit, run
+from splitband.comparison.clock import Clock
+from splitband.comparison.plan import plan
+from splitband.comparison.result import Comparison
+from splitband.comparison.run import Run, compare, fit, run
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
@@ -91,7 +91,7 @@ def test_there_is_a_result_whatever_the_deadline(
 def test_what_has_settled_ends_before_its_time_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("splitband.evaluation.search.SEEDS", 1)
+    monkeypatch.setattr("splitband.comparison.search.SEEDS", 1)
     constant = Record(np.ones(80) + 1e-3 * np.sin(np.arange(80.0)), 0.1)
     result = compare(constant, 60, ["mean", "gru"], budget=1e5, **SMALL)  # type: ignore[arg-type]
     assert "settled" in result.clock.in_words()

@@ -9,11 +9,12 @@ from threading import Event
 import numpy as np
 import pytest
 
-from splitband import ForecastContext, Mean, Record
-from splitband.evaluation.jobs import LATE, Job, Runner
-from splitband.forecasters.backtest import BacktestSpec, Fit
+from splitband import Mean, Record
+from splitband.comparison.backtest import BacktestSpec, Fit
+from splitband.comparison.jobs import LATE, Job, Runner
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import Origin
+from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import NEVER, Deadline
 from tests.records import LENGTH, SETUP, TRAIN, record
 from tests.support import slowed
@@ -93,7 +94,7 @@ def test_nobody_waits_for_workers_to_load_and_compile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     done = Event()
-    monkeypatch.setattr("splitband.evaluation.jobs.compile_kernels", lambda *_: done.wait())
+    monkeypatch.setattr("splitband.comparison.jobs.compile_kernels", lambda *_: done.wait())
     with ThreadPoolExecutor(1) as executor:
         runner = Runner(2, executor)
         runner.start([SETUP.forecaster("gru")])

@@ -8,12 +8,12 @@ import pytest
 
 import splitband as sb
 from splitband import Record, TrainingSettings
-from splitband.evaluation.plan import default_names, plan
-from splitband.evaluation.recommendation import Trial
-from splitband.forecasters.backtest import BacktestSpec, backtest
+from splitband.comparison.backtest import BacktestSpec, backtest
+from splitband.comparison.methods import Sizes
+from splitband.comparison.plan import default_names, plan
+from splitband.comparison.recommendation import Trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.held_out import Origin
-from splitband.forecasters.names import Sizes
 from splitband.forecasters.network import Network
 from tests.records import Setup
 from tests.support import compare
@@ -246,4 +246,4 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
 def test_a_simulator_beside_a_record_that_has_the_output_of_one_is_refused() -> None:
     beside = sb.Recorded(record().y, DT)
     with pytest.raises(sb.InputError, match=r"simulator must be left out .*y_sim.* got both"):
-        sb.plan(record(), TRAIN, ["mean"], simulator=beside)
+        plan(record(), TRAIN, ["mean"], simulator=beside)
