@@ -144,7 +144,7 @@ FAMILIES: dict[str, Callable[[Generator], sb.Record]] = {
 FIRST, SECOND, DRIFTING = "noise above", "wrong above", "drifting sensor"
 
 
-class NotHighPassed(models.Filtered):
+class NotHighPassed(models.FilteredModel):
     """Add L(simulator) and a network that is not high-passed, in one method other than (c)."""
 
     def _high(self, filtered: Signals, steps: int) -> Tensor:

@@ -24,7 +24,7 @@ from splitband.forecasters.held_out import Origin
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
-from splitband.models import Split
+from splitband.models import SplitModel
 from splitband.models.base import Signals
 from splitband.report.environment import environment
 from splitband.runtime.files import write_text
@@ -223,12 +223,12 @@ def run(job: Job, record: Record, setup: Setup) -> tuple[Fit, float | None]:
     if job.splits:
         assert isinstance(done.fitted, Network)
         model = done.fitted.model
-        assert isinstance(model, Split)
+        assert isinstance(model, SplitModel)
         sliced = sliced_rmse(model, record, setup.train, setup.settings.warmup)
     return done, sliced
 
 
-def sliced_rmse(model: Split, record: Record, train: int, warmup: int) -> float:
+def sliced_rmse(model: SplitModel, record: Record, train: int, warmup: int) -> float:
     """Return the total RMSE from a warm-up that is cut from the filtered training record.
 
     The free run of Eq. 11, prediction, filters the first `warmup` samples alone.

@@ -181,7 +181,7 @@ def test_the_control_without_a_network_is_the_low_passed_simulator(filter_case: 
     networks, filters = map(importlib.import_module, ("splitband.networks", "splitband.filters"))
     pair = filters.ComplementaryPair.perfect([0.1, 0.1], [1.0, -0.8], 1.0, "low")
     cell = networks.GRU(3).sized(1, 0, 5)
-    control, hybrid = filter_case.NotHighPassed(cell, pair), models.Filtered(cell, pair)
+    control, hybrid = filter_case.NotHighPassed(cell, pair), models.FilteredModel(cell, pair)
     with torch.no_grad():
         for weight in cell.parameters():
             weight.zero_()

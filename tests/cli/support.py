@@ -15,7 +15,7 @@ import pytest
 
 from splitband.cli import main
 from splitband.cli.display import Display
-from splitband.comparison.run import Run
+from splitband.comparison.run import RunningComparison
 
 Files = dict[str, bytes]
 
@@ -98,11 +98,11 @@ def call(line: str, folder: Path | None = None) -> None:
     assert main([*shlex.split(line), *(["--out", str(folder)] if folder else [])]) == 0
 
 
-def watched(monkeypatch: pytest.MonkeyPatch, look: Callable[[Run], None]) -> None:
+def watched(monkeypatch: pytest.MonkeyPatch, look: Callable[[RunningComparison], None]) -> None:
     """Let a test look, too, whenever the display is told where a comparison stands."""
     shown = Display.__call__
 
-    def both(display: Display, run: Run) -> None:
+    def both(display: Display, run: RunningComparison) -> None:
         shown(display, run)
         look(run)
 

@@ -10,7 +10,7 @@ import pytest
 import splitband as sb
 from splitband.cli.display import in_place
 from splitband.comparison.clock import Clock
-from splitband.comparison.run import Run
+from splitband.comparison.run import RunningComparison
 from splitband.report import results as written
 from splitband.runtime.outputs import FACTS, LOCK
 from tests.cli.support import assert_fails, call, files, results, watched
@@ -25,7 +25,7 @@ def test_each_round_leaves_a_line_a_table_and_a_model_while_it_runs(
 ) -> None:
     record, seen = sb.read("record.csv", columns="a"), dict[str, str]()
 
-    def look(run: Run) -> None:
+    def look(run: RunningComparison) -> None:
         if not run.new_table:
             return
         facts, model = results(tmp_path), sb.load(tmp_path / "model")
@@ -51,7 +51,7 @@ def test_a_disk_error_in_between_is_a_warning(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    def look(run: Run) -> None:
+    def look(run: RunningComparison) -> None:
         now = files(tmp_path)
         if run.doing == "round 1":
             before.update(now)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from splitband import read
-from splitband.models import Filtered
+from splitband.models import FilteredModel
 from splitband.simulators.calibration import Calibration
 from tests.cli.support import DT, FORCE, SAMPLES, SIMULATED, SLOW, WARMUP, A, call, results, written
 from tests.records import rms
@@ -39,7 +39,7 @@ def test_simulate_writes_into_the_standard_output(
 
 def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_path: Path) -> None:
     loaded, facts = load(hybrid_model)
-    assert isinstance(loaded, Filtered)
+    assert isinstance(loaded, FilteredModel)
     calibration = Calibration(**facts["calibration"])
     y, y_sim = A[40:50, None], calibration.apply(SIMULATED[:, None], 75, DT)[40:]
     for simulator in ("simulated.csv", "functions.py:good"):

@@ -15,7 +15,7 @@ from splitband import Forecaster
 from splitband.comparison.clock import MOST_OF_BASELINE, Clock
 from splitband.comparison.jobs import LATE
 from splitband.comparison.plan import plan
-from splitband.comparison.run import Run, compare, run
+from splitband.comparison.run import RunningComparison, compare, run
 from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import current
 from tests.records import SETUP, TRAIN, record
@@ -69,7 +69,7 @@ class Patient(Baseline):
 def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:
     seen = dict[str, set[str]]()
 
-    def watch(state: Run) -> None:
+    def watch(state: RunningComparison) -> None:
         if state.new_table:
             seen.setdefault(state.doing, {*state.trials})
 

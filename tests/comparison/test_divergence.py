@@ -18,7 +18,7 @@ from splitband.forecasters.bands import Bands
 from splitband.forecasters.baselines import Mean
 from splitband.forecasters.hybrid import Single
 from splitband.forecasters.simulation import Calibrated
-from splitband.models import Residual
+from splitband.models import ResidualModel
 from splitband.runtime.deadlines import DeadlineError
 from splitband.training import fit
 from tests.records import Setup
@@ -46,7 +46,7 @@ def broken_mean(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_residual_much_smaller_than_an_untrained_networks_output_is_trained() -> None:
     torch.manual_seed(0)
-    model = Residual(GRU(8, 1))
+    model = ResidualModel(GRU(8, 1))
     almost = replace(RECORD, y_sim=RECORD.y + 1e-5 * np.cos(TIME))[:TRAIN]
     history = fit(model, almost, QUICK)
     losses = history.losses["network"]

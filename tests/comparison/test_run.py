@@ -12,7 +12,7 @@ from splitband import Record
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import plan
 from splitband.comparison.result import Comparison
-from splitband.comparison.run import Run, compare, fit, run
+from splitband.comparison.run import RunningComparison, compare, fit, run
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
@@ -97,8 +97,8 @@ def test_what_has_settled_ends_before_its_time_and_says_so(
     assert "settled" in result.clock.in_words()
 
 
-def interrupted_at(doing: str) -> Callable[[Run], None]:
-    def watch(run: Run) -> None:
+def interrupted_at(doing: str) -> Callable[[RunningComparison], None]:
+    def watch(run: RunningComparison) -> None:
         if run.doing.startswith(doing):
             raise KeyboardInterrupt
 

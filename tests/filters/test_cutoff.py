@@ -14,8 +14,8 @@ from splitband.filters.cutoff import (
     MOST_DOWNSAMPLING,
     MOST_LOST,
     ORDERS,
-    Candidate,
     Choice,
+    CutoffCandidate,
     choose,
     choose_with_simulator,
 )
@@ -35,7 +35,7 @@ def noise(seed: int = 0) -> Array:
     return np.random.default_rng(seed).standard_normal((SAMPLES, 1))
 
 
-def chosen(choice: Choice) -> Candidate:
+def chosen(choice: Choice) -> CutoffCandidate:
     wanted = choice.cutoff, choice.order
     (candidate,) = [c for c in choice.candidates if (c.cutoff, c.order) == wanted]
     return candidate

@@ -10,7 +10,15 @@ import torch
 
 from splitband import GRU, ComplementaryPair
 from splitband.filters import butterworth
-from splitband.models import Filtered, FilteredHigh, Model, Recurrent, Residual, Signals, Split
+from splitband.models import (
+    FilteredHighModel,
+    FilteredModel,
+    Model,
+    Recurrent,
+    ResidualModel,
+    Signals,
+    SplitModel,
+)
 from splitband.networks import EulerMLP
 from tests.support import Scripted
 from tests.support import simulated as summed
@@ -32,7 +40,7 @@ def gru(nu: int, told: int = 0) -> GRU:
 
 def split(k: int, conditioned: bool = False, hp: bool = False) -> Callable[[int], Model]:
     told = 2 * NY if conditioned else 0
-    return lambda nu: Split([gru(nu), gru(nu, told)], PAIR, k, hp, conditioned)
+    return lambda nu: SplitModel([gru(nu), gru(nu, told)], PAIR, k, hp, conditioned)
 
 
 LEARNED: dict[str, Callable[[int], Model]] = {
@@ -43,28 +51,28 @@ LEARNED: dict[str, Callable[[int], Model]] = {
 }
 FILTERED_AFTERWARDS = {"split + HP, k = 3": split(3, hp=True)}
 HYBRID: dict[str, Callable[[int], Model]] = {
-    "filtered": lambda nu: Filtered(gru(nu), ONE_WAY),
-    "residual": lambda nu: Residual(gru(nu)),
-    "filtered high, k = 1": lambda nu: FilteredHigh(gru(nu), UPPER),
-    "filtered high, k = 3": lambda nu: FilteredHigh(gru(nu), UPPER, 3),
-    "filtered high, k = 3, conditioned": lambda nu: FilteredHigh(gru(nu, 4), UPPER, 3, True),
+    "filtered": lambda nu: FilteredModel(gru(nu), ONE_WAY),
+    "residual": lambda nu: ResidualModel(gru(nu)),
+    "filtered high, k = 1": lambda nu: FilteredHighModel(gru(nu), UPPER),
+    "filtered high, k = 3": lambda nu: FilteredHighModel(gru(nu), UPPER, 3),
+    "filtered high, k = 3, conditioned": lambda nu: FilteredHighModel(gru(nu, 4), UPPER, 3, True),
 }
 CONDITIONED: dict[str, Callable[[int], Model]] = {
-    "filtered, conditioned": lambda nu: Filtered(gru(nu, 4), ONE_WAY, conditioned=True),
-    "residual, conditioned": lambda nu: Residual(gru(nu, 4), conditioned=True),
+    "filtered, conditioned": lambda nu: FilteredModel(gru(nu, 4), ONE_WAY, conditioned=True),
+    "residual, conditioned": lambda nu: ResidualModel(gru(nu, 4), conditioned=True),
 }
 AT_ONCE: dict[str, Callable[[int], Model]] = {
     "gru, feedthrough": lambda nu: Recurrent(gru(2 * nu), nu > 0),
     "rnn, feedthrough": lambda nu: Recurrent(EulerMLP(NY, 40, 3, 6, 4, 0.3, 2 * nu), nu > 0),
-    "split, k = 3, feedthrough": lambda nu: Split(
+    "split, k = 3, feedthrough": lambda nu: SplitModel(
         [gru(nu), gru(2 * nu, 4)], PAIR, 3, conditioned=True, feedthrough=nu > 0
     ),
-    "split, k = 1, feedthrough": lambda nu: Split(
+    "split, k = 1, feedthrough": lambda nu: SplitModel(
         [gru(2 * nu), gru(2 * nu)], PAIR, 1, feedthrough=nu > 0
     ),
-    "residual, feedthrough": lambda nu: Residual(gru(2 * nu), False, nu > 0),
-    "filtered, feedthrough": lambda nu: Filtered(gru(2 * nu), ONE_WAY, False, nu > 0),
-    "filtered high, conditioned, feedthrough": lambda nu: FilteredHigh(
+    "residual, feedthrough": lambda nu: ResidualModel(gru(2 * nu), False, nu > 0),
+    "filtered, feedthrough": lambda nu: FilteredModel(gru(2 * nu), ONE_WAY, False, nu > 0),
+    "filtered high, conditioned, feedthrough": lambda nu: FilteredHighModel(
         gru(2 * nu, 4), UPPER, 1, True, nu > 0
     ),
 }
@@ -164,7 +172,7 @@ def test_a_slow_band_is_given_the_mean_of_the_inputs_up_to_each_of_its_samples(k
     """The moving average of SciPy, which stands still before the first sample."""
     for warmup in WARMUPS:
         low = silent(1)
-        model = Split([low, silent(1)], PAIR, k).double()
+        model = SplitModel([low, silent(1)], PAIR, k).double()
         u = torch.from_numpy(U[None, :, :1])
         model.components(Signals(torch.from_numpy(Y[:1, :warmup, :1]), u), STEPS)
         before = np.concatenate([np.full(k - 1, U[0, 0]), U[:, 0]])

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splitband import ComplementaryPair
 from splitband.filters import butterworth
-from splitband.models import FilteredHigh, Signals
+from splitband.models import FilteredHighModel, Signals
 from tests.support import Scripted
 
 WARMUP, STEPS, RATE, CUTOFF = 20, 300, 20.0, 0.5
@@ -18,13 +18,13 @@ Y = torch.sin(TIME / 40) + 0.3 * torch.sin(2 * TIME)
 SILENCE = torch.zeros(WARMUP + STEPS, 1, dtype=torch.float64)
 
 
-def model(script: Tensor, order: int = 1, k: int = 1, told: bool = False) -> FilteredHigh:
+def model(script: Tensor, order: int = 1, k: int = 1, told: bool = False) -> FilteredHighModel:
     """With a network that says `script`."""
     pair = ComplementaryPair.perfect(*butterworth(CUTOFF, RATE, order, "high"), RATE, "high")
-    return FilteredHigh(Scripted(script, 0, 2 * told), pair, k, told).double()
+    return FilteredHighModel(Scripted(script, 0, 2 * told), pair, k, told).double()
 
 
-def total(hybrid: FilteredHigh, y_sim: Tensor) -> Tensor:
+def total(hybrid: FilteredHighModel, y_sim: Tensor) -> Tensor:
     low, high = hybrid.components(Signals(Y[:, :WARMUP], y_sim=y_sim), STEPS).values()
     return (low + high)[0].detach()
 

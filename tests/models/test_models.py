@@ -15,7 +15,7 @@ from splitband import GRU, ComplementaryPair, Record
 from splitband.comparison.backtest import first_origin
 from splitband.filters import butterworth
 from splitband.forecasters.held_out import Origin
-from splitband.models import Filtered, Model, Recurrent, Residual, Signals, Split
+from splitband.models import FilteredModel, Model, Recurrent, ResidualModel, Signals, SplitModel
 from splitband.training import fit
 from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record
 from tests.support import Scripted, asked, simulated, untrained, with_other_samples
@@ -102,9 +102,9 @@ def test_the_parts_of_a_simulation_add_up_in_the_units_of_the_record(kind: str) 
     model: Model
     if kind == "split":
         cells = [Scripted(signal, 0) for signal in ahead]
-        model = Split(cells, ComplementaryPair.butterworth(0.8, 10.0), downsampling=1)
+        model = SplitModel(cells, ComplementaryPair.butterworth(0.8, 10.0), downsampling=1)
     elif kind == "residual":
-        model = Residual(Scripted(ahead[1], 0))
+        model = ResidualModel(Scripted(ahead[1], 0))
     else:
         y_sim = y
         model = _filtered(ahead[0] + ahead[1], order=1)
@@ -163,7 +163,9 @@ def test_the_low_network_predicts_the_samples_it_is_up_sampled_to() -> None:
         for warmup in (30, 31, 32):
             low = Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
             high = Scripted(torch.zeros(400, 1, dtype=torch.float64), after=0)
-            model = Split([low, high], ComplementaryPair.butterworth(0.8, 10.0), downsampling=k)
+            model = SplitModel(
+                [low, high], ComplementaryPair.butterworth(0.8, 10.0), downsampling=k
+            )
             found = model.double().components(Signals(slow[None, :warmup]), 101)["low band"]
             torch.testing.assert_close(found[0], slow[warmup : warmup + 101], rtol=0, atol=4e-3)
 
@@ -188,7 +190,7 @@ def test_the_high_network_of_a_conditioned_split_is_told_of_the_low_bands_predic
     low = Scripted(slow[warmup % k :: k], after=(warmup - warmup % k) // k)
     high = Scripted(torch.zeros_like(t), 0, nu=2)
     pair = ComplementaryPair.butterworth(0.8, 10.0)
-    model = Split([low, high], pair, k, conditioned=True).double()
+    model = SplitModel([low, high], pair, k, conditioned=True).double()
     model.slope_scale.fill_(0.25)
     known = Signals(slow[None, :warmup] + 0.3)
     # The slope at the last sample is that between its neighbours, too.
@@ -203,7 +205,7 @@ def test_the_high_network_of_a_conditioned_split_is_told_of_the_low_bands_predic
 def test_in_training_the_high_network_is_told_of_the_low_bands_prediction_too() -> None:
     low = Scripted(torch.linspace(-1, 1, 90, dtype=torch.float64)[:, None], after=15)
     high = Scripted(torch.zeros(90, 1, dtype=torch.float64), 0, nu=2)
-    model = Split([low, high], BANDS[1], 2, conditioned=True).double()
+    model = SplitModel([low, high], BANDS[1], 2, conditioned=True).double()
     task = model.tasks(Signals(torch.tensor(record().y)))[1]
     window = Signals(torch.tensor(record().y[None, :30]))
     trained = task.simulate(window, 41)
@@ -223,7 +225,7 @@ def test_the_network_of_a_conditioned_hybrid_is_told_of_the_simulator_behind_its
     r, steps = record(nu=nu), 60
     cell = Scripted(torch.zeros(LENGTH, 1, dtype=torch.float64), 0, nu + 2)
     pair = ComplementaryPair.perfect(*butterworth(0.5, 10.0), 10.0)
-    hybrid = Filtered(cell, pair, True) if kind == "filtered" else Residual(cell, True)
+    hybrid = FilteredModel(cell, pair, True) if kind == "filtered" else ResidualModel(cell, True)
     model = hybrid.double()
     model.slope_scale.fill_(0.1)
     y_sim, end = torch.tensor(y_sim_of(r)), WARMUP + steps
@@ -260,10 +262,10 @@ def test_slopes_have_unit_deviation_over_the_training_record(name: Any) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
-def _filtered(script: Tensor, order: int, conditioned: bool = False) -> Filtered:
+def _filtered(script: Tensor, order: int, conditioned: bool = False) -> FilteredModel:
     b, a = butterworth(0.5, 20.0, order)
     cell = Scripted(script, 0, nu=2 if conditioned else 0)
-    return Filtered(cell, ComplementaryPair.perfect(b, a, 20.0), conditioned).double()
+    return FilteredModel(cell, ComplementaryPair.perfect(b, a, 20.0), conditioned).double()
 
 
 @pytest.mark.parametrize("conditioned", [False, True])
@@ -301,33 +303,33 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
     [
         (lambda: simulated(Recurrent(GRU(4, 1)), np.zeros((5, 2)), 3), "y_warmup must be"),
         (lambda: simulated(Recurrent(GRU(4, 1, 1)), np.zeros((5, 1)), 3), "u must be given"),
-        (lambda: simulated(Residual(GRU(4, 1)), np.zeros((5, 1)), 3), "y_sim must be given"),
+        (lambda: simulated(ResidualModel(GRU(4, 1)), np.zeros((5, 1)), 3), "y_sim must be given"),
         (
-            lambda: Split([GRU(4, 1), GRU(4, 2)], ComplementaryPair.butterworth(1, 10)),
+            lambda: SplitModel([GRU(4, 1), GRU(4, 2)], ComplementaryPair.butterworth(1, 10)),
             r"\(ny, nu\) must be \[\(1, 0\), \(1, 0\)\], got \[\(1, 0\), \(2, 0\)\]",
         ),
         (
-            lambda: Split([GRU(4, 1), GRU(4, 1)], ComplementaryPair.butterworth(2, 10), 3),
+            lambda: SplitModel([GRU(4, 1), GRU(4, 1)], ComplementaryPair.butterworth(2, 10), 3),
             "downsampling by 3",
         ),
         (
-            lambda: Filtered(GRU(4, 1), ComplementaryPair.butterworth(2, 10)),
+            lambda: FilteredModel(GRU(4, 1), ComplementaryPair.butterworth(2, 10)),
             "must filter one way",
         ),
         (
-            lambda: Split([GRU(4, 1), GRU(4, 1, 1)], BANDS[0], conditioned=True),
+            lambda: SplitModel([GRU(4, 1), GRU(4, 1, 1)], BANDS[0], conditioned=True),
             r"must be \[\(1, 0\), \(1, 2\)\], with 2 ny inputs for the slow band, "
             r"got \[\(1, 0\), \(1, 1\)\]",
         ),
         (
-            lambda: Filtered(GRU(4, 1, 1), BANDS[0], conditioned=True),
+            lambda: FilteredModel(GRU(4, 1, 1), BANDS[0], conditioned=True),
             "at least 2 ny = 2 inputs.*got nu = 1",
         ),
         (
-            lambda: Residual(GRU(4, 2, 3), conditioned=True),
+            lambda: ResidualModel(GRU(4, 2, 3), conditioned=True),
             "at least 2 ny = 4 inputs.*got nu = 3",
         ),
-        (lambda: Split([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
+        (lambda: SplitModel([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
     ],
 )
 def test_errors_name_the_argument_and_the_value(call: Any, message: Any) -> None:

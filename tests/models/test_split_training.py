@@ -14,7 +14,7 @@ import torch
 
 import splitband as sb
 from splitband.data import Record
-from splitband.models import Split
+from splitband.models import SplitModel
 from splitband.models.base import Signals
 from splitband.training import fit
 from splitband.training.windows import joined, windows, windows_in
@@ -32,10 +32,10 @@ def drawn(samples: int, seed: int, gap: bool = False) -> Record:
     return Record.with_gaps(y, DT) if gap else Record(y, DT)
 
 
-def untrained(own_warmup: bool, filter_output: bool = False) -> Split:
+def untrained(own_warmup: bool, filter_output: bool = False) -> SplitModel:
     torch.manual_seed(0)
     networks = [sb.GRU(3), sb.GRU(4)]
-    return Split(networks, PAIR, K, filter_output, own_warmup=own_warmup).double()
+    return SplitModel(networks, PAIR, K, filter_output, own_warmup=own_warmup).double()
 
 
 RECORDS = {

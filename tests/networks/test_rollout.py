@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from examples.own_cell import LSTM
 from splitband.data import Record
 from splitband.filters import ComplementaryPair
-from splitband.models import Model, Recurrent, Split
+from splitband.models import Model, Recurrent, SplitModel
 from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
 from splitband.training import TrainingSettings, fit
 from tests.support import simulated
@@ -251,7 +251,7 @@ def whole(cell: Cell) -> Model:
 def split(cell: Cell) -> Model:
     torch.manual_seed(7)
     pair = ComplementaryPair.butterworth(0.1, 1.0, order=1)
-    return Split([cell, LSTM(HIDDEN, cell.ny, cell.nu)], pair, downsampling=2)
+    return SplitModel([cell, LSTM(HIDDEN, cell.ny, cell.nu)], pair, downsampling=2)
 
 
 @pytest.mark.parametrize("make_model", [whole, split])
@@ -268,7 +268,7 @@ def test_a_user_s_cell_is_trained_in_any_model(
         window=28, warmup=16, epochs=12, batch_size=22, learning_rate=2e-2
     )
     history = fit(model, Record(y, 1.0, u=u), settings)
-    assert len(history.losses) == (2 if isinstance(model, Split) else 1)
+    assert len(history.losses) == (2 if isinstance(model, SplitModel) else 1)
     for losses in history.losses.values():
         assert len(losses) == 12
         assert losses[-1] < 0.9 * losses[0]

@@ -28,7 +28,7 @@ from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
-from splitband.models import Signals, Split
+from splitband.models import Signals, SplitModel
 
 Array = npt.NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def test_a_split_model_s_run_says_what_a_sliced_warm_up_comes_to(folder: Path) -
     fitted = job.forecaster(setup).fit(record[: setup.train], seed=1)
     assert isinstance(fitted, Network)
     model = fitted.model
-    assert isinstance(model, Split)
+    assert isinstance(model, SplitModel)
     bands = [
         filtfilt(*butter(3, 0.4, kind, fs=10), record.y[:250], axis=0)[:30]
         for kind in ("low", "high")

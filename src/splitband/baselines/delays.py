@@ -21,13 +21,13 @@ import scipy
 
 from splitband.baselines.refinement import (
     MOST_SAMPLES,
-    Run,
+    Signals,
     blocks_of,
     linear_solution,
     refined,
     windows,
 )
-from splitband.baselines.selection import Search
+from splitband.baselines.selection import OrderSearch
 from splitband.baselines.subspace import filled, stable, subspace
 from splitband.metrics import spread
 from splitband.runtime.arguments import whole
@@ -112,7 +112,7 @@ class Units:
         u = np.concatenate([u for _, u in records])
         return cls(np.nanmean(y, axis=0), spread(y), np.nanmean(u, axis=0), spread(u))
 
-    def run(self, y: Array, u: Array, delays: Sequence[int], rows: slice | None = None) -> Run:
+    def run(self, y: Array, u: Array, delays: Sequence[int], rows: slice | None = None) -> Signals:
         """Return some rows of a record with delayed inputs, for a fit.
 
         By default from where all inputs that act are known. Before that nothing tells the state: a
@@ -123,8 +123,8 @@ class Units:
         outputs = ((y[rows] - self.y_mean) / self.y_scale).T
         inputs = (delayed(u, delays, rows) - self.u_mean) / self.u_scale
         measured = (~np.isnan(outputs)).astype(np.float64)
-        run = Run(inputs.T, np.where(measured > 0, outputs, 0.0), measured)
-        return Run(*(np.ascontiguousarray(signal) for signal in run))
+        run = Signals(inputs.T, np.where(measured > 0, outputs, 0.0), measured)
+        return Signals(*(np.ascontiguousarray(signal) for signal in run))
 
     def outputs(self, some: Sequence[int]) -> Units:
         """Return the units of some outputs."""
@@ -187,7 +187,7 @@ def _compared(
     samples = sum(int(plain[i].measured[:, begin:end].sum()) for i, begin, end in cuts)
     longest = max(len(y) for y, _ in records) // 2
 
-    def runs_of(delays: Sequence[int], late: int) -> list[Run]:
+    def runs_of(delays: Sequence[int], late: int) -> list[Signals]:
         """Return the windows with delayed inputs, from where a delay `late` is in the record."""
         rows = [(i, slice(max(a, late) if late < len(records[i][0]) // 2 else a, b))
                 for i, a, b in cuts]  # fmt: skip
@@ -211,7 +211,7 @@ def _compared(
     # The delayed model is one of those that found the delays: where they fit far worse than one of
     # high order, what they say of delays is no evidence.
     both = ((best, _DELAY_ORDERS[-1]), ([0] * len(best), None))
-    searches = (Search(runs_of(delays, max(best)), moving, most=most) for delays, most in both)
+    searches = (OrderSearch(runs_of(delays, max(best)), moving, most=most) for delays, most in both)
     late, at_once = (search.integrating(search.first()) for search in searches)
     simpler = late.order < at_once.order and late.error < _ALIKE * at_once.error
     return best, errors, simpler or not at_once.as_good_as(late)
@@ -243,7 +243,7 @@ def _one_delay(
     return best, 1 / np.sqrt(curvature) if curvature > 0 else np.nan
 
 
-def _low_order_cost(runs: Sequence[Run], samples: int) -> float:
+def _low_order_cost(runs: Sequence[Signals], samples: int) -> float:
     """Return the information criterion of the best model of a low order, per sample."""
     found = subspace([(np.where(r.measured > 0, r.y, np.nan).T, r.u.T) for r in runs], _ROWS)
     if found is None:

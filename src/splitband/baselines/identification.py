@@ -32,7 +32,7 @@ from splitband.baselines.kalman import (
 from splitband.baselines.linear import LinearModel, assembled
 from splitband.baselines.refinement import (
     MOST_SAMPLES,
-    Run,
+    Signals,
     Solution,
     blocks_of,
     equations,
@@ -42,7 +42,7 @@ from splitband.baselines.refinement import (
     stepped,
     windows,
 )
-from splitband.baselines.selection import ITERATIONS, Search, with_constant
+from splitband.baselines.selection import ITERATIONS, OrderSearch, with_constant
 from splitband.baselines.uncertainty import NORMAL, silent, uncertainty_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, current
@@ -128,8 +128,8 @@ def _of_outputs(
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
     cuts = windows(runs, MOST_SAMPLES)
-    some = [Run(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
-    search = Search(some, moving, integrators, most)
+    some = [Signals(*(signal[:, begin:end] for signal in runs[i])) for i, begin, end in cuts]
+    search = OrderSearch(some, moving, integrators, most)
     if order is None:
         chosen = search.best()
     else:
@@ -171,7 +171,7 @@ def _unstable_by_chance(model: LinearModel) -> bool:
     return bool(((size > 1) & ~(size - NORMAL * error > 1)).any())  # also without an interval
 
 
-def _of_sensors(model: LinearModel, by_prediction: LinearModel, runs: Sequence[Run]) -> bool:
+def _of_sensors(model: LinearModel, by_prediction: LinearModel, runs: Sequence[Signals]) -> bool:
     """Return whether inputs that errors predict are rather sensors than a controller's output.
 
     What a sensor measures predicts its later values, too. Of such records the model by prediction
@@ -185,7 +185,7 @@ def _of_sensors(model: LinearModel, by_prediction: LinearModel, runs: Sequence[R
 
 def _model_of(
     at: Solution,
-    runs: Sequence[Run],
+    runs: Sequence[Signals],
     delays: Sequence[int],
     gain: Array | None = None,
     by: str = "output error",
@@ -223,7 +223,7 @@ def _model_of(
 
 
 def _by_prediction(
-    model: LinearModel, at: Solution, runs: Sequence[Run], longest: int
+    model: LinearModel, at: Solution, runs: Sequence[Signals], longest: int
 ) -> LinearModel:
     """Return the model by prediction error that begins as a `model` by output error.
 
@@ -262,7 +262,7 @@ def _by_prediction(
     return replace(new, uncertainty=errors)
 
 
-def _parts(runs: Sequence[Run], a: Array) -> Sequence[Run]:
+def _parts(runs: Sequence[Signals], a: Array) -> Sequence[Signals]:
     """Return the runs, of an unstable model in parts over which it grows at most by `_GROWTH`."""
     size = abs(np.linalg.eigvals(a)).max(initial=0.0)
     if size <= 1:
@@ -272,7 +272,7 @@ def _parts(runs: Sequence[Run], a: Array) -> Sequence[Run]:
     for run in runs:
         count = max(run.u.shape[1] // length, 1)
         cut = [np.array_split(signal, count, axis=1) for signal in run]
-        found += [Run(*part) for part in zip(*cut, strict=True)]
+        found += [Signals(*part) for part in zip(*cut, strict=True)]
     return found
 
 

@@ -26,7 +26,7 @@ _FREE = 24
 MAX_OBSERVER_POLE = 1 - 1e-9
 """Largest absolute value of an observer's pole."""
 _PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
-"""Candidate factors of the prior covariance of an initial state. Bounds the time."""
+"""OrderCandidate factors of the prior covariance of an initial state. Bounds the time."""
 _SURPRISING = 8.0
 """Rise of twice the log-likelihood that a factor other than the usual one must bring. Checked by
 `benchmarks.sensitivity`."""

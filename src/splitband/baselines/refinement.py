@@ -56,7 +56,7 @@ _EXACT = 1e-10
 """RMS of normalised errors below which they are rounding. Rounding."""
 
 
-class Run(NamedTuple):
+class Signals(NamedTuple):
     """Hold a record for a fit: inputs `(nu, time)`, outputs `(ny, time)` with 0 in gaps.
 
     `measured` `(ny, time)` is 1 where an output was measured, else 0.
@@ -162,14 +162,14 @@ class Blocks:
         c = self.c.transpose(1, 0, 2).reshape(len(self.offset), -1)[:, kept]
         return a, b, c, self.d
 
-    def simulate(self, run: Run, first: Array) -> Array:
+    def simulate(self, run: Signals, first: Array) -> Array:
         """Return the outputs `(ny, time)` from the initial states `(blocks, 2)` on."""
         y = self.d @ run.u + self.offset[:, None]
         for row, b, c, x in zip(self.a, self.b, self.c, first, strict=True):
             y += c @ _states(row, b @ run.u, x)
         return y
 
-    def chunks(self, run: Run, first: Array) -> Iterator[tuple[slice, Array, Array]]:
+    def chunks(self, run: Signals, first: Array) -> Iterator[tuple[slice, Array, Array]]:
         """Yield, for each chunk of time, the states and their derivatives.
 
         The states are `(blocks, 2, chunk)`, their derivatives `(blocks, 2, 4 + 2 nu, chunk)`: by a,
@@ -348,7 +348,7 @@ class Equations:
         return Equations(self.n + sign * other.n, self.g + sign * other.g, states)
 
 
-def evaluated(blocks: Blocks, runs: Sequence[Run], first: Sequence[Array]) -> Solution:
+def evaluated(blocks: Blocks, runs: Sequence[Signals], first: Sequence[Array]) -> Solution:
     """Return the errors of a system."""
     errors = [
         (run.y - blocks.simulate(run, x)) * run.measured for run, x in zip(runs, first, strict=True)
@@ -359,19 +359,19 @@ def evaluated(blocks: Blocks, runs: Sequence[Run], first: Sequence[Array]) -> So
     return Solution(blocks, tuple(first), tuple(errors), scale)
 
 
-def equations(solution: Solution, runs: Sequence[Run], free: Flags) -> Equations:
+def equations(solution: Solution, runs: Sequence[Signals], free: Flags) -> Equations:
     """Return the normal equations of all samples for the entries `free` of the values."""
     whole = [(i, 0, run.u.shape[1]) for i, run in enumerate(runs)]
     least = max(_LEAST, _EACH * int(free.sum()))
     return total(by_segment(solution, runs, free, whole, max(length(runs) // least, 1)))
 
 
-def length(runs: Sequence[Run]) -> int:
+def length(runs: Sequence[Signals]) -> int:
     """Return the number of samples of all records."""
     return sum(run.u.shape[1] for run in runs)
 
 
-def windows(runs: Sequence[Run], most: int) -> list[tuple[int, int, int]]:
+def windows(runs: Sequence[Signals], most: int) -> list[tuple[int, int, int]]:
     """Return record, first and last sample + 1 of windows with about `most` samples in all.
 
     All of shorter records. Else half of them lie at even distances, and half of them are those in
@@ -394,7 +394,7 @@ def total(parts: Sequence[Equations]) -> Equations:
     return reduce(Equations.plus, parts)
 
 
-def segments(runs: Sequence[Run], count: int) -> list[tuple[int, int, int]]:
+def segments(runs: Sequence[Signals], count: int) -> list[tuple[int, int, int]]:
     """Return record, first and last sample + 1 of about `count` segments with measured samples."""
     time = length(runs)
     found = []
@@ -407,7 +407,7 @@ def segments(runs: Sequence[Run], count: int) -> list[tuple[int, int, int]]:
 
 def by_segment(
     solution: Solution,
-    runs: Sequence[Run],
+    runs: Sequence[Signals],
     free: Flags,
     cuts: Sequence[tuple[int, int, int]],
     thin: int = 1,
@@ -498,7 +498,7 @@ def _solve(n: Array, g: Array, damping: float, like: Array) -> Array:
 
 
 def stepped(
-    solution: Solution, runs: Sequence[Run], free: Flags, found: Equations, damping: float
+    solution: Solution, runs: Sequence[Signals], free: Flags, found: Equations, damping: float
 ) -> Solution:
     """Return the solution after one damped step."""
     step, states = solved(found, damping)
@@ -509,7 +509,7 @@ def stepped(
         return evaluated(solution.blocks.moved(whole), runs, first)
 
 
-def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1.0) -> Solution:
+def refined(at: Solution, runs: Sequence[Signals], iterations: int, limit: float = 1.0) -> Solution:
     """Return the locally best system, with complex poles below `limit` in absolute value.
 
     When the deadline passes, the best one so far.
@@ -538,18 +538,18 @@ def refined(at: Solution, runs: Sequence[Run], iterations: int, limit: float = 1
     return at
 
 
-def begun(blocks: Blocks, runs: Sequence[Run]) -> Solution:
+def begun(blocks: Blocks, runs: Sequence[Signals]) -> Solution:
     """Return the system as it is, from initial states that suit the first samples of each record.
 
     That takes a simulation of the records, whatever their length.
     """
     each, free = MOST_SAMPLES // len(runs) + 1, np.zeros(len(blocks.values), bool)
-    some = [Run(*(signal[:, :each] for signal in run)) for run in runs]
+    some = [Signals(*(signal[:, :each] for signal in run)) for run in runs]
     at = evaluated(blocks, some, [np.zeros((len(blocks.a), 2)) for _ in runs])
     return evaluated(blocks, runs, stepped(at, some, free, equations(at, some, free), 0.0).first)
 
 
-def linear_solution(blocks: Blocks, runs: Sequence[Run]) -> Solution:
+def linear_solution(blocks: Blocks, runs: Sequence[Signals]) -> Solution:
     """Return the system with B, D, offset and initial states by linear least squares."""
     first = [np.zeros((len(blocks.a), 2)) for _ in runs]
     at = evaluated(blocks, runs, first)

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from splitband.baselines.refinement import (
-    Run,
+    Signals,
     Solution,
     begun,
     blocks_of,
@@ -83,7 +83,7 @@ told from what lasts, and would answer to whatever comes later. Without a limit,
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class OrderCandidate:
     """Hold a fitted model.
 
     Attributes
@@ -108,7 +108,7 @@ class Candidate:
         power = np.nanmean(self.power, axis=0) + _NEGLIGIBLE**2
         return float(np.exp(0.5 * np.log(power).mean()))
 
-    def as_good_as(self, other: Candidate) -> bool:
+    def as_good_as(self, other: OrderCandidate) -> bool:
         """Return whether it is worse by at most one standard error of the difference.
 
         Logarithms are compared, so that each output counts the same.
@@ -120,8 +120,8 @@ class Candidate:
 
 
 @dataclass(eq=False)
-class Search:
-    """Search the order of a model of some outputs.
+class OrderSearch:
+    """OrderSearch the order of a model of some outputs.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Search:
     errors : Held-out RMS error by order.
     """
 
-    runs: Sequence[Run]
+    runs: Sequence[Signals]
     direct: Sequence[bool]
     integrators: int | None = None
     most: int | None = None
@@ -167,7 +167,7 @@ class Search:
         """Return the largest absolute value of a complex pole."""
         return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
 
-    def of_order(self, order: int, larger: Candidate | None = None) -> Candidate | None:
+    def of_order(self, order: int, larger: OrderCandidate | None = None) -> OrderCandidate | None:
         """Return the refined model of this order; it may begin as a `larger` one, reduced."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
@@ -175,14 +175,14 @@ class Search:
         return self._refined(self._start(order, larger), self.runs, iterations)
 
     def _refined(
-        self, begin: Solution | None, runs: Sequence[Run], iterations: int, integrators: int = 0
-    ) -> Candidate | None:
+        self, begin: Solution | None, runs: Sequence[Signals], iterations: int, integrators: int = 0
+    ) -> OrderCandidate | None:
         if begin is None:
             return None
         at = refined(begin, runs, iterations, self.limit)
-        return Candidate(at, held_out(at, runs), integrators)
+        return OrderCandidate(at, held_out(at, runs), integrators)
 
-    def on_all(self, chosen: Candidate, runs: Sequence[Run]) -> Solution:
+    def on_all(self, chosen: OrderCandidate, runs: Sequence[Signals]) -> Solution:
         """Return the chosen model refined on all samples of records, of which `self.runs` are some.
 
         Slow poles, which an excerpt does not show, are those of a subspace of averaged samples, and
@@ -197,26 +197,26 @@ class Search:
             return at
         with suppress(DeadlineError):
             at = linear_solution(blocks, fitted)
-            whole = Search(runs, self.direct, self.integrators, chosen.order)
+            whole = OrderSearch(runs, self.direct, self.integrators, chosen.order)
             if not blocks.constant:
                 at = min(at, whole._start(chosen.order) or at, key=lambda at: at.cost)
             at = refined(at, fitted, ITERATIONS // 2, whole.limit)
             if not blocks.constant or self.integrators is not None:
                 return at
             free = whole.of_order(chosen.order)
-            found = Candidate(at, held_out(at, fitted), chosen.integrators)
+            found = OrderCandidate(at, held_out(at, fitted), chosen.integrators)
             if free and not (found.as_good_as(free) and whole._lasts(chosen.order, free)):
                 return free.solution
         return at
 
-    def first(self) -> Candidate:
+    def first(self) -> OrderCandidate:
         """Return the model of the order with the best information criterion, the first guess."""
         self._grid = dict(sorted(self._criteria()))
         least = max(self.integrators or 0, 1)
         order = min(self._grid, key=lambda n: self._grid[n], default=least)
         return self.of_order(order) or self.of_order(least) or self._constant()
 
-    def best(self) -> Candidate:
+    def best(self) -> OrderCandidate:
         """Return the model of the chosen order; that which the subspace shows comes first.
 
         From the order with the best information criterion on, smaller ones are tried one by one.
@@ -226,7 +226,7 @@ class Search:
             return first
         order, found = first.order, {first.order: first}
 
-        def attempt(n: int) -> Candidate:
+        def attempt(n: int) -> OrderCandidate:
             if n not in found and not current().over:
                 larger = found.get(min((m for m in found if m > n), default=n))
                 if (new := self.of_order(n, larger)) is not None:
@@ -248,7 +248,7 @@ class Search:
         self.errors = {n: found[n].error for n in sorted(found)}
         return best
 
-    def integrating(self, free: Candidate, given: int | None = None) -> Candidate:
+    def integrating(self, free: OrderCandidate, given: int | None = None) -> OrderCandidate:
         """Return the model with integrators in place of its slowest poles if it holds out as well.
 
         It may then need fewer poles, or more, but for a `given` order: a fit without an integrator
@@ -273,7 +273,7 @@ class Search:
         chosen = min(good, key=lambda c: (c.order, -c.integrators))
         return free if chosen.integrators == 1 and not self._lasts(chosen.order, free) else chosen
 
-    def _lasts(self, order: int, free: Candidate) -> bool:
+    def _lasts(self, order: int, free: OrderCandidate) -> bool:
         """Return whether the record tells that the slowest pole hardly decays over its length.
 
         Where the upper limit of its decay is more than `_DECAYED`, what looks like an integrator
@@ -287,11 +287,11 @@ class Search:
         pole, error = found.poles[0], found.pole_errors[0, 2]
         return bool(pole.imag != 0 or not longest * (1 - abs(pole) + NORMAL * error) > _DECAYED)
 
-    def _constant(self) -> Candidate:
+    def _constant(self) -> OrderCandidate:
         """Return a model of one pole without a subspace, for records with few samples."""
         ny = len(self.runs[0].y)
         at = linear_solution(blocks_of(np.array([[0.5]]), np.ones((ny, 1)), self.direct), self.runs)
-        return Candidate(at, held_out(at, self.runs))
+        return OrderCandidate(at, held_out(at, self.runs))
 
     def _criteria(self) -> Iterator[tuple[int, float]]:
         """Yield by order the information criterion (BIC) of the subspace's poles.
@@ -315,7 +315,7 @@ class Search:
             if current().over or (misses >= _MISSES and order >= shown):
                 return
 
-    def _start(self, order: int, larger: Candidate | None = None) -> Solution | None:
+    def _start(self, order: int, larger: OrderCandidate | None = None) -> Solution | None:
         """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
         if order not in self._starts:
             self._starts[order] = self._fitted(self._matrices(order))
@@ -340,7 +340,7 @@ class Search:
             if order <= each.largest and (each.stride == 1 or order <= _MOST_AVERAGED):
                 yield each.matrices(order)
 
-    def _with_integrators(self, order: int, count: int) -> Candidate | None:
+    def _with_integrators(self, order: int, count: int) -> OrderCandidate | None:
         """Return the refined model with so many poles at 1 and a constant flow into them.
 
         Two of them are a chain, or side by side, where there are several outputs.
@@ -359,7 +359,7 @@ class Search:
         return self._refined(begin, runs, ITERATIONS, count)
 
 
-def with_constant(runs: Sequence[Run]) -> list[Run]:
+def with_constant(runs: Sequence[Signals]) -> list[Signals]:
     """Return the records with 1 as a further input."""
     return [run._replace(u=np.vstack([run.u, np.ones((1, run.u.shape[1]))])) for run in runs]
 
@@ -374,7 +374,7 @@ def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
             yield np.asarray(own[np.ix_(kept, kept)]), np.asarray(c @ basis[:, kept])
 
 
-def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
+def held_out(solution: Solution, runs: Sequence[Signals]) -> Array:
     """Return the mean squared error of each segment that is held out, `(segments, ny)`."""
     blocks, cut = solution.blocks, segments(runs, SEGMENTS)
     each = by_segment(solution, runs, blocks.free, cut)
@@ -390,7 +390,7 @@ def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
             if moved.stable():
                 break
             move, first = move / 2, first / 2
-        run = Run(*(signal[:, :end] for signal in runs[record]))
+        run = Signals(*(signal[:, :end] for signal in runs[record]))
         with np.errstate(over="ignore", invalid="ignore"):
             y = moved.simulate(run, solution.first[record] + first.reshape(-1, 2))
             left = ((run.y - y) * run.measured)[:, begin:]
@@ -401,7 +401,7 @@ def held_out(solution: Solution, runs: Sequence[Run]) -> Array:
     return np.array(found)
 
 
-def _subspaces(runs: Sequence[Run], most: int) -> Iterator[Subspace]:
+def _subspaces(runs: Sequence[Signals], most: int) -> Iterator[Subspace]:
     """Yield the subspaces of the records at several rates."""
     ny, nu = len(runs[0].y), len(runs[0].u)
     records = [(np.where(run.measured > 0, run.y, np.nan).T, run.u.T) for run in runs]

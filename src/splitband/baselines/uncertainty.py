@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.refinement import Run, Solution, by_segment, segments, total
+from splitband.baselines.refinement import Signals, Solution, by_segment, segments, total
 from splitband.runtime.arrays import Array
 from splitband.runtime.options import saved
 
@@ -115,7 +115,7 @@ class Uncertainty:
         )
 
 
-def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
+def covariance_root(solution: Solution, runs: Sequence[Signals]) -> Array:
     """Return a root R of the covariance R R' of the free values, `(free, parts)`."""
     cuts = segments(runs, _PARTS)
     parts = by_segment(solution, runs, solution.blocks.free, cuts)
@@ -138,7 +138,7 @@ def covariance_root(solution: Solution, runs: Sequence[Run]) -> Array:
 @np.errstate(all="ignore")
 def uncertainty_of(
     solution: Solution,
-    runs: Sequence[Run],
+    runs: Sequence[Signals],
     matrices: Callable[[Array | None], Matrices],
     longest: int,
 ) -> Uncertainty:
@@ -208,7 +208,7 @@ def _response(a: Array, b: Array, c: Array, d: Array, angles: Array | Complex) -
     return np.asarray(c @ inner + d, np.complex128)
 
 
-def silent(poles: Complex, runs: Sequence[Run]) -> list[float]:
+def silent(poles: Complex, runs: Sequence[Signals]) -> list[float]:
     """Return the angles of poles at whose frequencies no input has power."""
     found = []
     for pole in poles[poles.imag >= 0]:

@@ -18,7 +18,7 @@ from rich.text import Text
 from splitband.cli import clock, printing
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import Plan
-from splitband.comparison.run import Run
+from splitband.comparison.run import RunningComparison
 from splitband.report import results
 from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing
@@ -56,7 +56,7 @@ class Display:
         """Return what is shown now; a thread calls it, so that nothing is computed here."""
         return Group(Text(f"{self._clock.left_in_words()}; {self._said}"), self._table)
 
-    def __call__(self, state: Run) -> None:
+    def __call__(self, state: RunningComparison) -> None:
         """Take note of where the comparison stands."""
         self._said = state.in_words()
         if self._in_place:
@@ -73,7 +73,7 @@ class Display:
         if (state.new_table or whole) and state.clock.left:
             self._write(state, whole)
 
-    def _write(self, state: Run, whole: bool) -> None:
+    def _write(self, state: RunningComparison, whole: bool) -> None:
         """Write the whole result of the baselines, or the best model so far."""
         if self._facts is None:
             return

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from splitband.training import Progress
 
 
-Watch = Callable[["Run"], None]
+Watch = Callable[["RunningComparison"], None]
 
 
 def compare(
@@ -110,9 +110,9 @@ def run(
 
 def finished(
     plan: Plan, runner: Runner, watch: Watch | None = None, clock: Clock | None = None
-) -> Run:
+) -> RunningComparison:
     """Run a plan to its end, or until Ctrl-C, and return all fits."""
-    found = Run(plan, runner, clock or Clock(plan.budget), watch)
+    found = RunningComparison(plan, runner, clock or Clock(plan.budget), watch)
     try:
         found.run_quick()
         found.run_rounds()
@@ -126,7 +126,7 @@ def finished(
     return found
 
 
-class Run:
+class RunningComparison:
     """Run the parts of a comparison one after the other, and hold all fits so far.
 
     Attributes

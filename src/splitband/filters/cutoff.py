@@ -51,7 +51,7 @@ _NYQUIST_MARGIN = 0.8
 
 @saved
 @dataclass(frozen=True)
-class Candidate:
+class CutoffCandidate:
     """Describe a filter pair that was considered.
 
     Attributes
@@ -78,9 +78,9 @@ class Choice:
 
     Attributes
     ----------
-    cutoff, order, downsampling : See `Candidate`.
+    cutoff, order, downsampling : See `CutoffCandidate`.
     reason : Reason of the choice, in words.
-    loss : Meaning of `Candidate.loss`, in words.
+    loss : Meaning of `CutoffCandidate.loss`, in words.
     candidates : All pairs that were considered, including the chosen one.
     simulator_helps : Whether the simulator's band is worth using; None without a simulator.
     """
@@ -90,7 +90,7 @@ class Choice:
     downsampling: int
     reason: str
     loss: str
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[CutoffCandidate, ...]
     simulator_helps: bool | None = None
 
     @property
@@ -128,7 +128,7 @@ def choose(
         k = downsampling or _downsampling(power * gain**2, spectrum.frequencies, f, warmup)
         both = float(np.sum(2 * power * gain * (1 - gain)))
         lost = both + _distortion(y, warmup, pair)
-        candidates.append(Candidate(f, pair.order, k, float(np.sum(power * gain**2)), lost))
+        candidates.append(CutoffCandidate(f, pair.order, k, float(np.sum(power * gain**2)), lost))
     able = [c for c in candidates if c.passed >= LEAST_PASSED]
     if good := [c for c in able if c.loss <= MOST_LOST]:
         best = min(good, key=lambda c: (c.order, c.cutoff))
@@ -186,7 +186,7 @@ def choose_with_simulator(  # noqa: PLR0913
         k = downsampling or _downsampling(low, spectrum.frequencies, f, warmup)
         passed, wrong_own = float(np.sum(own * power)), float(np.sum(own * error)) + offset
         left = wrong_own + LEFT_BY_NETWORK * float(np.sum(rest * power))
-        candidates.append(Candidate(f, pair.order, k, passed, left))
+        candidates.append(CutoffCandidate(f, pair.order, k, passed, left))
         wrongness[f, pair.order] = wrong_own / (passed or 1.0)
     lowest = min(c.order for c in candidates)
     best = min((c for c in candidates if c.order == lowest), key=lambda c: c.loss)

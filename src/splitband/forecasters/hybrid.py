@@ -115,7 +115,7 @@ class Split(Network):
         # With k = 1 the slow network also runs at every sample, with this input and the next.
         nu = record.nu * (2 if bands.downsampling == 1 else 1)
         low = self.low.sized(record.ny, nu, settings.warmup)
-        return models.Split(
+        return models.SplitModel(
             [low, self._sized(self.high, record, settings)],
             bands.pair(record.sampling_rate),
             bands.downsampling,
@@ -219,13 +219,13 @@ class Filtered(Network):
         pair, driven = bands.one_way_pair(record.sampling_rate, self.simulator_band), record.nu > 0
         if not self._above:
             cell = self._sized(self.cell, record, settings)
-            return models.Filtered(cell, pair, self.conditioned, driven)
+            return models.FilteredModel(cell, pair, self.conditioned, driven)
         k = bands.downsampling
         assert k is not None
         # With k = 1 the network also runs at every sample, with this input and the next.
         nu = record.nu * (2 if k == 1 else 1) + 2 * record.ny * self.conditioned
         cell = self.cell.sized(record.ny, nu, max(settings.warmup // k, 1))
-        return models.FilteredHigh(cell, pair, k, self.conditioned, driven)
+        return models.FilteredHighModel(cell, pair, k, self.conditioned, driven)
 
     @property
     def _above(self) -> bool:
@@ -309,7 +309,7 @@ class Residual(Network):
     def _build(self, record: Record, settings: TrainingSettings) -> Model:
         """Return a model with a network and no filters."""
         cell = self._sized(self.cell, record, settings)
-        return models.Residual(cell, self.conditioned, record.nu > 0)
+        return models.ResidualModel(cell, self.conditioned, record.nu > 0)
 
     def in_words(self) -> str:
         """Return the parts that add up."""

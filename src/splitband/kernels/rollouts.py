@@ -97,12 +97,12 @@ def run(kernel: Kernel, inputs: tuple[Tensor, ...], weights: tuple[Tensor, ...])
     if not kernel.steps:
         return inputs[0].new_empty(kernel.batch, 0, kernel.ny)
     if torch.is_grad_enabled() and any(t.requires_grad for t in (*inputs, *weights)):
-        y: Tensor = _Run.apply(kernel, len(inputs), *inputs, *weights)  # type: ignore[no-untyped-call]
+        y: Tensor = _Rollout.apply(kernel, len(inputs), *inputs, *weights)  # type: ignore[no-untyped-call]
         return y
     return _simulate(kernel, inputs, weights, keep=False)[0]
 
 
-class _Run(torch.autograd.Function):
+class _Rollout(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, kernel: Kernel, count: int, *tensors: Tensor) -> Tensor:
         inputs, weights = tensors[:count], tensors[count:]

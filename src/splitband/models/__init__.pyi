@@ -3,9 +3,9 @@ from .base import Signals as Signals
 from .base import Task as Task
 from .base import with_next_input as with_next_input
 from .base import with_weights as with_weights
-from .hybrid import Filtered as Filtered
-from .hybrid import FilteredHigh as FilteredHigh
+from .hybrid import FilteredHighModel as FilteredHighModel
+from .hybrid import FilteredModel as FilteredModel
 from .hybrid import Hybrid as Hybrid
-from .hybrid import Residual as Residual
+from .hybrid import ResidualModel as ResidualModel
 from .recurrent import Recurrent as Recurrent
-from .split import Split as Split
+from .split import SplitModel as SplitModel

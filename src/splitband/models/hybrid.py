@@ -113,7 +113,7 @@ class SteppedFiltered(Stepped):
         return {**run, "high": high_state}, low + high
 
 
-class Filtered(Hybrid):
+class FilteredModel(Hybrid):
     """Add the simulator in the low band and a network in the high band (paper, Sec. 4.3).
 
     H(network) + L(simulator) through the joint recurrence, trained end to end. The paper starts
@@ -221,7 +221,7 @@ class SteppedFilteredHigh(Stepped):
         return run, self.low.values(run)[0][0] + run["high"]
 
 
-class FilteredHigh(Hybrid):
+class FilteredHighModel(Hybrid):
     """Add the simulator in the high band and a network on the down-sampled low band.
 
     H(simulator) + network, the reverse of `Filtered`. The network simulates L(y) of the measured
@@ -326,7 +326,7 @@ class SteppedResidual(Stepped):
         return run, run["y"] + slow[1]
 
 
-class Residual(Hybrid):
+class ResidualModel(Hybrid):
     """Learn the simulator's residual: y = network + simulator (paper, Sec. 5.1).
 
     The network warms up on the residual of the measured samples. Parameters as for `Hybrid`.

@@ -101,7 +101,7 @@ class SteppedSplit(Stepped):
         return run, self.low.values(run)[0][0] + high
 
 
-class Split(Model):
+class SplitModel(Model):
     """Add two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
     The slow network simulates the low-passed, down-sampled signal. Its free run is up-sampled and

@@ -17,7 +17,7 @@ from splitband.checks.model import ModelCheck
 from splitband.checks.responses import Responses
 from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
-from splitband.comparison.run import Run
+from splitband.comparison.run import RunningComparison
 from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.forecasters import saving
@@ -73,7 +73,7 @@ def _page() -> ModuleType:
     return document
 
 
-def save_unfinished(state: Run, folder: Path, facts: dict[str, Any]) -> None:
+def save_unfinished(state: RunningComparison, folder: Path, facts: dict[str, Any]) -> None:
     """Write the best model so far in place of an earlier result; on an error nothing.
 
     results.json says that the comparison is `unfinished`, and the held-out errors so far.

@@ -26,7 +26,7 @@ from splitband.simulators.base import Hold, Start, check_hold, check_start
 from splitband.simulators.fmu_running import (
     CoSimulation,
     Exchange,
-    Task,
+    FmuRun,
     UnreadableError,
     check_inputs,
 )
@@ -180,7 +180,7 @@ class Fmu(Adjustable):
             given = np.asarray(u, float)[:, [*map(bool, names)]]
         names = [name for name in names if name]
         check_inputs(unit, names, given)
-        task = Task(np.asarray(time, float), given, values, self.outputs, names, self.hold)
+        task = FmuRun(np.asarray(time, float), given, values, self.outputs, names, self.hold)
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
@@ -194,7 +194,7 @@ class Fmu(Adjustable):
             unit.reads_before = True
             return found
 
-    def _stepped(self, task: Task) -> Array:
+    def _stepped(self, task: FmuRun) -> Array:
         """Return the outputs of a co-simulation, read as they are with all values in the ranges."""
         known, probed = self.known, task
         if known.free:
@@ -206,7 +206,7 @@ class Fmu(Adjustable):
         self._check_step(task, late, found)
         return found
 
-    def _check_step(self, task: Task, late: NDArray[np.bool_], found: Array) -> None:
+    def _check_step(self, task: FmuRun, late: NDArray[np.bool_], found: Array) -> None:
         """Warn where the outputs depend on the communication step; of a fit, at its values."""
         unit, step = self._unit, round(task.length, 12)
         other = unit.any_step or unit.own_step is None  # half of it may be asked for
@@ -307,7 +307,7 @@ def substeps(unit: Unit, sampling_time: float, given: float | None) -> int:
 # ---------------------------------------------------------------- how outputs are read
 
 
-def late_outputs(unit: Unit, task: Task) -> NDArray[np.bool_]:
+def late_outputs(unit: Unit, task: FmuRun) -> NDArray[np.bool_]:
     """Return which outputs show a sample's inputs only after the step from it, `(outputs,)`.
 
     Those are not that change when an input is set, or that are declared not to depend on any.
@@ -399,7 +399,7 @@ def _comes_late(whole: Array, short: Array, name: str, depends: bool | None) -> 
     return depends
 
 
-def _declared(unit: Unit, task: Task) -> list[bool | None]:
+def _declared(unit: Unit, task: FmuRun) -> list[bool | None]:
     """Return for each output whether the FMU declares it to depend on an input; None: not said."""
     said = {each.variable.name: each.dependencies for each in unit.description.outputs}
     found: list[bool | None] = []
@@ -409,7 +409,7 @@ def _declared(unit: Unit, task: Task) -> list[bool | None]:
     return found
 
 
-def _changes(unit: Unit, task: Task, usual: Array) -> list[Array]:
+def _changes(unit: Unit, task: FmuRun, usual: Array) -> list[Array]:
     """Return rows of inputs beside the usual one: in them an input is least or greatest.
 
     Of an input that is constant in the record, one of another value.

@@ -26,7 +26,7 @@ NEAR = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class FmuRun:
     """Say what a run is given, and what it returns.
 
     `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
@@ -102,7 +102,7 @@ def check_inputs(unit: Unit, names: Sequence[str], u: Array, what: str = "inputs
             )
 
 
-def initialise(unit: Unit, instance: Any, task: Task, inputs: Access, end: float) -> None:
+def initialise(unit: Unit, instance: Any, task: FmuRun, inputs: Access, end: float) -> None:
     """Set start values and the first inputs, and leave the initialisation."""
     from fmpy import simulation as by_fmpy  # noqa: PLC0415  the optional extra
 
@@ -129,7 +129,7 @@ def initialise(unit: Unit, instance: Any, task: Task, inputs: Access, end: float
 class _Inputs:
     """Set the inputs of a run by model exchange; a solver calls `apply`."""
 
-    def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+    def __init__(self, unit: Unit, instance: Any, task: FmuRun) -> None:
         variables = [] if task.hold == "zoh" else [unit.by_name[name] for name in task.inputs]
         jumping = "discrete", "tunable"
         smooth = [
@@ -153,7 +153,7 @@ class _Inputs:
 class Exchange:
     """Integrate an FMU for model exchange by CVODE (Hindmarsh et al., ACM TOMS 31, 2005)."""
 
-    def __init__(self, unit: Unit, instance: Any, task: Task) -> None:
+    def __init__(self, unit: Unit, instance: Any, task: FmuRun) -> None:
         self.unit, self.instance, self.task = unit, instance, task
         self.inputs = _Inputs(unit, instance, task)
         initialise(unit, instance, task, self.inputs.all, float(task.time[-1]))
@@ -263,7 +263,7 @@ class UnreadableError(Exception):
 class CoSimulation:
     """Step an FMU for co-simulation from sample to sample, and `spare` steps beyond the last."""
 
-    def __init__(self, unit: Unit, instance: Any, task: Task, spare: int = 1) -> None:
+    def __init__(self, unit: Unit, instance: Any, task: FmuRun, spare: int = 1) -> None:
         self.unit, self.instance, self.task = unit, instance, task
         self.inputs = Access(unit, instance, task.inputs)
         self.outputs = Access(unit, instance, task.outputs)
