@@ -5,7 +5,14 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-from splitband.forecasters import ensemble, names  # noqa: F401  what can be loaded is defined there
+from splitband.forecasters import (  # noqa: F401  what can be loaded is defined there
+    baselines,
+    ensemble,
+    grey_box,
+    hybrid,
+    linear,
+    simulation,
+)
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.saving import FILE, read
 from splitband.forecasters.simulation import description_of, simulations
