@@ -98,7 +98,9 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
 def _call(value: object) -> str:
     kind: Any = type(value)
-    package = "sb." if getattr(splitband, kind.__name__, None) is kind else ""
+    public = {"sb.": splitband, "sb.networks.": splitband.networks}
+    places = (at for at, holder in public.items() if getattr(holder, kind.__name__, None) is kind)
+    package = next(places, "")
     try:
         given = options(value)
     except TypeError:

@@ -135,8 +135,8 @@ class TrainingSettings(WithRepr):
 
         Adam at a constant rate, in batches of 50 windows (paper, Sec. 5).
         """
-        plain = cls(window, warmup, epochs, batch_size, learning_rate, (), False, None, 0.0)
-        return replace(plain, **{"max_batches": None, **changes})
+        plain = {"one_cycle": False, "clip": None, "growth": 0.0, "max_batches": None}
+        return cls(window, warmup, epochs, batch_size, learning_rate, **{**plain, **changes})
 
     def batches(self, windows: int) -> int:
         """Return the steps of an epoch over so many windows."""
