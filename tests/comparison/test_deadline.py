@@ -13,9 +13,10 @@ import pytest
 import splitband as sb
 from splitband import Forecaster
 from splitband.comparison.clock import MOST_OF_BASELINE, Clock
+from splitband.comparison.compare import compare
 from splitband.comparison.jobs import LATE
 from splitband.comparison.plan import plan
-from splitband.comparison.run import RunningComparison, compare, run
+from splitband.comparison.run import RunningComparison, run
 from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import current
 from tests.records import SETUP, TRAIN, record

@@ -68,7 +68,7 @@ class Plan:
     tests : Records that nothing is fitted to, with distinct names.
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
-    train, horizon, others, initial, budget, rounds, seed, seeds, refit : See `plan`; decided.
+    train, horizon, others, initial, budget, rounds, seed, seeds, refit : See `compare`; decided.
     """
 
     record: Record
@@ -190,53 +190,7 @@ def plan(  # noqa: PLR0913
     refit: bool = False,
     device: str = "cpu",
 ) -> Plan:
-    """Plan a comparison, and check records, methods and settings.
-
-    Parameters
-    ----------
-    record : The measured record, with its inputs and simulator's output, if any.
-    train : Samples to train on, by default three quarters; with `tests` all of them. With
-        `len(record)` nothing is left to compare with but the held-out forecasts.
-    methods : Forecasters, or names (`splitband methods`). By default the methods worth comparing on
-        such a record.
-    horizon : Samples to predict after the training part, by default to the end of the record; 0 is
-        for fitting alone.
-    others : Further records of the same system, to train on.
-    tests : Records of the same system that nothing is fitted to; each is simulated to its end after
-        a warm-up on its first samples. A simulator that inputs drive runs for them and `others`.
-    initial : Measured samples at the beginning of a test record, by default the warm-up.
-    settings : Training settings of the networks, or some of them, such as `{"epochs": 5}`. All but
-        `warmup` fix how networks are trained. By default that is searched on the last quarter of
-        the training part.
-    recipe : Settings where none are given: "default", or "constant-rate", which is not searched.
-    bands : Cut-off, order and down-sampling; what is not given is chosen from the training samples.
-    sizes : Of the networks given by name; by default they are searched.
-    simulator : For methods without one: it is run beside the record, or, with parameters (`Ode`,
-        `Fmu`, `Function`), fitted to it. A text is what `--simulator` takes: a file, FILE.py:NAME,
-        or the name of a baseline that is fitted in place of a simulator, such as "linear".
-    calibrate, conditioned : Whether methods given by name are also compared with their simulator
-        calibrated first, and with the slow band as an input of their networks.
-    budget : Wall time of the whole comparison in s, by default two minutes if there is something
-        to search, and no limit otherwise. `math.inf` is no limit.
-    rounds : Rounds of the search in place of a time limit: the same work and, on one machine, the
-        same result in every run.
-    seed : Of all random numbers.
-    seeds : Trainings of each network, whose median is handed out, by default three. Where settings
-        are searched, the most in the median of the best network, by default as many as do best;
-        the others are trained once.
-    refit : Whether the recommended method is refitted to the whole record at the end.
-    device : That networks are trained on: cpu, cuda, cuda:1.
-
-    Returns
-    -------
-    Plan
-        For `run`; no method has been fitted yet.
-
-    Raises
-    ------
-    ValueError
-        For invalid records, methods, settings or numbers of samples.
-    """
+    """Plan a comparison, and check everything, before anything is fitted; see `compare`."""
     require_records("record", record)
     for name, several in (("others", others), ("tests", tests)):
         if isinstance(several, Record):

@@ -17,10 +17,9 @@ from splitband.comparison.clock import (
 )
 from splitband.comparison.jobs import GRACE, LATE, Bases, Job, Runner, held_out_job
 from splitband.comparison.methods import BASES, built
-from splitband.comparison.plan import Plan, plan
+from splitband.comparison.plan import Plan
 from splitband.comparison.recommendation import Trial, by_reason, judged, without_failed
 from splitband.comparison.result import Comparison
-from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin
@@ -39,46 +38,6 @@ if TYPE_CHECKING:
 Watch = Callable[["RunningComparison"], None]
 
 
-def compare(
-    record: Record,
-    train: int | None = None,
-    methods: Sequence[Forecaster | str] | str | None = None,
-    *,
-    cores: int = 1,
-    executor: Executor | None = None,
-    watch: Watch | None = None,
-    **options: Any,
-) -> Comparison:
-    """Compare forecasters on a record, as `splitband compare` does: `run(plan(record, ...))`.
-
-    Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
-    of them. Ctrl-C ends it early with the results so far. With `train=len(record)`,
-    `result.model.predict(steps, level=0.9)` forecasts what comes after the record.
-
-    Parameters
-    ----------
-    record, train, methods : See `plan`.
-    cores, executor, watch : See `run`.
-    options : Further arguments of `plan`, such as budget, seed, tests, settings.
-
-    Raises
-    ------
-    ValueError
-        As `plan`, before anything is computed; and if no method can be fitted.
-
-    Examples
-    --------
-    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
-    >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
-    >>> result.recommended
-    'harmonic'
-    >>> list(result.table["forecast fit %"].round(1))
-    [100.0, -0.3, -77.9]
-    """
-    planned = plan(record, train, methods, **options)
-    return run(planned, cores=cores, executor=executor, watch=watch)
-
-
 def run(
     plan: Plan,
     *,
@@ -92,11 +51,7 @@ def run(
     Parameters
     ----------
     plan : From `plan`.
-    cores : Trainings side by side, each in a process with one thread. With several, a script must
-        keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
-    executor : Runs the trainings in place of processes of this machine: any executor of
-        `concurrent.futures`, such as Dask's `Client.get_executor()`. It stays open.
-    watch : Called in this process after each training, with where the comparison stands.
+    cores, executor, watch : See `compare`.
     clock : Time of a command that has already begun; by default the plan's budget from now on.
 
     Raises

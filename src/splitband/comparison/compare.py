@@ -1,0 +1,131 @@
+"""Compare forecasters on a record: the function that plans a comparison and runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any
+
+from splitband.comparison.methods import Sizes
+from splitband.comparison.plan import plan
+from splitband.comparison.result import Comparison
+from splitband.comparison.run import Watch, run
+from splitband.data import Record
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
+from splitband.simulators import Simulator
+from splitband.simulators.parameters import Adjustable
+from splitband.training import TrainingSettings
+from splitband.training.settings import Recipe
+
+
+def compare(  # noqa: PLR0913
+    record: Record,
+    train: int | None = None,
+    methods: Sequence[Forecaster | str] | str | None = None,
+    *,
+    horizon: int | None = None,
+    others: Sequence[Record] = (),
+    tests: Sequence[Record] = (),
+    initial: int | None = None,
+    settings: TrainingSettings | Mapping[str, Any] | None = None,
+    recipe: Recipe = "default",
+    bands: Bands | None = None,
+    sizes: Sizes | None = None,
+    simulator: Simulator | Adjustable | str | None = None,
+    calibrate: bool = False,
+    conditioned: bool = False,
+    budget: float | None = None,
+    rounds: int | None = None,
+    seed: int = 0,
+    seeds: int | None = None,
+    refit: bool = False,
+    device: str = "cpu",
+    cores: int = 1,
+    executor: Executor | None = None,
+    watch: Watch | None = None,
+) -> Comparison:
+    """Compare forecasters on a record, as `splitband compare` does, and recommend one.
+
+    Each one is fitted to the first `train` samples and, for the recommendation, to three quarters
+    of them. Ctrl-C ends it early with the results so far. With `train=len(record)`,
+    `result.model.predict(steps, level=0.9)` forecasts what comes after the record.
+
+    Parameters
+    ----------
+    record : The measured record, with its inputs and simulator's output, if any.
+    train : Samples to train on, by default three quarters; with `tests` all of them. With
+        `len(record)` nothing is left to compare with but the held-out forecasts.
+    methods : Forecasters, or names (`splitband methods`). By default the methods worth comparing on
+        such a record.
+    horizon : Samples to predict after the training part, by default to the end of the record; 0 is
+        for fitting alone.
+    others : Further records of the same system, to train on.
+    tests : Records of the same system that nothing is fitted to; each is simulated to its end after
+        a warm-up on its first samples. A simulator that inputs drive runs for them and `others`.
+    initial : Measured samples at the beginning of a test record, by default the warm-up.
+    settings : Training settings of the networks, or some of them, such as `{"epochs": 5}`. All but
+        `warmup` fix how networks are trained. By default that is searched on the last quarter of
+        the training part.
+    recipe : Settings where none are given: "default", or "constant-rate", which is not searched.
+    bands : Cut-off, order and down-sampling; what is not given is chosen from the training samples.
+    sizes : Of the networks given by name; by default they are searched.
+    simulator : For methods without one: it is run beside the record, or, with parameters (`Ode`,
+        `Fmu`, `Function`), fitted to it. A text is what `--simulator` takes: a file, FILE.py:NAME,
+        or the name of a baseline that is fitted in place of a simulator, such as "linear".
+    calibrate, conditioned : Whether methods given by name are also compared with their simulator
+        calibrated first, and with the slow band as an input of their networks.
+    budget : Wall time of the whole comparison in s, by default two minutes if there is something
+        to search, and no limit otherwise. `math.inf` is no limit.
+    rounds : Rounds of the search in place of a time limit: the same work and, on one machine, the
+        same result in every run.
+    seed : Of all random numbers.
+    seeds : Trainings of each network, whose median is handed out, by default three. Where settings
+        are searched, the most in the median of the best network, by default as many as do best;
+        the others are trained once.
+    refit : Whether the recommended method is refitted to the whole record at the end.
+    device : That networks are trained on: cpu, cuda, cuda:1.
+    cores : Trainings side by side, each in a process with one thread. With several, a script must
+        keep its code under `if __name__ == "__main__":`, as each process begins by importing it.
+    executor : Runs the trainings in place of processes of this machine: any executor of
+        `concurrent.futures`, such as Dask's `Client.get_executor()`. It stays open.
+    watch : Called in this process after each training, with where the comparison stands.
+
+    Raises
+    ------
+    ValueError
+        For invalid records, methods, settings or numbers of samples, before anything is computed;
+        and if no method can be fitted.
+
+    Examples
+    --------
+    >>> record = sb.Record(np.sin(0.3 * np.arange(400)), 0.1)
+    >>> result = sb.compare(record, 300, [sb.Mean(), sb.Persistence(), sb.Harmonic()])
+    >>> result.recommended
+    'harmonic'
+    >>> list(result.table["forecast fit %"].round(1))
+    [100.0, -0.3, -77.9]
+    """
+    planned = plan(
+        record,
+        train,
+        methods,
+        horizon=horizon,
+        others=others,
+        tests=tests,
+        initial=initial,
+        settings=settings,
+        recipe=recipe,
+        bands=bands,
+        sizes=sizes,
+        simulator=simulator,
+        calibrate=calibrate,
+        conditioned=conditioned,
+        budget=budget,
+        rounds=rounds,
+        seed=seed,
+        seeds=seeds,
+        refit=refit,
+        device=device,
+    )
+    return run(planned, cores=cores, executor=executor, watch=watch)
