@@ -14,7 +14,7 @@ import splitband as sb
 from splitband import Forecaster
 from splitband.comparison.clock import MOST_OF_BASELINE, Clock
 from splitband.comparison.compare import compare
-from splitband.comparison.jobs import LATE
+from splitband.comparison.jobs import late
 from splitband.comparison.plan import plan
 from splitband.comparison.run import RunningComparison, run
 from splitband.forecasters.prediction import ForecastContext
@@ -86,7 +86,7 @@ def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:
     assert seen["round 1"] == {"mean", "gru"}
     assert {*result.fits} == {"mean", "gru"}
     assert result.trial is not None
-    assert result.trial.failed == {"endless": LATE}
+    assert result.trial.failed == {"endless": late("endless").failure}
     assert "time" in result.table["note"]["endless"]
     assert result.clock.used < 30
 
@@ -95,7 +95,7 @@ def test_a_process_is_ended_with_the_baseline_that_it_fits() -> None:
     result = compare(RECORD, TRAIN, [Asleep(), "mean"], cores=2, budget=4.0)
     assert {*result.fits} == {"mean"}
     assert result.trial is not None
-    assert result.trial.failed == {"asleep": LATE}
+    assert result.trial.failed == {"asleep": late("asleep").failure}
     assert result.clock.used < 40
 
 

@@ -87,7 +87,7 @@ class Fit:
     seconds : Of the whole job, forecasts included.
     notes : What the fit has chosen and what went wrong, in words.
     failure : Why there is no model, in words; empty where there is one.
-    cut : Whether a deadline ended the job early.
+    cut : Whether a deadline ended the job early; without a model: whether that is the reason.
     """
 
     method: str

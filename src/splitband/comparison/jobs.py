@@ -22,7 +22,6 @@ from splitband.runtime.workers import Queue, Workers, ended_from_outside
 if TYPE_CHECKING:
     from splitband.comparison.plan import Plan
 
-LATE = "left out, as the time was over"
 BATCH = 8
 """Rows of the batch with which kernels of trainings are compiled; any number of several will do."""
 GRACE = 2.0
@@ -68,7 +67,12 @@ class Job:
 
     def late(self) -> Fit:
         """Return the fit of a job for which there was no time."""
-        return Fit(self.method, self.seed, failure=LATE, cut=True)
+        return late(self.method, self.seed)
+
+
+def late(method: str, seed: int = 0) -> Fit:
+    """Return the fit of a method for which there was no time."""
+    return Fit(method, seed, failure="left out, as the time was over", cut=True)
 
 
 def held_out_job(

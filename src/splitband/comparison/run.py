@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from splitband.comparison.backtest import BacktestSpec, Fit
@@ -15,7 +15,7 @@ from splitband.comparison.clock import (
     MOST_OF_TIME_LEFT,
     Clock,
 )
-from splitband.comparison.jobs import GRACE, LATE, Bases, Job, Runner, held_out_job
+from splitband.comparison.jobs import GRACE, Bases, Job, Runner, held_out_job, late
 from splitband.comparison.methods import BASES, built
 from splitband.comparison.plan import Plan
 from splitband.comparison.recommendation import Trial, by_reason, judged, without_failed
@@ -81,6 +81,55 @@ def finished(
     return found
 
 
+@dataclass(eq=False)
+class MethodState:
+    """Hold a method of a comparison, and how far it is.
+
+    Attributes
+    ----------
+    method : As planned, with its own simulator.
+    ready : The same with its simulator run and, once networks are trained, its cells built; None
+        where the simulator fails.
+    job : Of a method without networks the job that has begun and not ended.
+    trial : Fits to three quarters of the training part.
+    final : Fits by their jobs: to the whole training part or, where none of these has a model,
+        those of the trial with forecasts beyond the training part.
+    failure : The last fit that has no model.
+    """
+
+    method: Forecaster
+    ready: Forecaster | None = None
+    job: Job | None = None
+    trial: Sequence[Fit] = ()
+    final: dict[Job, Fit] = field(default_factory=dict)
+    failure: Fit | None = None
+
+    @property
+    def note(self) -> str:
+        """Return in words why results are of a fit to three quarters, if they are."""
+        if all(job.trains for job in self.final):
+            return ""
+        how, why = "trained on" if self.method.random else "fitted to", _reason(self.failure)
+        said = f"could not be {how} the whole training part {why}"
+        return f"{said}; results are of three quarters of it"
+
+    def end(self, fits: Mapping[Job, Fit]) -> None:
+        """Take the fits of all final trainings; a note names those without a model."""
+        self.final = {job: fit for job, fit in fits.items() if fit.model is not None}
+        failed = [fit for fit in fits.values() if fit.model is None]
+        if not self.final:
+            self.failure = failed[-1]
+        elif failed:
+            said = [f"seed {f.seed} {'' if f.cut else 'failed: '}{f.failure}" for f in failed]
+            job, first = next(iter(self.final.items()))
+            self.final[job] = replace(first, notes=(*first.notes, *said))
+
+
+def _reason(failure: Fit | None) -> str:
+    """Return in words why a fit could not be made; None and one that was cut: for lack of time."""
+    return "in time" if failure is None or failure.cut else f"({failure.failure})"
+
+
 class RunningComparison:
     """Run the parts of a comparison one after the other, and hold all fits so far.
 
@@ -89,27 +138,46 @@ class RunningComparison:
     plan, clock : Of the comparison.
     doing : What is computed now, in words.
     new_table : Whether a round, or the quick methods, have just ended.
-    trials : Fits to three quarters of the training part, by method.
-    finals : Fits to all of it.
-    failed : Why methods have no fit.
+    states : The methods by name, in the order of the plan.
     """
 
     def __init__(self, plan: Plan, runner: Runner, clock: Clock, watch: Watch | None) -> None:
         self.plan, self.clock, self._runner, self._watch = plan, clock, runner, watch
         clock.cores = runner.cores
         self.doing, self.new_table = "", False
-        self.trials: dict[str, Sequence[Fit]] = {}
-        self.finals: dict[str, list[Fit]] = {}
-        self.failed: dict[str, str] = {}
-        self._final_jobs: dict[str, list[Job]] = {}
+        self.states = {method.name: MethodState(method) for method in plan.methods}
         self._trial: Trial | None = None  # of the trials so far
-        self._quick: list[Job] = []  # of methods without networks, which have not ended
-        self._partly: dict[str, str] = {}  # why finals are fits to three quarters
-        ran: dict[Any, Any] = {}
-        ready = (self._simulated(method, ran) for method in plan.methods)
-        self._ready = [method for method in ready if method is not None]
         self._search: Search | None = None
         self._bases = Bases(runner)
+        ran: dict[Any, Any] = {}
+        for state in self.states.values():
+            self._simulate(state, ran)
+
+    @property
+    def trials(self) -> dict[str, Sequence[Fit]]:
+        """Return the fits to three quarters of the training part, by method."""
+        return {name: state.trial for name, state in self.states.items() if state.trial}
+
+    @property
+    def finals(self) -> dict[str, list[Fit]]:
+        """Return the final fits by method; see `MethodState`."""
+        return {name: [*state.final.values()] for name, state in self.states.items() if state.final}
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Return why methods have no final fit, in words, by name."""
+        failures = {n: state.failure for n, state in self.states.items() if not state.final}
+        return {name: fit.failure for name, fit in failures.items() if fit is not None}
+
+    @property
+    def _ready(self) -> list[Forecaster]:
+        """Return the methods that can be fitted."""
+        return [state.ready for state in self.states.values() if state.ready is not None]
+
+    @property
+    def _quick(self) -> list[Job]:
+        """Return the jobs of methods without networks that have not ended."""
+        return [state.job for state in self.states.values() if state.job is not None]
 
     @property
     def trial(self) -> Trial:
@@ -141,8 +209,8 @@ class RunningComparison:
     @property
     def methods(self) -> dict[str, Forecaster]:
         """Return the methods by name, fitted to three quarters where they have been tried."""
-        found = {method.name: method for method in self.plan.methods}
-        return found | {name: fits[0].fitted for name, fits in self.trials.items() if fits}
+        states = self.states.items()
+        return {name: s.trial[0].fitted if s.trial else s.method for name, s in states}
 
     def comparison(self) -> Comparison:
         """Return the comparison of the final fits so far."""
@@ -153,11 +221,8 @@ class RunningComparison:
     def _judged(
         self, final: Mapping[str, Sequence[Fit]], left_out: frozenset[str] = frozenset()
     ) -> Trial:
-        """Return the results on held-out samples, in the order of the methods, not of the jobs."""
-        names = self.plan.names
-        trials = {name: self.trials[name] for name in names if name in self.trials}
-        failed = {name: self.failed[name] for name in names if name in self.failed}
-        return judged(self.plan.training, trials, final, failed, left_out)
+        """Return the results on held-out samples."""
+        return judged(self.plan.training, self.trials, final, self.failed, left_out)
 
     def result(self) -> Comparison:
         """Return the comparison at the end, with the refit if one is asked for."""
@@ -199,21 +264,19 @@ class RunningComparison:
                 self._take(job, job.run())
             return
         job = replace(self._bases.given_to(job), limit=self._limit(job.forecaster))
-        self._quick.append(job)
+        self.states[job.method].job = job
         self._runner.begin([job], self._half(), first=True)
 
     def _take(self, job: Job, fit: Fit) -> None:
         """Take a fit of a method without networks; after the trial, the final fit begins."""
-        name = job.method
-        if fit.model is None:
-            self.failed[name] = fit.failure
-        elif name in self.trials:
-            self.finals[name] = [fit]
-            if not job.trains:
-                self._partly[name] = _of_three_quarters(job.forecaster)
+        state = self.states[job.method]
+        state.job, method = None, state.ready
+        if fit.model is None or method is None:
+            state.failure = fit
+        elif state.trial:
+            state.final = {job: fit}
         else:
-            self.trials[name], self._trial = [fit], None
-            method = next(f for f in self._ready if f.name == name)
+            state.trial, self._trial = [fit], None
             job = Job(method, self.plan.spec(method))
             if method._at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
                 self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
@@ -223,39 +286,43 @@ class RunningComparison:
 
     def _await_quick(self, trials_alone: bool = False) -> None:
         """Wait for the methods without networks: for all their fits, or for the trials alone."""
-        while jobs := [j for j in self._quick if not (trials_alone and j.method in self.trials)]:
+        while jobs := [*filter(self._untried, self._quick)] if trials_alone else self._quick:
             for _ in self._ended(jobs):
                 pass
+
+    def _untried(self, job: Job) -> bool:
+        """Return whether a job is one of the trial."""
+        return not self.states[job.method].trial
 
     def _ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
         """Yield jobs with their fits, as they end; methods without networks are taken meanwhile."""
         for job, fit in self._runner.ended(jobs):
-            if job not in self._quick:
+            if self.states[job.method].job is not job:
                 yield job, fit
                 continue
-            self._quick.remove(job)
-            tried = job.method in self.trials
+            untried = self._untried(job)
             self._take(job, fit)
-            left = any(other.method not in self.trials for other in self._quick)
-            if not (tried or left) and any(f.random for f in self._ready):
+            last = untried and not any(map(self._untried, self._quick))
+            if last and any(f.random for f in self._ready):
                 self._report("baselines", new_table=True)
 
     def interrupt(self) -> None:
         """End all jobs, after Ctrl-C."""
-        self.clock.interrupted, self._quick = True, []
+        self.clock.interrupted = True
+        for state in self.states.values():
+            state.job = None
         self._runner.drop()
 
     def run_rounds(self) -> None:
         """Run rounds of the search until only the final trainings fit into the time."""
         networks = [f for f in self._ready if f.random]
         if self.trials and self.clock.deadline.over:
-            self.failed |= dict.fromkeys((f.name for f in networks), LATE)
+            self._fail(late(network.name) for network in networks)
             return
         if not networks:
             return
         from splitband.comparison.search import Search  # noqa: PLC0415  which loads torch
 
-        self._ready = [built(f) for f in self._ready]
         ready = replace(self.plan, methods=tuple(self._ready))
         clock, most = self.clock, self.plan.rounds
         # Counted rounds are the same on any number of cores.
@@ -271,7 +338,8 @@ class RunningComparison:
                 jobs[0] = replace(jobs[0], needed=True)
             until = Deadline.after((clock.left - reserve) / search.cost_factor)
             search.tell(self._trained(jobs, until, f"round {search.round}"))
-            self.trials, self._trial = self.trials | search.trials, None
+            for name, fits in search.trials.items():
+                self.states[name].trial, self._trial = fits, None
             if not clock.interrupted:
                 self._report(f"round {search.round}", new_table=True)
             if until.over or clock.interrupted:
@@ -279,20 +347,25 @@ class RunningComparison:
             if search.round == 1 and self.plan.extended and most != 1:
                 self._await_quick(trials_alone=True)
                 self._extend(search)
-        self.failed |= search.failed
+        self._fail(search.failed.values())
         clock.settled = search.converged
+
+    def _fail(self, fits: Iterable[Fit]) -> None:
+        """Take fits of methods that have no model."""
+        for fit in fits:
+            self.states[fit.method].failure = fit
 
     def _extend(self, search: Search) -> None:
         """Add a network on the best method, if that is a baseline which can have one on top."""
         several, scores = self.plan.tests or self.plan.others, self.trial.scores
         best = min(scores, key=lambda name: scores[name])
-        method = next(f for f in self._ready if f.name == best)
         # What depends on the time since its training record began is for that record alone.
-        if best in BASES and not (several and method.anchored):
+        if best in BASES and not (several and self.states[best].method.anchored):
             extended = self.plan.on_baseline(best)
-            if search.add(extended.methods[-1]):
+            network = extended.methods[-1]
+            if search.add(network):
                 self.plan = extended
-                self._ready.append(extended.methods[-1])
+                self.states[network.name] = MethodState(network, network)
 
     def run_finals(self) -> None:
         """Train the networks on the whole training part, the best one first."""
@@ -301,47 +374,32 @@ class RunningComparison:
             records = [self.plan.training, *self.plan.others]
             self._bases.fit(forecaster, records, self.clock.deadline)
         until = self.clock.deadline.earlier(self._forecasting())
-        fits = self._trained(jobs, until, "final trainings")
-        for job, fit in zip(jobs, fits, strict=True):
-            if fit.model is not None:
-                self._final_jobs.setdefault(job.method, []).append(job)
-                self.finals.setdefault(job.method, []).append(fit)
-        for job, fit in zip(jobs, fits, strict=True):
-            if fit.model is None and job.method in self.finals:
-                first, *others = self.finals[job.method]
-                said = f"seed {job.seed} {fit.failure if fit.cut else f'failed: {fit.failure}'}"
-                self.finals[job.method] = [replace(first, notes=(*first.notes, said)), *others]
-            elif fit.model is None:
-                self.failed[job.method] = fit.failure
+        fits = dict(zip(jobs, self._trained(jobs, until, "final trainings"), strict=True))
+        for name in dict.fromkeys(job.method for job in jobs):
+            self.states[name].end({job: fit for job, fit in fits.items() if job.method == name})
         self._await_quick()
 
     def complete(self) -> None:
         """Predict with the models of the trial where there is no final training."""
         self._predict_by_trials()
-        self.clock.notes += by_reason(
-            {name: self._partly[name] for name in self.plan.names if name in self._partly}
-        )
-        for name in [*self.failed]:
-            if name in self.finals:
-                del self.failed[name]
+        self.clock.notes += by_reason({name: state.note for name, state in self.states.items()})
         self._note_untrained()
         if not self.finals:
             reasons = [*by_reason(self.failed), *self.clock.notes]
             raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
-        methods = {method.name: method for method in self.plan.methods}
-        for name, fits in self.finals.items():
-            for fit in fits:
-                with_simulators_of(fit.fitted, methods[name])
+        for state in self.states.values():
+            for fit in state.final.values():
+                with_simulators_of(fit.fitted, state.method)
                 if isinstance(network := fit.fitted, Network):
                     # A copy that is fitted again is trained as long as all rounds together.
                     network.settings = network._trained_by
 
     def _note_untrained(self) -> None:
         """Note, with cause and cure, where the time was over before any network was trained."""
-        names = [f.name for f in self.plan.methods if f.random]
-        late = any(self.failed.get(name) == LATE for name in names)
+        networks = [state for state in self.states.values() if state.method.random]
+        over = any(state.failure is not None and state.failure.cut for state in networks)
         limit, interrupted = self.clock.limit, self.clock.interrupted
-        if limit is None or interrupted or not late or {*names} & {*self.finals}:
+        if limit is None or interrupted or not over or any(state.final for state in networks):
             return
         said = f"no network was trained in the time: raise --budget ({limit:.0f} s)"
         if self._runner.starting:
@@ -355,11 +413,10 @@ class RunningComparison:
         """Return the final fits, without failed trainings where their number was left open."""
         plan = self.plan
         return {
-            f.name: without_failed(plan.training, self.finals[f.name])
-            if f.name in plan.searched or plan.seeds is None
-            else self.finals[f.name]
-            for f in plan.methods
-            if f.name in self.finals
+            name: without_failed(plan.training, fits)
+            if name in plan.searched or plan.seeds is None
+            else fits
+            for name, fits in self.finals.items()
         }
 
     def _refitted(self, name: str, trial: Trial) -> Forecaster | None:
@@ -371,65 +428,59 @@ class RunningComparison:
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
         spec = BacktestSpec(record, [Origin(samples, samples - 1)], samples, others)
-        kept = {id(fit.model) for fit in self.fits()[name]}
-        jobs = [
-            Job(job.forecaster, spec, job.seed, None if job.start is None else fit.model)
-            for job, fit in zip(self._final_jobs.get(name, []), self.finals[name], strict=False)
-            if id(fit.model) in kept
-        ]
-        ready = next(f for f in self._ready if f.name == name)
-        if not ready.random:
+        state, kept = self.states[name], {id(fit.model) for fit in self.fits()[name]}
+        ready, final = state.ready or state.method, state.final.items()
+        if ready.random:
+            jobs = [
+                Job(job.forecaster, spec, job.seed, None if job.start is None else fit.model)
+                for job, fit in final
+                if job.trains and id(fit.model) in kept
+            ]
+        else:
             jobs = [Job(ready, spec, needed=True, limit=self._limit(ready))]
         self._bases.fit(ready, [record, *others], self.clock.deadline)
         fits = self._trained(jobs, self.clock.deadline, "refit")
         models = [fit.model for fit in fits if fit.model is not None]
         if not models:
-            why = fits[0].failure if fits else LATE
-            said = "in time" if why == LATE else f"({why})"
             self.clock.notes.append(
-                f"{name}: could not be refitted to the whole record {said}; its model is that of "
-                "the training part"
+                f"{name}: could not be refitted to the whole record "
+                f"{_reason(fits[0] if fits else None)}; its model is that of the training part"
             )
             return None
-        method = next(f for f in self.plan.methods if f.name == name)
         for model in models:
-            with_simulators_of(model, method)
+            with_simulators_of(model, state.method)
         return fitted_ensemble(models, trial.held_out.get(name))
 
-    def _simulated(self, forecaster: Forecaster, ran: dict[Any, Any]) -> Forecaster | None:
-        """Return a method with its own simulator run once for all jobs; None where that fails.
+    def _simulate(self, state: MethodState, ran: dict[Any, Any]) -> None:
+        """Run a method's own simulator, once for all jobs.
 
         What `ran` for another method is not run again.
         """
         plan, others = self.plan, self.plan.others
-        try:
+        # It may fail for the test records only, which are then left out.
+        for tests in dict.fromkeys([plan.tests, ()]):
             try:
-                return with_simulators_run(
-                    forecaster, plan.training, plan.horizon, *others, *plan.tests, ran=ran
+                state.ready = with_simulators_run(
+                    state.method, plan.training, plan.horizon, *others, *tests, ran=ran
                 )
-            except ValueError:
-                if not plan.tests:
-                    raise
-                # It may fail for the test records only, which are then left out.
-                return with_simulators_run(
-                    forecaster, plan.training, plan.horizon, *others, ran=ran
-                )
-        except ValueError as error:
-            self.failed[forecaster.name] = " ".join(str(error).split())
-            return None
+                return
+            except ValueError as error:
+                said = " ".join(str(error).split())
+        state.failure = Fit(state.method.name, failure=said)
 
     def _predict_by_trials(self) -> None:
         """Predict with models that were fitted to three quarters of the training part."""
-        jobs = []
-        for name, held in self.trials.items():
-            method = next(f for f in self._ready if f.name == name)
-            failed = not method.random and self.failed.get(name, LATE) != LATE
-            if name in self.finals or failed:
+        jobs = list[Job]()
+        for name, state in self.states.items():
+            wrong = state.failure is not None and not state.failure.cut
+            if not state.trial or state.final or state.ready is None:
                 continue
-            spec = self.plan.spec(held[0].fitted)
+            if wrong and not state.method.random:
+                continue
+            spec = self.plan.spec(state.trial[0].fitted)
             best = self._search is not None and name == next(iter(self._search.trials), None)
-            models = [fit.model for fit in held[: None if best else 1]]  # as many as in the end
-            jobs += [Job(method, spec, i, each, trains=False) for i, each in enumerate(models)]
+            models = [fit.model for fit in state.trial[: None if best else 1]]  # as in the end
+            jobs += [Job(state.ready, spec, i, each, trains=False) for i, each in enumerate(models)]
         # Workers may have been ended with a job that was late, and begin anew within seconds.
         here = self.clock.interrupted or self._forecasting() < GRACE
         runner = Runner() if here else self._runner
@@ -437,9 +488,7 @@ class RunningComparison:
         fits = dict(runner.ended(jobs))
         for job in jobs:
             if fits[job].model is not None:
-                self.finals.setdefault(job.method, []).append(fits[job])
-                why = self.failed.pop(job.method, LATE)
-                self._partly.setdefault(job.method, _of_three_quarters(job.forecaster, why))
+                self.states[job.method].final[job] = fits[job]
 
     def _trained(
         self,
@@ -512,14 +561,6 @@ class RunningComparison:
         samples = 2 * len(plan.record) + sum(map(len, plan.tests))
         # The least one, as the first forecasts of a process also load or compile what they need.
         return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
-
-
-def _of_three_quarters(method: Forecaster, why: str = LATE) -> str:
-    """Return in words why results are of a fit to three quarters of the training part."""
-    return (
-        f"could not be {'trained on' if method.random else 'fitted to'} the whole training "
-        f"part {'in time' if why == LATE else f'({why})'}; results are of three quarters of it"
-    )
 
 
 def fit(
