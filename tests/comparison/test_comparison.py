@@ -9,8 +9,9 @@ import pytest
 import splitband as sb
 from splitband import Record, TrainingSettings
 from splitband.comparison.backtest import BacktestSpec, backtest
+from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import Sizes
-from splitband.comparison.plan import default_names, plan
+from splitband.comparison.plan import plan
 from splitband.comparison.recommendation import Trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.held_out import Origin

@@ -198,7 +198,7 @@ def _seen(comparison: Comparison) -> list[str]:
         f"Samples of the test record {test.name} are training samples: its fit is not one on new "
         "data."
         for test in comparison.tests
-        if repeats_training(test, comparison.plan)
+        if repeats_training(test, (comparison.plan.training, *comparison.others))
     ]
 
 
