@@ -82,7 +82,7 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
         chosen = [*listed]
     if simulator is None and record.y_sim is not None:
         # A named record's own simulator can run for longer.
-        calibrates = any(method._calibrates for method in forecasters(chosen or ()))
+        calibrates = any(method.calibrates for method in forecasters(chosen or ()))
         longer = chosen is None or calibrate or calibrates
         simulator = asked.record if longer else None
     others, tests = (

@@ -92,7 +92,7 @@ def chosen_bands(
     below = [each for method in methods for part in parts_of(method) for each in all_parts(part)]
     y_sim, beside = None, [p for p in below if not parts_of(p) and "simulator" in p.needs]
     if training.y_sim is not None and beside:
-        simulation = next((f for f in beside if f._calibrates), beside[0]).clone()
+        simulation = next((f for f in beside if f.calibrates), beside[0]).clone()
         y_sim = simulation.fit(training).on(training).y_sim
     # Where the record has no band to split off, the methods that need one report it.
     with nullcontext() if given.cutoff is not None else suppress(ValueError):
@@ -117,7 +117,7 @@ def _any_takes_bands(methods: Sequence[Forecaster], simulator_band: Band) -> boo
     """Return whether one of the methods takes a comparison's bands, of hybrids of this kind."""
     every = [part for method in methods for part in all_parts(method)]
     networks = [part for part in every if isinstance(part, Network)]
-    return any(p._takes_bands and p.simulator_band == simulator_band for p in networks)
+    return any(p.takes_bands and p.simulator_band == simulator_band for p in networks)
 
 
 def _check_bands(bands: Bands, methods: Sequence[Forecaster]) -> None:

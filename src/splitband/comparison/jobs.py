@@ -79,7 +79,7 @@ def held_out_job(
     plan: Plan, forecaster: Forecaster, seed: int = 0, start: Forecaster | None = None
 ) -> Job:
     """Return the job that fits a method to three quarters of the training part."""
-    shorter = forecaster._for_trial(plan.train)
+    shorter = forecaster.for_trial(plan.train)
     return Job(shorter, plan.held_out_spec(shorter), seed, start)
 
 
@@ -248,10 +248,10 @@ class Bases:
         What fails here is not lost: the job that needs it fits it again and says why.
         """
         for part in all_parts(forecaster):
-            if part._fits_simulator and fitted_like(part, records, self._fitted) is None:
+            if part.fits_simulator and fitted_like(part, records, self._fitted) is None:
                 with suppress(Exception), within(deadline):
                     workers = self._runner.executor or 1
-                    self._fitted.append(part.clone()._fit(records, workers=workers))
+                    self._fitted.append(part.fitted_copy(records, workers=workers))
 
     def given_to(self, job: Job) -> Job:
         """Return a job with those that were fitted to its spans."""

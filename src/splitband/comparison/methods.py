@@ -105,7 +105,7 @@ def _baselines() -> list[Forecaster]:
     return [*(kind() for kind in BASELINES), Linear()]
 
 
-BASES = {each.name: each for each in _baselines() if each._slow_part}
+BASES = {each.name: each for each in _baselines() if each.slow_part}
 """Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
 _REPLACEMENTS: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
@@ -207,7 +207,7 @@ def forecasters(
     several = {name: variants(table[name].clone(), calibrate, conditioned) for name in names}
     made = [variant for each in several.values() for variant in each]
     has = {
-        "calibrate": any(variant._calibrates for variant in made),
+        "calibrate": any(variant.calibrates for variant in made),
         "conditioned": any(variant.get_params().get("conditioned") for variant in made),
     }
     for argument, wanted in (("calibrate", calibrate), ("conditioned", conditioned)):
@@ -218,7 +218,7 @@ def forecasters(
                 f"(splitband methods lists them), got {', '.join(names)}"
             )
     changed = bool(base or calibrate or conditioned)
-    found = list[Forecaster]()
+    found, seen = list[Forecaster](), set[str]()
     for each in asked:
         if not isinstance(each, str):
             found.append(each)
@@ -226,8 +226,9 @@ def forecasters(
         for variant in several[each]:
             method = variant if base is None else _on_base(variant, _REPLACEMENTS[base])
             # Variants of one method may be another one, and a base may make methods the same.
-            if not (changed and any(other.name == method.name for other in found)):
+            if not (changed and method.name in seen):
                 found.append(method)
+            seen.add(method.name)
     return found
 
 

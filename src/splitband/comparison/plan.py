@@ -193,7 +193,7 @@ def plan(  # noqa: PLR0913
     made_by_name = sizes or (Sizes(32, 16) if recipe == "default" else Sizes())
     listed = forecasters(methods, made_by_name, base, calibrate, conditioned)
     if beside is not None:
-        record = simulated(record, beside, longer=any(each._calibrates for each in listed))
+        record = simulated(record, beside, longer=any(each.calibrates for each in listed))
         others, tests = ([_driven(each, beside) for each in several] for several in (others, tests))
     tried = horizon != 0 or bool(tests)
     record, horizon = _cut_to_horizon(record, train, horizon, refit)
@@ -431,7 +431,7 @@ def check_trial(plan: Plan) -> None:
     """Check the trial on the last quarter of the training part."""
     part = replace(plan.training, y_true=None)
     train = first_held_out(plan.train)
-    shorter = tuple(f._for_trial(plan.train) for f in plan.methods)
+    shorter = tuple(f.for_trial(plan.train) for f in plan.methods)
     try:
         check(
             replace(

@@ -200,7 +200,7 @@ class RunningComparison:
         trial = self.trial
         best = trial.recommended
         score = f"score {trial.penalized_score(best):.3g}"
-        return f"{self.doing}; best so far: {self.methods[best]._title}, {score}"
+        return f"{self.doing}; best so far: {self.methods[best].title}, {score}"
 
     def __str__(self) -> str:
         """Return the same with the time that is left."""
@@ -234,8 +234,8 @@ class RunningComparison:
     def run_quick(self) -> None:
         """Fit the methods without networks; workers go on with it while they train networks."""
         quick = [f for f in self._ready if not f.random]
-        at_once = [f for f in quick if f._at_once]
-        prepared = [f for f in self._ready if f.random or f._fits_simulator]
+        at_once = [f for f in quick if f.at_once]
+        prepared = [f for f in self._ready if f.random or f.fits_simulator]
         self._try([f for f in quick if f not in [*at_once, *prepared]])
         # Workers load torch while the first table is shown and written.
         self._runner.start([f for f in self._ready if f.random])
@@ -259,7 +259,7 @@ class RunningComparison:
 
     def _begin(self, job: Job) -> None:
         """Begin a job of a method without networks; one that takes no time is done here."""
-        if job.forecaster._at_once:
+        if job.forecaster.at_once:
             with one_thread():
                 self._take(job, job.run())
             return
@@ -278,7 +278,7 @@ class RunningComparison:
         else:
             state.trial, self._trial = [fit], None
             job = Job(method, self.plan.spec(method))
-            if method._at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
+            if method.at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
                 self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
             else:
                 job = replace(job, start=fit.model, trains=False)
@@ -392,7 +392,7 @@ class RunningComparison:
                 with_simulators_of(fit.fitted, state.method)
                 if isinstance(network := fit.fitted, Network):
                     # A copy that is fitted again is trained as long as all rounds together.
-                    network.settings = network._trained_by
+                    network.settings = network.untrained().settings
 
     def _note_untrained(self) -> None:
         """Note, with cause and cure, where the time was over before any network was trained."""
@@ -525,7 +525,7 @@ class RunningComparison:
 
     def _limit(self, forecaster: Forecaster) -> float:
         """Return the seconds of a fit without networks; results by --rounds do not depend on it."""
-        if self.clock.limit is None or forecaster._fits_simulator:
+        if self.clock.limit is None or forecaster.fits_simulator:
             return math.inf
         return min(BASELINE_SHARE * self.clock.limit, MOST_OF_BASELINE)
 

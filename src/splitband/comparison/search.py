@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.comparison.backtest import Fit, held_out_score
+from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score
 from splitband.comparison.candidates import (
     FINAL_SHARE,
     SHORT_RECORD,
@@ -27,7 +27,6 @@ from splitband.comparison.clock import MOST_OF_TIME_LEFT
 from splitband.comparison.jobs import Job, held_out_job
 from splitband.comparison.methods import built
 from splitband.comparison.plan import Plan
-from splitband.comparison.recommendation import WORTH_TRAINING
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.network import Network
@@ -155,7 +154,7 @@ class Search:
         candidate.scores.append(score if math.isfinite(score) else math.inf)
         candidate.forget({candidate.best})
         trained = candidate.network if fit.model is None else fit.fitted
-        said = candidate.method, trained._training_in_words(), candidate.seed
+        said = candidate.method, trained.training_in_words(), candidate.seed
         shown = None if fit.model is None else (1 + WORTH_TRAINING) * score
         self.attempts.append(Attempt(self.round, *said, shown))
         if len(candidate.fits) == 1:
