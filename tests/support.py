@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from splitband import Forecaster, Record
 from splitband.comparison.backtest import BacktestSpec, Fit, backtest, first_origin
-from splitband.comparison.compare import compare as compared
 from splitband.comparison.result import Comparison
+from splitband.comparison.run import compare as compared
 from splitband.forecasters.held_out import Origin
 from splitband.forecasters.loading import load
 from splitband.forecasters.network import Network

@@ -3,7 +3,7 @@
 from . import networks as networks
 from .checks.model import check as check
 from .checks.responses import step_responses as step_responses
-from .comparison.compare import compare as compare
+from .comparison.run import compare as compare
 from .comparison.result import Comparison as Comparison
 from .data import (
     Record as Record,

@@ -13,10 +13,10 @@ import pytest
 import splitband as sb
 from splitband import Forecaster
 from splitband.comparison.clock import MOST_OF_BASELINE, Clock
-from splitband.comparison.compare import compare
 from splitband.comparison.jobs import late
 from splitband.comparison.plan import plan
-from splitband.comparison.run import RunningComparison, run
+from splitband.comparison.run import compare, run
+from splitband.comparison.running import RunningComparison
 from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import current
 from tests.records import SETUP, TRAIN, record
@@ -113,8 +113,8 @@ def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
 
 
 def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitband.comparison.run.MOST_OF_BASELINE", 1e6)
-    monkeypatch.setattr("splitband.comparison.run.BASELINE_SHARE", 0.9)
+    monkeypatch.setattr("splitband.comparison.running.MOST_OF_BASELINE", 1e6)
+    monkeypatch.setattr("splitband.comparison.running.BASELINE_SHARE", 0.9)
     clock = slowed(monkeypatch, 1.0)
     planned = plan(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL)
     result = run(planned, clock=Clock(300.0, clock.at))

@@ -10,7 +10,7 @@ import pytest
 import scipy
 
 from splitband import Forecaster
-from splitband.comparison.compare import compare
+from splitband.comparison.run import compare
 from splitband.data import Record
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.forecasters.prediction import ForecastContext

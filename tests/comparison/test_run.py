@@ -10,10 +10,10 @@ import pytest
 
 from splitband import Record
 from splitband.comparison.clock import Clock
-from splitband.comparison.compare import compare
 from splitband.comparison.plan import plan
 from splitband.comparison.result import Comparison
-from splitband.comparison.run import RunningComparison, fit, run
+from splitband.comparison.run import compare, fit, run
+from splitband.comparison.running import RunningComparison
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 

@@ -12,8 +12,8 @@ import pandas as pd
 
 from splitband import Record, TrainingSettings
 from splitband.comparison.backtest import Fit
-from splitband.comparison.compare import compare
 from splitband.comparison.result import Comparison
+from splitband.comparison.run import compare
 from splitband.comparison.search import Attempt
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.fitted import FitReport

@@ -12,11 +12,7 @@ import numpy as np
 
 from splitband.comparison.backtest import BacktestSpec, first_origin
 from splitband.comparison.checks import check_limits, check_needs, check_train
-from splitband.comparison.defaults import (
-    bands_of,
-    default_names,
-    usual_methods,
-)
+from splitband.comparison.defaults import bands_of, default_names, usual_methods
 from splitband.comparison.methods import BASES, GREY_BOX, Sizes, built, forecasters, is_built
 from splitband.data import Record, check_alike, require_records
 from splitband.data.signals import first_after

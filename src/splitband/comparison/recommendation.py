@@ -11,12 +11,7 @@ from statistics import median_low
 
 import numpy as np
 
-from splitband.comparison.backtest import (
-    WORTH_TRAINING,
-    Fit,
-    held_out_score,
-    median_forecasts,
-)
+from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score, median_forecasts
 from splitband.data import Record
 from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import held_out_errors, interval_errors
