@@ -73,7 +73,8 @@ from benchmarks import clock, families, page
 from benchmarks.clock import Row
 from benchmarks.families import SAMPLES, STEP, Array, Generator
 from splitband import models
-from splitband.comparison.plan import TRAINING_SHARE, chosen_bands, high_bands, plan
+from splitband.comparison.defaults import chosen_bands, high_bands
+from splitband.comparison.plan import TRAINING_SHARE, plan
 from splitband.comparison.run import run
 from splitband.data.public import drill_string
 from splitband.filters import Band

@@ -32,8 +32,8 @@ import numpy.typing as npt
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, SAMPLES, TRAINING, WITH_INPUTS, drawn
 from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
+from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import QUICK
-from splitband.comparison.plan import default_names
 from splitband.comparison.recommendation import Trial
 from splitband.data import Record, double_torsion, drill_string
 from splitband.data.named import double_mass_spring, van_der_pol

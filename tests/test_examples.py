@@ -84,7 +84,7 @@ def test_many_records_are_compared_one_by_one_and_summed_up(
     for name in ("FIRST_ROUND", "FIRST_STEPS"):
         monkeypatch.setattr(f"splitband.comparison.candidates.{name}", 2)
     monkeypatch.setattr(
-        "splitband.comparison.plan.usual_names", lambda *_: ["gru", "linear", "mean"]
+        "splitband.comparison.defaults.usual_names", lambda *_: ["gru", "linear", "mean"]
     )
     (tmp_path / "records").mkdir()
     for i, name in enumerate(("arm", "pump")):
@@ -111,7 +111,7 @@ def test_the_python_of_the_readme_runs_as_it_stands(
     """On a driven system; fewer methods are compared here."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     monkeypatch.setattr(
-        "splitband.comparison.plan.usual_names", lambda *_: ["linear", "mean", "persistence"]
+        "splitband.comparison.defaults.usual_names", lambda *_: ["linear", "mean", "persistence"]
     )
     monkeypatch.chdir(tmp_path)
     force = np.random.default_rng(0).uniform(-1, 1, 2000)

@@ -20,7 +20,7 @@ import splitband as sb
 from splitband.filters.cutoff import choose
 from splitband.filters.spectrum import oracle
 from splitband.forecasters.held_out import held_out_of
-from splitband.comparison.methods import NAMES, named, with_base, with_variants
+from splitband.comparison.methods import NAMES, forecasters, named
 
 record, u = sb.read("rig.csv", inputs=["force"]), np.zeros((5, 1))
 for model in (sb.Mean(), sb.Persistence(), sb.Linear(), sb.Harmonic()):
@@ -37,8 +37,9 @@ chosen = choose(record.y, record.sampling_rate, warmup=30)
 pair = sb.ComplementaryPair.butterworth(chosen.cutoff, record.sampling_rate, chosen.order)
 low, high = pair.split(record.y)
 oracle(record.y, low, record.sampling_rate, chosen.cutoff)
-assert "filtered-linear-gru" in with_base(["filtered-gru"], "linear")
-assert with_variants(["filtered-gru"], calibrate=True, conditioned=False)
+(hybrid,) = forecasters(["filtered-gru"], base="linear")
+assert hybrid.name == "filtered-linear-gru"
+assert len(forecasters(["filtered-gru"], calibrate=True)) == 2
 assert all(method.in_words() for method in NAMES.values())
 sb.Ode, sb.Fmu, sb.TrainingSettings
 """

@@ -3,8 +3,8 @@
 from . import networks as networks
 from .checks.model import check as check
 from .checks.responses import step_responses as step_responses
-from .comparison.result import Comparison as Comparison
 from .comparison.run import compare as compare
+from .comparison.result import Comparison as Comparison
 from .data import (
     Record as Record,
     read as read,

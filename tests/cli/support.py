@@ -15,7 +15,7 @@ import pytest
 
 from splitband.cli import main
 from splitband.cli.display import Display
-from splitband.comparison.run import RunningComparison
+from splitband.comparison.running import RunningComparison
 
 Files = dict[str, bytes]
 

@@ -10,7 +10,7 @@ import pytest
 import splitband as sb
 from splitband.cli.display import in_place
 from splitband.comparison.clock import Clock
-from splitband.comparison.run import RunningComparison
+from splitband.comparison.running import RunningComparison
 from splitband.report import results as written
 from splitband.runtime.outputs import FACTS, LOCK
 from tests.cli.support import assert_fails, call, files, results, watched

@@ -76,7 +76,7 @@ def test_forecast_goes_on_from_the_end_of_a_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     methods = ["gru", "harmonic", "mean"]
-    monkeypatch.setattr("splitband.comparison.plan.usual_names", lambda *_: methods)
+    monkeypatch.setattr("splitband.comparison.defaults.usual_names", lambda *_: methods)
     pd.read_csv("record.csv").iloc[:150].to_csv(tmp_path / "begun.csv", index=False)
     call(
         f"forecast {tmp_path}/begun.csv --columns a --steps 50 --seeds 1 --jobs 1 --epochs 2",

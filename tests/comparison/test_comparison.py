@@ -9,8 +9,9 @@ import pytest
 import splitband as sb
 from splitband import Record, TrainingSettings
 from splitband.comparison.backtest import BacktestSpec, backtest
+from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import Sizes
-from splitband.comparison.plan import default_names, plan
+from splitband.comparison.plan import plan
 from splitband.comparison.recommendation import Trial
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.held_out import Origin
@@ -60,7 +61,7 @@ def test_long_windows_shrink_with_the_record(
     window: int, warmup: int, samples: int, expected: int
 ) -> None:
     settings = TrainingSettings.paper(window, warmup, 1)
-    network = replace(SETUP, settings=settings).forecaster("gru")._for_trial(samples)
+    network = replace(SETUP, settings=settings).forecaster("gru").for_trial(samples)
     assert isinstance(network, Network)
     assert network.settings == replace(settings, window=expected)
 
@@ -214,7 +215,7 @@ def test_what_draws_nothing_runs_once() -> None:
 def test_several_seeds_are_tried_out_by_their_median() -> None:
     r = record()
     trial = compare(r, ["gru"], SETUP, seeds=2).require_trial()
-    part, shorter = r[:TRAIN], SETUP.forecaster("gru")._for_trial(120)
+    part, shorter = r[:TRAIN], SETUP.forecaster("gru").for_trial(120)
     origins = [Origin(90, at) for at in (90, 100, 110)]
     spec = BacktestSpec(part, origins, TRAIN)
     found = [backtest(shorter, spec, seed).forecasts for seed in (0, 1)]

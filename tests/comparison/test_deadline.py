@@ -13,9 +13,10 @@ import pytest
 import splitband as sb
 from splitband import Forecaster
 from splitband.comparison.clock import MOST_OF_BASELINE, Clock
-from splitband.comparison.jobs import LATE
+from splitband.comparison.jobs import late
 from splitband.comparison.plan import plan
-from splitband.comparison.run import RunningComparison, compare, run
+from splitband.comparison.run import compare, run
+from splitband.comparison.running import RunningComparison
 from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import current
 from tests.records import SETUP, TRAIN, record
@@ -85,7 +86,7 @@ def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:
     assert seen["round 1"] == {"mean", "gru"}
     assert {*result.fits} == {"mean", "gru"}
     assert result.trial is not None
-    assert result.trial.failed == {"endless": LATE}
+    assert result.trial.failed == {"endless": late("endless").failure}
     assert "time" in result.table["note"]["endless"]
     assert result.clock.used < 30
 
@@ -94,7 +95,7 @@ def test_a_process_is_ended_with_the_baseline_that_it_fits() -> None:
     result = compare(RECORD, TRAIN, [Asleep(), "mean"], cores=2, budget=4.0)
     assert {*result.fits} == {"mean"}
     assert result.trial is not None
-    assert result.trial.failed == {"asleep": LATE}
+    assert result.trial.failed == {"asleep": late("asleep").failure}
     assert result.clock.used < 40
 
 
@@ -112,8 +113,8 @@ def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
 
 
 def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitband.comparison.run.MOST_OF_BASELINE", 1e6)
-    monkeypatch.setattr("splitband.comparison.run.BASELINE_SHARE", 0.9)
+    monkeypatch.setattr("splitband.comparison.running.MOST_OF_BASELINE", 1e6)
+    monkeypatch.setattr("splitband.comparison.running.BASELINE_SHARE", 0.9)
     clock = slowed(monkeypatch, 1.0)
     planned = plan(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL)
     result = run(planned, clock=Clock(300.0, clock.at))

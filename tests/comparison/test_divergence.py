@@ -147,7 +147,7 @@ def test_forecast_takes_another_method_than_one_that_failed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(
-        "splitband.comparison.plan.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
+        "splitband.comparison.defaults.usual_names", lambda *_: ["mean", "persistence", CALIBRATED]
     )
     assert main(files("forecast begun.csv --steps 50")) == 0
     assert "mean: no result: SVD did not converge" in capsys.readouterr().out

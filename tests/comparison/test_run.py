@@ -12,7 +12,8 @@ from splitband import Record
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import plan
 from splitband.comparison.result import Comparison
-from splitband.comparison.run import RunningComparison, compare, fit, run
+from splitband.comparison.run import compare, fit, run
+from splitband.comparison.running import RunningComparison
 from tests.records import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 

@@ -155,9 +155,10 @@ def test_a_search_that_was_cut_is_not_settled() -> None:
 def test_a_late_or_failed_training_is_left_out_and_said() -> None:
     search = searching(["state-space", "gru"])
     jobs = search.ask()
-    search.tell([jobs[0].late(), Fit("gru", failure="diverged")])
+    late, diverged = jobs[0].late(), Fit("gru", failure="diverged")
+    search.tell([late, diverged])
     assert not search.trials
-    assert search.failed == {"state-space": jobs[0].late().failure, "gru": "diverged"}
+    assert search.failed == {"state-space": late, "gru": diverged}
     assert [attempt.score for attempt in search.attempts] == [None]
     assert search.finals() == []
     Trainer(lambda job, n: 1.0).run(search, 2)  # other choices may do better

@@ -12,7 +12,7 @@ import pytest
 
 from splitband import rmse
 from splitband.cli import printing
-from splitband.comparison.recommendation import WORTH_TRAINING
+from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.result import Comparison
 from splitband.forecasters.fitted import FitReport
 from splitband.report import results, words

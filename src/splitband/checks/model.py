@@ -164,7 +164,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     tests = tests_of(record, free)
     beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond,
-                      forecaster._title)  # fmt: skip
+                      forecaster.title)  # fmt: skip
 
 
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:

@@ -102,6 +102,6 @@ def _explain(result: Comparison, called: Mapping[str, str]) -> None:
     say(" ".join(words.why(result.require_trial(), plan.train, called)))
     for verdict in words.verdicts(result):
         say(f"residual tests: {verdict}")
-    fitted = result.fits[result.recommended][0].fitted
-    if isinstance(fitted, Network) and fitted._trained_in is not None:
-        say(words.of_bands(fitted._trained_in, plan.training))
+    chosen = result.fits[result.recommended][0].fitted.untrained()
+    if isinstance(chosen, Network) and chosen.bands is not None:
+        say(words.of_bands(chosen.bands, plan.training))

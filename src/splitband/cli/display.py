@@ -18,7 +18,7 @@ from rich.text import Text
 from splitband.cli import clock, printing
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import Plan
-from splitband.comparison.run import RunningComparison
+from splitband.comparison.running import RunningComparison
 from splitband.report import results
 from splitband.report.tables import of_trial
 from splitband.runtime.errors import InputError, missing

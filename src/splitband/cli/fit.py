@@ -87,7 +87,7 @@ def fit(
         _try_out(forecaster)
     training, settled = plan.training, plan.as_json()
     fitted, calibration = forecaster.require_fitted(), forecaster.calibration
-    training_in_words = forecaster._training_in_words()
+    training_in_words = forecaster.training_in_words()
     if forecaster.settings is not None:
         settled |= {"settings": asdict(forecaster.settings)}
     facts = {
@@ -123,7 +123,7 @@ def fit(
         if note not in plan.warnings:
             printing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
-    said = f"{forecaster._title}, {described}: fitted to "
+    said = f"{forecaster.title}, {described}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
     if error is not None:
         begin = max(forecaster.warmup, 2)

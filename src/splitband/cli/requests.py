@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 from splitband.cli import options, printing, records
 from splitband.cli.usage import REPLACED_BY_LIKE
-from splitband.comparison.methods import TRAINED, Sizes, known, with_variants
-from splitband.comparison.plan import Plan, default_names, plan
+from splitband.comparison.defaults import default_names
+from splitband.comparison.methods import TRAINED, Sizes, forecasters
+from splitband.comparison.plan import Plan, plan
 from splitband.data.named import RECORDS
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -76,13 +77,13 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
         if not listed:
             raise InputError(f"methods must be one or several names, got {asked.methods!r}")
         if fitting and len(listed) == 1:
-            listed = with_variants(listed, calibrate, conditioned)[-1:]
+            listed = [forecasters(listed, None, None, calibrate, conditioned)[-1].name]
             calibrate = conditioned = False
         chosen = [*listed]
     if simulator is None and record.y_sim is not None:
         # A named record's own simulator can run for longer.
-        fitted = [known(each) if isinstance(each, str) else each for each in chosen or ()]
-        longer = chosen is None or calibrate or any(f._calibrates for f in fitted)
+        calibrates = any(method.calibrates for method in forecasters(chosen or ()))
+        longer = chosen is None or calibrate or calibrates
         simulator = asked.record if longer else None
     others, tests = (
         records.load_further(option, files, beside, record, reading, simulated)

@@ -12,8 +12,9 @@ import typer
 from splitband.cli import options, printing, records
 from splitband.cli.usage import command_of, usage
 from splitband.comparison.checks import check_train
-from splitband.comparison.methods import known
-from splitband.comparison.plan import TRAINING_SHARE, chosen_bands
+from splitband.comparison.defaults import chosen_bands
+from splitband.comparison.methods import forecasters
+from splitband.comparison.plan import TRAINING_SHARE
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
@@ -73,7 +74,7 @@ def spectrum(
     check_train(whole, trained)
     given = Bands(cutoff, order)
     method = "split-gru" if whole.y_sim is None else "filtered-gru-calibrated"
-    bands = chosen_bands(given, whole[:trained], [known(method)])
+    bands = chosen_bands(given, whole[:trained], forecasters(method))
     shown = whole[:train]
     rate = shown.sampling_rate
     pair = bands.pair(rate)

@@ -31,6 +31,9 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training import Progress
 
+WORTH_TRAINING = 0.1
+"""Share of its score by which a network must beat a baseline. By eye."""
+
 
 @dataclass(frozen=True, eq=False)
 class BacktestSpec:
@@ -87,7 +90,7 @@ class Fit:
     seconds : Of the whole job, forecasts included.
     notes : What the fit has chosen and what went wrong, in words.
     failure : Why there is no model, in words; empty where there is one.
-    cut : Whether a deadline ended the job early.
+    cut : Whether a deadline ended the job early; without a model: whether that is the reason.
     """
 
     method: str
@@ -180,7 +183,7 @@ def _with_forecasts(
         if not spec.components:
             forecasts[origin] = replace(forecasts[origin], components={})
         if origin.at < origin.fitted and isinstance(model, Network):
-            unfiltered = model._unfiltered(spec.end - origin.at, history)
+            unfiltered = model.unfiltered(spec.end - origin.at, history)
     if found.model is not None and _samples(found.model) >= _samples(model):
         model = found.model
     return replace(found, model=model, forecasts=forecasts, unfiltered=unfiltered)

@@ -113,7 +113,7 @@ class Candidate:
         """Return the network with settings to go on for so many iterations of L-BFGS."""
         usual = TrainingSettings.max_samples
         more = replace(self.settings, epochs=0, lbfgs_iterations=iterations, max_samples=usual)
-        return self.network._trained_as(more)
+        return self.network.trained_as(more)
 
     def options(self) -> dict[str, str]:
         """Return, as text, all options that may differ between candidates of a method."""
@@ -148,7 +148,7 @@ def combined(usual: Candidate, best: Candidate, other: Candidate) -> Candidate |
     network.set_params(
         **{name: getattr(other.network, name) for name in theirs - {*vars(best.settings)}}
     )
-    trained_as = network._trained_as(replace(best.settings, **trained))
+    trained_as = network.trained_as(replace(best.settings, **trained))
     return Candidate(trained_as, usual.seed)
 
 
@@ -187,9 +187,9 @@ def candidates(
         every += [(other, replace(settings[0], l2=PENALTIES[0])) for other in sizes[-1:]]
     distinct: dict[str, Candidate] = {}
     for network, how in every:  # windows may become equal on the shorter record of a trial
-        shorter = network._trained_as(how)._for_trial(samples)
-        candidate = Candidate(network._trained_as(how), seed)
-        distinct.setdefault(shorter._training_in_words(), candidate)
+        shorter = network.trained_as(how).for_trial(samples)
+        candidate = Candidate(network.trained_as(how), seed)
+        distinct.setdefault(shorter.training_in_words(), candidate)
     return [*distinct.values()]
 
 

@@ -22,7 +22,6 @@ from splitband.runtime.workers import Queue, Workers, ended_from_outside
 if TYPE_CHECKING:
     from splitband.comparison.plan import Plan
 
-LATE = "left out, as the time was over"
 BATCH = 8
 """Rows of the batch with which kernels of trainings are compiled; any number of several will do."""
 GRACE = 2.0
@@ -68,14 +67,19 @@ class Job:
 
     def late(self) -> Fit:
         """Return the fit of a job for which there was no time."""
-        return Fit(self.method, self.seed, failure=LATE, cut=True)
+        return late(self.method, self.seed)
+
+
+def late(method: str, seed: int = 0) -> Fit:
+    """Return the fit of a method for which there was no time."""
+    return Fit(method, seed, failure="left out, as the time was over", cut=True)
 
 
 def held_out_job(
     plan: Plan, forecaster: Forecaster, seed: int = 0, start: Forecaster | None = None
 ) -> Job:
     """Return the job that fits a method to three quarters of the training part."""
-    shorter = forecaster._for_trial(plan.train)
+    shorter = forecaster.for_trial(plan.train)
     return Job(shorter, plan.held_out_spec(shorter), seed, start)
 
 
@@ -244,10 +248,10 @@ class Bases:
         What fails here is not lost: the job that needs it fits it again and says why.
         """
         for part in all_parts(forecaster):
-            if part._fits_simulator and fitted_like(part, records, self._fitted) is None:
+            if part.fits_simulator and fitted_like(part, records, self._fitted) is None:
                 with suppress(Exception), within(deadline):
                     workers = self._runner.executor or 1
-                    self._fitted.append(part.clone()._fit(records, workers=workers))
+                    self._fitted.append(part.fitted_copy(records, workers=workers))
 
     def given_to(self, job: Job) -> Job:
         """Return a job with those that were fitted to its spans."""

@@ -1,10 +1,11 @@
 """Give names to forecasters, for tables, files and the command line.
 
 Names are derived from forecasters and never parsed. To add a method, write its class, add a line to
-`_kinds` (cells, hybrids) or `closed_form.BASELINES`, and export it in `splitband/__init__.pyi`.
+`_kinds` (cells, hybrids) or `BASELINES` of `forecasters.baselines`, and export it in
+`splitband/__init__.pyi`.
 
 The forecasters of the table have cells that are not built yet, so that the names are known without
-torch; `named` builds them.
+torch; `built` builds them.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ def _baselines() -> list[Forecaster]:
     return [*(kind() for kind in BASELINES), Linear()]
 
 
-BASES = {each.name: each for each in _baselines() if each._slow_part}
+BASES = {each.name: each for each in _baselines() if each.slow_part}
 """Baselines that can replace the simulator of a hybrid; they are fitted to the training samples."""
 GREY_BOX = GreyBox().name
 _REPLACEMENTS: dict[str, Forecaster] = {**BASES, GREY_BOX: GreyBox()}
@@ -152,59 +153,83 @@ BASED = tuple(name for name in TRAINED if parts_of(NAMES[name]) and name not in 
 
 
 def named(name: str, sizes: Sizes | None = None) -> Forecaster:
-    """Return a new forecaster by its name; raises ValueError for an unknown one."""
-    return built(known(name, sizes))
+    """Return a new forecaster by its name, its cells built; see `forecasters`."""
+    (method,) = forecasters([name], sizes)
+    return built(method)
+
+
+def is_built(forecaster: Forecaster) -> bool:
+    """Return whether it has no cells that are only named."""
+    return not any(isinstance(cell, Unbuilt) for cell in cells_of(forecaster).values())
 
 
 def built(forecaster: Forecaster) -> Forecaster:
     """Return a forecaster with its cells built, where they are not; that loads torch."""
-    cells: dict[str, Any] = {**cells_of(forecaster)}
-    if not any(hasattr(cell, "build") for cell in cells.values()):
+    if is_built(forecaster):
         return forecaster
     # Templates draw weights that are never used; this must not change the user's random numbers.
     with seeded(0):
-        made = {option: cell.build() for option, cell in cells.items()}
+        cells = cells_of(forecaster).items()
+        made = {name: c.build() if isinstance(c, Unbuilt) else c for name, c in cells}
     return forecaster.clone().set_params(**made)
 
 
-def known(name: str, sizes: Sizes | None = None) -> Forecaster:
-    """Return a new forecaster by its name, as `named`, whose cells are not built."""
-    if name not in NAMES:
+def forecasters(
+    methods: Sequence[Forecaster | str] | str,
+    sizes: Sizes | None = None,
+    base: str | None = None,
+    calibrate: bool = False,
+    conditioned: bool = False,
+) -> list[Forecaster]:
+    """Return methods as forecasters: those given by name are made, and their cells are not built.
+
+    Parameters
+    ----------
+    methods : Forecasters, which stay as they are, or names.
+    sizes : Of the networks of those given by name.
+    base : Replaces the simulator of those given by name: one of `BASES`, or the simulator with
+        fitted parameters (`GREY_BOX`).
+    calibrate, conditioned : Whether those given by name are followed by these variants.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, and where no method has a requested variant.
+    """
+    table = NAMES if sizes is None else {method.name: method for method in _methods(sizes)}
+    asked = [methods] if isinstance(methods, str) else [*methods]
+    names = [each for each in asked if isinstance(each, str)]
+    if unknown := [name for name in names if name not in table]:
         raise InputError(
             "methods must be forecasters or names that `splitband methods` lists, "
-            f"got {name!r}{did_you_mean([name], NAMES)}"
+            f"got {unknown[0]!r}{did_you_mean(unknown[:1], table)}"
         )
-    if sizes is None:
-        return NAMES[name].clone()
-    return next(method for method in _methods(sizes) if method.name == name)
-
-
-def with_base(names: Sequence[str], base: str) -> list[str]:
-    """Return the names of these methods with their simulator replaced by a base.
-
-    The base is one of `BASES`, or the simulator with fitted parameters (`GREY_BOX`).
-    """
-    put = _REPLACEMENTS[base]
-    return [*dict.fromkeys(_on_base(known(name), put).name for name in names)]
-
-
-def with_variants(names: Sequence[str], calibrate: bool, conditioned: bool) -> list[str]:
-    """Return the names, each followed by its calibrated and conditioned variants.
-
-    Raises ValueError where no method has a requested variant.
-    """
-    found = {v.name: v for name in names for v in variants(known(name), calibrate, conditioned)}
-    for argument, wanted, has in (
-        ("calibrate", calibrate, lambda variant: variant._calibrates),
-        ("conditioned", conditioned, lambda variant: getattr(variant, "conditioned", False)),
-    ):
-        if wanted and not any(map(has, found.values())):
+    several = {name: variants(table[name].clone(), calibrate, conditioned) for name in names}
+    made = [variant for each in several.values() for variant in each]
+    has = {
+        "calibrate": any(variant.calibrates for variant in made),
+        "conditioned": any(variant.get_params().get("conditioned") for variant in made),
+    }
+    for argument, wanted in (("calibrate", calibrate), ("conditioned", conditioned)):
+        if wanted and not has[argument]:
             able = (n for n in NAMES if len(variants(NAMES[n], **_only(argument))) > 1)
             raise InputError(
                 f"{argument} needs a method that has it, such as {', '.join(islice(able, 3))} "
                 f"(splitband methods lists them), got {', '.join(names)}"
             )
-    return [*found]
+    changed = bool(base or calibrate or conditioned)
+    found, seen = list[Forecaster](), set[str]()
+    for each in asked:
+        if not isinstance(each, str):
+            found.append(each)
+            continue
+        for variant in several[each]:
+            method = variant if base is None else _on_base(variant, _REPLACEMENTS[base])
+            # Variants of one method may be another one, and a base may make methods the same.
+            if not (changed and method.name in seen):
+                found.append(method)
+            seen.add(method.name)
+    return found
 
 
 def _only(argument: str) -> dict[str, bool]:

@@ -11,7 +11,7 @@ from statistics import median_low
 
 import numpy as np
 
-from splitband.comparison.backtest import Fit, held_out_score, median_forecasts
+from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score, median_forecasts
 from splitband.data import Record
 from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import held_out_errors, interval_errors
@@ -21,8 +21,6 @@ from splitband.runtime.arrays import Array
 
 COVERAGE = 0.9
 """Share of the samples that an interval should cover, 0 to 1. A convention."""
-WORTH_TRAINING = 0.1
-"""Share of its score by which a network must beat a baseline. By eye."""
 RULE = (
     "the lowest is recommended: the held-out RMSE in standard deviations, of several outputs the "
     f"root of the sum of squares; networks carry a penalty of {100 * WORTH_TRAINING:.0f} %"
@@ -107,7 +105,7 @@ def judged(
     trained = frozenset(name for name, fits in held.items() if fits[0].fitted.random)
     finals = {name: fits for name, fits in final.items() if name in held}
     held_out = {name: interval_errors(training, said) for name, said in forecasts.items()}
-    once = {name for name, fits in held.items() if not fits[0].fitted._refits}
+    once = {name for name, fits in held.items() if not fits[0].fitted.refits}
     for name in once & finals.keys():
         ahead = [fit.ahead for fit in finals[name]]
         early = [y[len(training) - at.at :] for at, y in sorted(forecasts[name].items())]

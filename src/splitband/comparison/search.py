@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from splitband.comparison.backtest import Fit, held_out_score
+from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score
 from splitband.comparison.candidates import (
     FINAL_SHARE,
     SHORT_RECORD,
@@ -27,7 +27,6 @@ from splitband.comparison.clock import MOST_OF_TIME_LEFT
 from splitband.comparison.jobs import Job, held_out_job
 from splitband.comparison.methods import built
 from splitband.comparison.plan import Plan
-from splitband.comparison.recommendation import WORTH_TRAINING
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.network import Network
@@ -67,7 +66,7 @@ class Search:
     round : Number of the last round that was asked for.
     attempts : All candidates after each of their rounds, in order.
     trials : Fits to three quarters of the training part by method, the best method first.
-    failed : Why methods have no fit so far.
+    failed : A fit without a model, of the methods that have no other one so far.
     converged : Whether further rounds would change nothing, and no deadline has cut a training.
     """
 
@@ -90,7 +89,7 @@ class Search:
         self.round = 0
         self.attempts: list[Attempt] = []
         self.trials: dict[str, list[Fit]] = {}
-        self.failed: dict[str, str] = {}
+        self.failed: dict[str, Fit] = {}
         self.converged = False
 
     def add(self, method: Forecaster) -> bool:
@@ -142,8 +141,8 @@ class Search:
         trials |= {name: [c.fits[c.best] for c in some] for name, some in self._members.items()}
         scores = {name: held_out_score(self._record, fits) for name, fits in trials.items() if fits}
         self.trials = {name: trials[name] for name in sorted(scores, key=lambda name: scores[name])}
-        reasons = {fit.method: fit.failure for fit in reversed(fits) if fit.failure} | self.failed
-        self.failed = {name: why for name, why in reasons.items() if name not in self.trials}
+        failed = {fit.method: fit for fit in reversed(fits) if fit.model is None} | self.failed
+        self.failed = {name: fit for name, fit in failed.items() if name not in self.trials}
 
     def _take(self, candidate: Candidate, fit: Fit) -> None:
         """Take the fit of a candidate's round."""
@@ -155,7 +154,7 @@ class Search:
         candidate.scores.append(score if math.isfinite(score) else math.inf)
         candidate.forget({candidate.best})
         trained = candidate.network if fit.model is None else fit.fitted
-        said = candidate.method, trained._training_in_words(), candidate.seed
+        said = candidate.method, trained.training_in_words(), candidate.seed
         shown = None if fit.model is None else (1 + WORTH_TRAINING) * score
         self.attempts.append(Attempt(self.round, *said, shown))
         if len(candidate.fits) == 1:

@@ -96,13 +96,13 @@ class Forecaster(WithRepr, Saved, ABC):
     """
 
     settings: TrainingSettings | None = None
-    _fits_simulator: ClassVar[bool] = False
+    fits_simulator: ClassVar[bool] = False
     """Whether its fit runs a simulator many times, which may take minutes."""
-    _at_once: ClassVar[bool] = False
+    at_once: ClassVar[bool] = False
     """Whether fit and forecasts together take no time, about a second for a million samples."""
     _words: ClassVar[str] = ""
     """Description that all instances of the class share; see `in_words`."""
-    _slow_part: ClassVar[str] = ""
+    slow_part: ClassVar[str] = ""
     """Description as the slow component of a hybrid, such as "linear model"."""
     affine: ClassVar[bool] = False
     """Whether predictions are affine in the inputs, or do not depend on them."""
@@ -447,22 +447,22 @@ class Forecaster(WithRepr, Saved, ABC):
 
     # What follows is for the package alone.
 
-    def _training_in_words(self) -> str:
+    def training_in_words(self) -> str:
         """Return sizes, window and steps of its networks, for tables; empty without."""
         return ""
 
     @property
-    def _title(self) -> str:
+    def title(self) -> str:
         """Return what it is, with its short name."""
         return titled(self.name, self.in_words())
 
     @property
-    def _calibrates(self) -> bool:
+    def calibrates(self) -> bool:
         """Return whether it calibrates a simulator, which may need output beyond the record."""
-        return any(part._calibrates for part in parts_of(self))
+        return any(part.calibrates for part in parts_of(self))
 
     @property
-    def _refits(self) -> bool:
+    def refits(self) -> bool:
         """Return whether it is refitted at each origin of a trial, as its fit is quick."""
         return not self.random
 
@@ -475,16 +475,16 @@ class Forecaster(WithRepr, Saved, ABC):
         """Return A, B, C and D of a linear model in state space; None for any other one."""
         return None
 
-    def _fitted_copy(
+    def fitted_copy(
         self, records: Sequence[Record], bases: Sequence[Forecaster] = (), **how: Any
     ) -> Forecaster:
         """Return a copy that is fitted to the records, one of `bases` where that is so already."""
         found = fitted_like(self, records, bases)
         return self.clone()._fit(records, bases=bases, **how) if found is None else found
 
-    def _for_trial(self, samples: int) -> Self:
+    def for_trial(self, samples: int) -> Self:
         """Return it adapted to `samples` without their held-out part."""
-        return self._with_parts(lambda part: part._for_trial(samples)) if parts_of(self) else self
+        return self._with_parts(lambda part: part.for_trial(samples)) if parts_of(self) else self
 
     @property
     def _slow_label(self) -> str:

@@ -39,7 +39,7 @@ class Mean(Forecaster):
 
     affine = True
     name = "mean"
-    _at_once = True
+    at_once = True
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Compute the mean of all records."""
@@ -67,7 +67,7 @@ class Persistence(Forecaster):
 
     affine = True
     name = "persistence"
-    _at_once = True
+    at_once = True
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the last sample; raises ValueError where a channel has not been measured yet."""
@@ -186,7 +186,7 @@ class Harmonic(_ByTime):
 
     name = "harmonic"
 
-    _slow_part = "sinusoids"
+    slow_part = "sinusoids"
     _words = "sinusoids and trend"
     _fitted_to = staticmethod(harmonic)
 
@@ -197,7 +197,7 @@ class Periodic(_ByTime):
 
     name = "periodic"
 
-    _slow_part = "periodic waveform"
+    slow_part = "periodic waveform"
     _words = "periodic waveform"
     _fitted_to = staticmethod(periodic)
 

@@ -89,7 +89,7 @@ class GreyBox(Forecaster):
         """Return the given name, or "grey-box"."""
         return self._name or "grey-box"
 
-    _slow_part = "fitted simulator"
+    slow_part = "fitted simulator"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -113,8 +113,8 @@ class GreyBox(Forecaster):
         check_level(records[0], self.name)
         check_runs(self.simulator, records[0])
 
-    _refits = False
-    _fits_simulator = True
+    refits = False
+    fits_simulator = True
 
     def _to_dict(self) -> dict[str, Any]:
         """Return what is saved, with a description in place of the simulator."""

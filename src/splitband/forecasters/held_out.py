@@ -75,7 +75,7 @@ def refitted(
         try:
             with within(Deadline.after(current().left / (len(groups) - done))):  # a share each
                 records = [record[: group[0].fitted], *others]
-                fitted = forecaster._fitted_copy(records, **how)
+                fitted = forecaster.fitted_copy(records, **how)
         except DeadlineError:
             if not done:
                 raise
@@ -99,10 +99,10 @@ def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
     fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
     measured = np.cumsum(~np.isnan(record.y_with_gaps), axis=0)
     early = [end for end in ends if end < fitted and (measured[end - 1] >= FEWEST_FITTED).all()]
-    if not forecaster._refits:
+    if not forecaster.refits:
         held = samples - fitted
         once = sorted({Origin(fitted, fitted + i * held // 3) for i in range(3)})
-        quick = not forecaster.random and not forecaster._fits_simulator
+        quick = not forecaster.random and not forecaster.fits_simulator
         return [*once, *(Origin(end, end) for end in early[:1] if quick)]
     return [Origin(end, end) for end in (*(end for end in ends if end >= fitted), *early)]
 
@@ -155,7 +155,7 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
             "level must be left out for a model that was saved without held-out errors: request an "
             "interval before it is saved, or fit it with --intervals"
         )
-    shorter, origins = forecaster._for_trial(len(record)), held_out_origins(forecaster, record)
+    shorter, origins = forecaster.for_trial(len(record)), held_out_origins(forecaster, record)
     forecasts, seed = dict[Origin, Array](), fitted.report.seed
     for model, group in refitted(shorter, record, origins, fitted.others, seed=seed):
         with without_warnings(ExtrapolationWarning):

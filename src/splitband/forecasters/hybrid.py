@@ -242,7 +242,7 @@ class Filtered(Network):
 
     def in_words(self) -> str:
         """Return which part has which band."""
-        base, network = self.base._slow_part or self.base._slow_label, words_of(self.cell)
+        base, network = self.base.slow_part or self.base._slow_label, words_of(self.cell)
         return self._of_bands(*((network, base) if self._above else (base, network)))
 
     def _shortest_warmup(self) -> int:
@@ -266,7 +266,7 @@ class Filtered(Network):
                            record.y_with_gaps)  # fmt: skip
         if not reachable.nothing_to_learn:
             return []
-        advice = "" if self._calibrates else "; calibrating it may change that"
+        advice = "" if self.calibrates else "; calibrating it may change that"
         return [reachable.describe() + advice]
 
     def _derived_name(self) -> str:
@@ -313,7 +313,7 @@ class Residual(Network):
 
     def in_words(self) -> str:
         """Return the parts that add up."""
-        return f"{self.base._slow_part or self.base._slow_label} + {words_of(self.cell)}"
+        return f"{self.base.slow_part or self.base._slow_label} + {words_of(self.cell)}"
 
     def _derived_name(self) -> str:
         return _name("residual", self.base, self.cell, self.conditioned)

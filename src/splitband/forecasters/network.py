@@ -120,7 +120,7 @@ class Network(Forecaster):
         return {} if self._fitted_base is None else self._fitted_base.parameters
 
     @property
-    def _takes_bands(self) -> bool:
+    def takes_bands(self) -> bool:
         """Return whether it takes the bands that a comparison chooses.
 
         A comparison chooses bands for networks alone and for the simulator output of the record.
@@ -129,7 +129,7 @@ class Network(Forecaster):
         """
         return self.bands == OPEN and (self.base is None or "simulator" in self.base.needs)
 
-    _slow_part = "network"
+    slow_part = "network"
 
     def _in_bands(self, bands: Bands) -> dict[str, Any]:
         """Return the options that a comparison's bands decide."""
@@ -177,29 +177,29 @@ class Network(Forecaster):
         if self.model is not None:
             self.model.to(self._device)
 
-    def _trained_as(self, settings: TrainingSettings | None) -> Self:
+    def trained_as(self, settings: TrainingSettings | None) -> Self:
         """Return a copy with other settings."""
         return self.clone().set_params(settings=settings)
 
-    def _for_trial(self, samples: int) -> Self:
+    def for_trial(self, samples: int) -> Self:
         """Return it adapted to `samples` without their held-out part.
 
         Long windows shrink with the part that is left, but stay as long as the default recipe's
         shortest one, and beyond the warm-up.
         """
-        new, settings, fewer = super()._for_trial(samples), self.settings, first_held_out(samples)
+        new, settings, fewer = super().for_trial(samples), self.settings, first_held_out(samples)
         if settings is None:
             return new
         least = max(min(SHORTEST_WINDOW, longest_window(fewer)), settings.warmup + 1)
         shorter = max(round(settings.window * fewer / samples), least)
-        return new._trained_as(replace(settings, window=min(settings.window, shorter)))
+        return new.trained_as(replace(settings, window=min(settings.window, shorter)))
 
     def untrained(self) -> Forecaster:
         """Return it not trained, with the settings and bands of its training."""
-        new = self._trained_as(self._trained_by or self.settings)
+        new = self.trained_as(self._trained_by or self.settings)
         return new if self._trained_in is None else new.set_params(bands=self._trained_in)
 
-    def _training_in_words(self) -> str:
+    def training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
         cells = cells_of(self).values()
         sizes = [cell.size_in_words() for cell in cells if hasattr(cell, "size_in_words")]
@@ -282,7 +282,7 @@ class Network(Forecaster):
             except RuntimeError:
                 raise InputError(
                     f"start must have the sizes and channels of {self.name}: "
-                    f"{self._training_in_words()}, got {start._training_in_words()}"
+                    f"{self.training_in_words()}, got {start.training_in_words()}"
                 ) from None
             self.model.units_kept = True
         elif settings.linear_start:
@@ -310,7 +310,7 @@ class Network(Forecaster):
         """
         return self._run(self._trained().simulate_components, known)
 
-    def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
         return self._run(self._trained().simulate_unfiltered, known_of(self, steps, history))
 
@@ -353,9 +353,9 @@ class Network(Forecaster):
         """Return the results of the base's fit, the training settings, and remarks."""
         fitted, base = self.require_fitted(), self._fitted_base
         said = []
-        if base is not None and (base._slow_label != SIMULATOR or base._calibrates):
+        if base is not None and (base._slow_label != SIMULATOR or base.calibrates):
             said = [f"{base._slow_label}: {base.describe()}"]
-        said += [self._training_in_words(), fitted.late_inputs(self.delays)]
+        said += [self.training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
     def _made(self, params: dict[str, Any]) -> Self:
@@ -509,7 +509,7 @@ def with_defaults(
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if part.bands == OPEN:
             of_band = high if part.simulator_band == "high" else bands
-            shared |= part._in_bands(of_band if part._takes_bands else given)
+            shared |= part._in_bands(of_band if part.takes_bands else given)
         return part.clone().set_params(**shared) if shared else part
 
     return with_parts_changed(forecaster, changed)

@@ -398,8 +398,8 @@ class Simulation(SimulatorForecaster):
     name : By default "simulator".
     """
 
-    _at_once = True
-    _slow_part = "simulator"
+    at_once = True
+    slow_part = "simulator"
     _words = "simulator"
 
     def check(self, *records: Record) -> None:
@@ -453,9 +453,9 @@ class Calibrated(SimulatorForecaster):
             return "-calibrated"
         return "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
 
-    _slow_part = "calibrated simulator"
-    _calibrates = True
-    _fits_simulator = True
+    slow_part = "calibrated simulator"
+    calibrates = True
+    fits_simulator = True
 
     @property
     def calibration(self) -> Calibration | None:

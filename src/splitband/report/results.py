@@ -17,7 +17,7 @@ from splitband.checks.model import ModelCheck
 from splitband.checks.responses import Responses
 from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
-from splitband.comparison.run import RunningComparison
+from splitband.comparison.running import RunningComparison
 from splitband.data import Record
 from splitband.data.timing import as_json
 from splitband.forecasters import saving

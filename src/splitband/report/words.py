@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from splitband.checks.residuals import ResidualTests
+from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import HYBRIDS
-from splitband.comparison.recommendation import WORTH_TRAINING, Trial, by_reason
+from splitband.comparison.recommendation import Trial, by_reason
 from splitband.comparison.result import Comparison
 from splitband.data import Record
 from splitband.filters.spectrum import periodogram
@@ -198,7 +199,7 @@ def _seen(comparison: Comparison) -> list[str]:
         f"Samples of the test record {test.name} are training samples: its fit is not one on new "
         "data."
         for test in comparison.tests
-        if repeats_training(test, comparison.plan)
+        if repeats_training(test, (comparison.plan.training, *comparison.others))
     ]
 
 

@@ -1,0 +1,516 @@
+"""Run the parts of a comparison: quick methods, rounds of the search, final trainings, result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from splitband.comparison.backtest import BacktestSpec, Fit
+from splitband.comparison.clock import BASELINE_SHARE, MOST_OF_BASELINE, MOST_OF_TIME_LEFT, Clock
+from splitband.comparison.jobs import GRACE, Bases, Job, Runner, held_out_job, late
+from splitband.comparison.methods import BASES
+from splitband.comparison.plan import Plan
+from splitband.comparison.recommendation import Trial, by_reason, judged, without_failed
+from splitband.comparison.result import Comparison
+from splitband.forecasters.base import Forecaster
+from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin
+from splitband.forecasters.network import Network
+from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
+from splitband.runtime.deadlines import NEVER, Deadline
+from splitband.runtime.errors import InputError
+from splitband.runtime.memory import return_freed
+from splitband.runtime.threads import one_thread
+
+if TYPE_CHECKING:
+    from splitband.comparison.search import Search
+
+
+Watch = Callable[["RunningComparison"], None]
+
+
+@dataclass(eq=False)
+class MethodState:
+    """Hold a method of a comparison, and how far it is.
+
+    Attributes
+    ----------
+    method : As planned, with its own simulator.
+    ready : The same with its simulator run and, once networks are trained, its cells built; None
+        where the simulator fails.
+    job : Of a method without networks the job that has begun and not ended.
+    trial : Fits to three quarters of the training part.
+    final : Fits by their jobs: to the whole training part or, where none of these has a model,
+        those of the trial with forecasts beyond the training part.
+    failure : The last fit that has no model.
+    """
+
+    method: Forecaster
+    ready: Forecaster | None = None
+    job: Job | None = None
+    trial: Sequence[Fit] = ()
+    final: dict[Job, Fit] = field(default_factory=dict)
+    failure: Fit | None = None
+
+    @property
+    def note(self) -> str:
+        """Return in words why results are of a fit to three quarters, if they are."""
+        if all(job.trains for job in self.final):
+            return ""
+        how, why = "trained on" if self.method.random else "fitted to", _reason(self.failure)
+        said = f"could not be {how} the whole training part {why}"
+        return f"{said}; results are of three quarters of it"
+
+    def end(self, fits: Mapping[Job, Fit]) -> None:
+        """Take the fits of all final trainings; a note names those without a model."""
+        self.final = {job: fit for job, fit in fits.items() if fit.model is not None}
+        failed = [fit for fit in fits.values() if fit.model is None]
+        if not self.final:
+            self.failure = failed[-1]
+        elif failed:
+            said = [f"seed {f.seed} {'' if f.cut else 'failed: '}{f.failure}" for f in failed]
+            job, first = next(iter(self.final.items()))
+            self.final[job] = replace(first, notes=(*first.notes, *said))
+
+
+def _reason(failure: Fit | None) -> str:
+    """Return in words why a fit could not be made; None and one that was cut: for lack of time."""
+    return "in time" if failure is None or failure.cut else f"({failure.failure})"
+
+
+class RunningComparison:
+    """Run the parts of a comparison one after the other, and hold all fits so far.
+
+    Attributes
+    ----------
+    plan, clock : Of the comparison.
+    doing : What is computed now, in words.
+    new_table : Whether a round, or the quick methods, have just ended.
+    states : The methods by name, in the order of the plan.
+    """
+
+    def __init__(self, plan: Plan, runner: Runner, clock: Clock, watch: Watch | None) -> None:
+        self.plan, self.clock, self._runner, self._watch = plan, clock, runner, watch
+        clock.cores = runner.cores
+        self.doing, self.new_table = "", False
+        self.states = {method.name: MethodState(method) for method in plan.methods}
+        self._trial: Trial | None = None  # of the trials so far
+        self._search: Search | None = None
+        self._bases = Bases(runner)
+        ran: dict[Any, Any] = {}
+        for state in self.states.values():
+            self._simulate(state, ran)
+
+    @property
+    def trials(self) -> dict[str, Sequence[Fit]]:
+        """Return the fits to three quarters of the training part, by method."""
+        return {name: state.trial for name, state in self.states.items() if state.trial}
+
+    @property
+    def finals(self) -> dict[str, list[Fit]]:
+        """Return the final fits by method; see `MethodState`."""
+        return {name: [*state.final.values()] for name, state in self.states.items() if state.final}
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """Return why methods have no final fit, in words, by name."""
+        failures = {n: state.failure for n, state in self.states.items() if not state.final}
+        return {name: fit.failure for name, fit in failures.items() if fit is not None}
+
+    @property
+    def _ready(self) -> list[Forecaster]:
+        """Return the methods that can be fitted."""
+        return [state.ready for state in self.states.values() if state.ready is not None]
+
+    @property
+    def _quick(self) -> list[Job]:
+        """Return the jobs of methods without networks that have not ended."""
+        return [state.job for state in self.states.values() if state.job is not None]
+
+    @property
+    def trial(self) -> Trial:
+        """Return the results on held-out samples so far."""
+        if self._trial is None:
+            self._trial = judged(self.plan.training, self.trials, {}, self.failed)
+        return self._trial
+
+    @property
+    def model(self) -> Forecaster:
+        """Return the best model so far; a network was trained on three quarters of the samples."""
+        best = self.trial.recommended
+        fits = self.finals.get(best) or self.trials[best]
+        return fitted_ensemble([fit.fitted for fit in fits], self.trial.held_out[best])
+
+    def in_words(self) -> str:
+        """Return what is computed now and the best method so far, in a line."""
+        if not self.trials:
+            return self.doing
+        trial = self.trial
+        best = trial.recommended
+        score = f"score {trial.penalized_score(best):.3g}"
+        return f"{self.doing}; best so far: {self.methods[best].title}, {score}"
+
+    def __str__(self) -> str:
+        """Return the same with the time that is left."""
+        return f"{self.in_words()}; {self.clock.left_in_words()}"
+
+    @property
+    def methods(self) -> dict[str, Forecaster]:
+        """Return the methods by name, fitted to three quarters where they have been tried."""
+        states = self.states.items()
+        return {name: s.trial[0].fitted if s.trial else s.method for name, s in states}
+
+    def comparison(self) -> Comparison:
+        """Return the comparison of the final fits so far."""
+        attempts = () if self._search is None else tuple(self._search.attempts)
+        found = Comparison(self.plan, self.fits(), None, attempts, self.clock)
+        given = self.plan.training, self.trials, found.fits, self.failed
+        return replace(found, trial=judged(*given, frozenset(found.left_out)))
+
+    def result(self) -> Comparison:
+        """Return the comparison at the end, with the refit if one is asked for."""
+        found = self.comparison()
+        if not self.plan.refit or self.clock.interrupted:
+            return found
+        return replace(found, refit=self._refitted(found.recommended, found.require_trial()))
+
+    def run(self) -> None:
+        """Run the plan to its end, or until Ctrl-C."""
+        try:
+            self._run_quick()
+            self._run_rounds()
+            if not self.clock.interrupted:
+                self._run_finals()
+        except KeyboardInterrupt:
+            if not self.trials:
+                raise
+            self._interrupt()
+        self._complete()
+
+    def _run_quick(self) -> None:
+        """Fit the methods without networks; workers go on with it while they train networks."""
+        quick = [f for f in self._ready if not f.random]
+        at_once = [f for f in quick if f.at_once]
+        prepared = [f for f in self._ready if f.random or f.fits_simulator]
+        self._try([f for f in quick if f not in [*at_once, *prepared]])
+        # Workers load torch while the first table is shown and written.
+        self._runner.start([f for f in self._ready if f.random])
+        self._try(at_once)
+        if len(at_once) < len(self._ready):
+            self._report("baselines", new_table=True)
+        until = self._half()
+        for forecaster in prepared:
+            spec = self.plan.held_out_spec(forecaster)
+            for samples in sorted({origin.fitted for origin in spec.origins}):
+                records = [spec.record[:samples], *spec.others]
+                self._bases.fit(forecaster, records, until)
+        self._try([f for f in prepared if not f.random])
+        if self._runner.executor is None:
+            self._await_quick()
+
+    def _try(self, forecasters: Sequence[Forecaster]) -> None:
+        """Begin the fits of methods without networks to three quarters of the training part."""
+        for forecaster in forecasters:
+            self._begin(replace(held_out_job(self.plan, forecaster), needed=True))
+
+    def _begin(self, job: Job) -> None:
+        """Begin a job of a method without networks; one that takes no time is done here."""
+        if job.forecaster.at_once:
+            with one_thread():
+                self._take(job, job.run())
+            return
+        job = replace(self._bases.given_to(job), limit=self._limit(job.forecaster))
+        self.states[job.method].job = job
+        self._runner.begin([job], self._half(), first=True)
+
+    def _take(self, job: Job, fit: Fit) -> None:
+        """Take a fit of a method without networks; after the trial, the final fit begins."""
+        state = self.states[job.method]
+        state.job, method = None, state.ready
+        if fit.model is None or method is None:
+            state.failure = fit
+        elif state.trial:
+            state.final = {job: fit}
+        else:
+            state.trial, self._trial = [fit], None
+            job = Job(method, self.plan.spec(method))
+            if method.at_once or fit.seconds < (1 - HELD_OUT_SHARE) * self._half().left:
+                self._bases.fit(method, [self.plan.training, *self.plan.others], self._half())
+            else:
+                job = replace(job, start=fit.model, trains=False)
+            self._begin(job)
+
+    def _await_quick(self, trials_alone: bool = False) -> None:
+        """Wait for the methods without networks: for all their fits, or for the trials alone."""
+        while jobs := [*filter(self._untried, self._quick)] if trials_alone else self._quick:
+            for _ in self._ended(jobs):
+                pass
+
+    def _untried(self, job: Job) -> bool:
+        """Return whether a job is one of the trial."""
+        return not self.states[job.method].trial
+
+    def _ended(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Fit]]:
+        """Yield jobs with their fits, as they end; methods without networks are taken meanwhile."""
+        for job, fit in self._runner.ended(jobs):
+            if self.states[job.method].job is not job:
+                yield job, fit
+                continue
+            untried = self._untried(job)
+            self._take(job, fit)
+            last = untried and not any(map(self._untried, self._quick))
+            if last and any(f.random for f in self._ready):
+                self._report("baselines", new_table=True)
+
+    def _interrupt(self) -> None:
+        """End all jobs, after Ctrl-C."""
+        self.clock.interrupted = True
+        for state in self.states.values():
+            state.job = None
+        self._runner.drop()
+
+    def _run_rounds(self) -> None:
+        """Run rounds of the search until only the final trainings fit into the time."""
+        networks = [f for f in self._ready if f.random]
+        if self.trials and self.clock.deadline.over:
+            self._fail(late(network.name) for network in networks)
+            return
+        if not networks:
+            return
+        from splitband.comparison.search import Search  # noqa: PLC0415  which loads torch
+
+        ready = replace(self.plan, methods=tuple(self._ready))
+        clock, most = self.clock, self.plan.rounds
+        # Counted rounds are the same on any number of cores.
+        search = self._search = Search(ready, self._runner.cores if most is None else 1)
+        while most is None or search.round < most:
+            reserve = self._reserve(search)
+            if search.round and clock.left <= reserve:
+                break
+            jobs = search.ask(clock.left - reserve)
+            if not jobs:
+                break
+            if not self.trials and search.round == 1:
+                jobs[0] = replace(jobs[0], needed=True)
+            until = Deadline.after((clock.left - reserve) / search.cost_factor)
+            search.tell(self._trained(jobs, until, f"round {search.round}"))
+            for name, fits in search.trials.items():
+                self.states[name].trial, self._trial = fits, None
+            if not clock.interrupted:
+                self._report(f"round {search.round}", new_table=True)
+            if until.over or clock.interrupted:
+                break
+            if search.round == 1 and self.plan.extended and most != 1:
+                self._await_quick(trials_alone=True)
+                self._extend(search)
+        self._fail(search.failed.values())
+        clock.settled = search.converged
+
+    def _fail(self, fits: Iterable[Fit]) -> None:
+        """Take fits of methods that have no model."""
+        for fit in fits:
+            self.states[fit.method].failure = fit
+
+    def _extend(self, search: Search) -> None:
+        """Add a network on the best method, if that is a baseline which can have one on top."""
+        several, scores = self.plan.tests or self.plan.others, self.trial.scores
+        best = min(scores, key=lambda name: scores[name])
+        # What depends on the time since its training record began is for that record alone.
+        if best in BASES and not (several and self.states[best].method.anchored):
+            extended = self.plan.on_baseline(best)
+            network = extended.methods[-1]
+            if search.add(network):
+                self.plan = extended
+                self.states[network.name] = MethodState(network, network)
+
+    def _run_finals(self) -> None:
+        """Train the networks on the whole training part, the best one first."""
+        jobs = [] if self._search is None else self._search.finals()
+        for forecaster in {job.method: job.forecaster for job in jobs}.values():
+            records = [self.plan.training, *self.plan.others]
+            self._bases.fit(forecaster, records, self.clock.deadline)
+        until = self.clock.deadline.earlier(self._forecasting())
+        fits = dict(zip(jobs, self._trained(jobs, until, "final trainings"), strict=True))
+        for name in dict.fromkeys(job.method for job in jobs):
+            self.states[name].end({job: fit for job, fit in fits.items() if job.method == name})
+        self._await_quick()
+
+    def _complete(self) -> None:
+        """Predict with the models of the trial where there is no final training."""
+        self._predict_by_trials()
+        self.clock.notes += by_reason({name: state.note for name, state in self.states.items()})
+        self._note_untrained()
+        if not self.finals:
+            reasons = [*by_reason(self.failed), *self.clock.notes]
+            raise InputError(f"no method could be fitted; {'; '.join(reasons)}")
+        for state in self.states.values():
+            for fit in state.final.values():
+                with_simulators_of(fit.fitted, state.method)
+                if isinstance(network := fit.fitted, Network):
+                    # A copy that is fitted again is trained as long as all rounds together.
+                    network.settings = network.untrained().settings
+
+    def _note_untrained(self) -> None:
+        """Note, with cause and cure, where the time was over before any network was trained."""
+        networks = [state for state in self.states.values() if state.method.random]
+        over = any(state.failure is not None and state.failure.cut for state in networks)
+        limit, interrupted = self.clock.limit, self.clock.interrupted
+        if limit is None or interrupted or not over or any(state.final for state in networks):
+            return
+        said = f"no network was trained in the time: raise --budget ({limit:.0f} s)"
+        if self._runner.starting:
+            said += (
+                ". Worker processes were still loading, or compiling kernels, which is done once "
+                "after an installation: `splitband doctor` does it, in about a minute"
+            )
+        self.clock.notes.append(said)
+
+    def fits(self) -> dict[str, list[Fit]]:
+        """Return the final fits, without failed trainings where their number was left open."""
+        plan = self.plan
+        return {
+            name: without_failed(plan.training, fits)
+            if name in plan.searched or plan.seeds is None
+            else fits
+            for name, fits in self.finals.items()
+        }
+
+    def _refitted(self, name: str, trial: Trial) -> Forecaster | None:
+        """Return a method fitted to the whole record, with the settings of its final trainings.
+
+        None where that fails or there is no time for it, which a note of the clock says.
+        """
+        record, others = self.plan.record, self.plan.others
+        samples = len(record)
+        # One sample, the last one, is forecast, as a fit needs an origin.
+        spec = BacktestSpec(record, [Origin(samples, samples - 1)], samples, others)
+        state, kept = self.states[name], {id(fit.model) for fit in self.fits()[name]}
+        ready, final = state.ready or state.method, state.final.items()
+        if ready.random:
+            jobs = [
+                Job(job.forecaster, spec, job.seed, None if job.start is None else fit.model)
+                for job, fit in final
+                if job.trains and id(fit.model) in kept
+            ]
+        else:
+            jobs = [Job(ready, spec, needed=True, limit=self._limit(ready))]
+        self._bases.fit(ready, [record, *others], self.clock.deadline)
+        fits = self._trained(jobs, self.clock.deadline, "refit")
+        models = [fit.model for fit in fits if fit.model is not None]
+        if not models:
+            self.clock.notes.append(
+                f"{name}: could not be refitted to the whole record "
+                f"{_reason(fits[0] if fits else None)}; its model is that of the training part"
+            )
+            return None
+        for model in models:
+            with_simulators_of(model, state.method)
+        return fitted_ensemble(models, trial.held_out.get(name))
+
+    def _simulate(self, state: MethodState, ran: dict[Any, Any]) -> None:
+        """Run a method's own simulator, once for all jobs.
+
+        What `ran` for another method is not run again.
+        """
+        plan, others = self.plan, self.plan.others
+        # It may fail for the test records only, which are then left out.
+        for tests in dict.fromkeys([plan.tests, ()]):
+            try:
+                state.ready = with_simulators_run(
+                    state.method, plan.training, plan.horizon, *others, *tests, ran=ran
+                )
+                return
+            except ValueError as error:
+                said = " ".join(str(error).split())
+        state.failure = Fit(state.method.name, failure=said)
+
+    def _predict_by_trials(self) -> None:
+        """Predict with models that were fitted to three quarters of the training part."""
+        jobs = list[Job]()
+        for name, state in self.states.items():
+            wrong = state.failure is not None and not state.failure.cut
+            if not state.trial or state.final or state.ready is None:
+                continue
+            if wrong and not state.method.random:
+                continue
+            spec = self.plan.spec(state.trial[0].fitted)
+            best = self._search is not None and name == next(iter(self._search.trials), None)
+            models = [fit.model for fit in state.trial[: None if best else 1]]  # as in the end
+            jobs += [Job(state.ready, spec, i, each, trains=False) for i, each in enumerate(models)]
+        # Workers may have been ended with a job that was late, and begin anew within seconds.
+        here = self.clock.interrupted or self._forecasting() < GRACE
+        runner = Runner() if here else self._runner
+        runner.begin(jobs, NEVER, NEVER)
+        fits = dict(runner.ended(jobs))
+        for job in jobs:
+            if fits[job].model is not None:
+                self.states[job.method].final[job] = fits[job]
+
+    def _trained(self, jobs: Sequence[Job], until: Deadline, doing: str) -> list[Fit]:
+        """Return the fits of jobs, in their order."""
+        jobs = [self._bases.given_to(job) for job in jobs]
+        fits: dict[Job, Fit] = {}
+        try:
+            self._runner.begin(jobs, until, self._patience(until))
+            self._report(f"{doing}, 0 of {len(jobs)} trainings")
+            for job, fit in self._ended(jobs):
+                fits[job] = fit
+                self.clock.trained += fit.seconds
+                self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
+        except KeyboardInterrupt:
+            if not self.trials and not any(fit.model is not None for fit in fits.values()):
+                raise
+            self._interrupt()
+        return [fits.get(job) or job.late() for job in jobs]
+
+    def _report(self, doing: str, new_table: bool = False) -> None:
+        return_freed()
+        self.doing, self.new_table = doing, new_table and bool(self.trials)
+        if self._watch is not None and (self.trials or not new_table):
+            self._watch(self)
+
+    def _half(self) -> Deadline:
+        """Return the deadline of what does not train networks, where others do."""
+        share = MOST_OF_TIME_LEFT if any(f.random for f in self._ready) else 1.0
+        return Deadline.after(share * self.clock.left)
+
+    def _limit(self, forecaster: Forecaster) -> float:
+        """Return the seconds of a fit without networks; results by --rounds do not depend on it."""
+        if self.clock.limit is None or forecaster.fits_simulator:
+            return math.inf
+        return min(BASELINE_SHARE * self.clock.limit, MOST_OF_BASELINE)
+
+    def _reserve(self, search: Search) -> float:
+        """Return the seconds that the final trainings of what is best so far will take."""
+        jobs = search.finals()
+        again = [job for job in jobs if self.plan.refit and job.method == jobs[0].method]
+        every = [job.seconds for job in [*jobs, *again]]
+        if self.plan.refit and self.finals:
+            every += [fit.seconds for fit in self.finals.get(self.trial.recommended, [])]
+        longest = max(every, default=0.0)
+        return max(longest, sum(every) / self._runner.cores) + self._forecasting()
+
+    def _patience(self, until: Deadline) -> Deadline:
+        """Return when trainings are ended that have not forecast yet; of the first, at the end."""
+        took = self._forecasting()
+        least = until.earlier(-max(GRACE, 2 * took))
+        return least if took else max(least, self.clock.deadline)
+
+    def _forecasting(self) -> float:
+        """Return the seconds that the forecasts of a final training take, by those of the trial.
+
+        There, three forecasts have together twice the length of the held-out part (1 + 2/3 + 1/3),
+        and three horizons.
+        """
+        plan = self.plan
+        took = [
+            fit.seconds - fit.report.seconds
+            for fits in self.trials.values()
+            for fit in fits
+            if fit.fitted.random
+        ]
+        samples = 2 * len(plan.record) + sum(map(len, plan.tests))
+        # The least one, as the first forecasts of a process also load or compile what they need.
+        return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
