@@ -40,7 +40,7 @@ oracle(record.y, low, record.sampling_rate, chosen.cutoff)
 assert "filtered-linear-gru" in with_base(["filtered-gru"], "linear")
 assert with_variants(["filtered-gru"], calibrate=True, conditioned=False)
 assert all(method.in_words() for method in NAMES.values())
-Clock, sb.Ode, sb.Fmu, sb.TrainingSettings, Progress
+sb.Ode, sb.Fmu, sb.TrainingSettings
 """
 
 
