@@ -52,7 +52,7 @@ def test_every_script_of_the_benchmarks_has_a_help() -> None:
 
 
 @pytest.mark.parametrize("methods", ["baselines", "default"])
-def test_the_table_of_intervals_is_of_all_records_none_of_which_chose_a_constant(
+def test_the_table_of_intervals_is_of_all_records_and_of_reported_seeds(
     recommendation: Any, methods: str
 ) -> None:
     facts = json.loads((ROOT / recommendation.FILES[methods]).read_text(encoding="utf-8"))

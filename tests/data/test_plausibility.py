@@ -160,14 +160,14 @@ def thermostat(rng: Generator) -> sb.Record:
     return record((y + noise(rng, 0.02)).round(1), u)
 
 
-def loop(rng: Generator) -> sb.Record:
-    """A lag behind a PI controller, which saturates at 0; the reference changes."""
+def loop(rng: Generator, highest: float = np.inf, digits: int = 15) -> sb.Record:
+    """A lag behind a PI controller, which saturates; the reference changes."""
     reference, y, u, whole = held(rng, 20, 80, 100), np.zeros(N), np.zeros(N), 0.0
     for i in range(1, N):
         y[i] = 0.95 * y[i - 1] + 0.02 * u[i - 1]
         error = reference[i] - y[i] + rng.normal(0, 0.1)
-        u[i] = max(20 * error + whole, 0)
-        whole = max(whole + 0.5 * error, 0)
+        u[i] = np.clip(20 * error + whole, 0, highest).round(digits)
+        whole = np.clip(whole + 0.5 * error, 0, highest)
     return record(y + noise(rng, 0.1), u)
 
 
@@ -215,6 +215,7 @@ def multisine(rng: Generator, high: float) -> Array:
 
 
 LOOKALIKES: dict[str, Callable[[Generator], sb.Record]] = {
+    "PWM that saturates": lambda rng: loop(rng, 255, 0),
     "0 and 360, switched": lambda rng: record(360 * (np.sin(INDEX / 14) > 0) + noise(rng, 0.1)),
     "unwrapped": heading,
     "filled and emptied": lambda rng: record(INDEX % 345 + noise(rng, 0.2)),
