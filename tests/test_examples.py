@@ -36,6 +36,7 @@ def test_an_example_prints_a_hybrid_model_that_beats_its_simulator(
     if name == "fmu":
         for package in ("fmpy", "pythonfmu"):
             pytest.importorskip(package)
+    train_shortly(monkeypatch, 90)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [f"{name}_simulator.py"])
     runpy.run_path(str(EXAMPLES / f"{name}_simulator.py"), run_name="__main__")

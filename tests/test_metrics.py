@@ -62,8 +62,6 @@ def test_lists_and_integers_are_taken_as_real_numbers() -> None:
     ("y", "prediction"),
     [
         (noise(5), noise(4)),
-        (noise(5), noise(5, 1)),
-        (noise(5, 2), noise(5, 1)),
         (noise(2, 5, 1), noise(2, 5, 1)),
         (noise(0), noise(0)),
         (np.array(1.0), np.array(1.0)),

@@ -56,10 +56,10 @@ def test_the_installed_wheel_runs_from_an_environment_of_its_own(
     # What the package depends on is taken from the environment of the tests.
     (site / "others.pth").write_text(f"{Path(pytest.__file__).parents[1]}\n")
     python = tmp_path / "own/bin/python"
-    said = run(python, "-m", "splitband", "--version", folder=tmp_path)
-    assert said == f"splitband {sb.__version__}\n"
-    where = "import splitband.cli.compare as m; print(m.__file__)"
-    assert run(python, "-c", where, folder=tmp_path).startswith(str(site))
+    program = "from splitband import cli; print(cli.__file__); cli.main(['--version'])"
+    where, said = run(python, "-c", program, folder=tmp_path).splitlines()
+    assert where.startswith(str(site))
+    assert said == f"splitband {sb.__version__}"
 
 
 @pytest.mark.soak

@@ -61,14 +61,8 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_baselines_and_filters_need_no_torch(folder: Path) -> None:
-    done = run(folder, "-c", BASELINES + LOADED)
-    assert done.stdout == "[]\n", done.stderr
-
-
-def test_a_network_is_loaded_where_it_is_named(folder: Path) -> None:
-    program = "import sys\nfrom splitband.comparison.methods import named\n"
-    done = run(folder, "-c", f"{program}{LOADED}\nnamed('gru')\n{LOADED}")
+def test_baselines_and_filters_need_no_torch_and_a_network_does(folder: Path) -> None:
+    done = run(folder, "-c", f"{BASELINES}{LOADED}\nnamed('gru')\n{LOADED}")
     assert done.stdout == "[]\n['torch']\n", done.stderr
 
 

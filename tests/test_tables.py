@@ -87,9 +87,7 @@ def test_a_sentence_must_stand_on_the_page_once() -> None:
     "text",
     [
         f"<!--={GRU}-->\n1",
-        "1\n<!--/-->",
         f"a <!--={GRU}-->\n1\n<!--/-->",
-        f"<!--={GRU}-->1<!--/-->",
     ],
 )
 def test_comments_stand_alone_and_in_pairs(text: str) -> None:

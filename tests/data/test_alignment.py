@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,6 @@ import pytest
 from splitband import Record, read
 from splitband.data import Grid, aligned, resampled
 from splitband.data.alignment import reach
-from splitband.data.timing import seconds_between
 from tests.data.support import SAMPLES, signal, times, write
 
 Array = npt.NDArray[np.float64]
@@ -44,27 +42,6 @@ def test_dates_go_through_slices_and_time_counts_from_the_first() -> None:
     assert part.start == expected[0]
     assert part.time[0] == 0
     assert list(part.stamps) == list(expected)
-
-
-@pytest.mark.parametrize(
-    ("name", "stamps", "start"),
-    [
-        ("t [ms]", [f"{5000 + 40 * i}" for i in range(9)], 5.0),
-        ("time", [f"{7 + i / 3:.2f}" for i in range(200)], 7.0),
-        (
-            "date",
-            [f"2024-05-01T10:00:0{i}+02:00" for i in range(9)],
-            pd.Timestamp("2024-05-01 10:00", tz="UTC+02:00"),
-        ),
-    ],
-)
-def test_reading_keeps_the_first_time_stamp(name: str, stamps: list[str], start: Any) -> None:
-    pd.DataFrame({name: stamps, "y": np.arange(float(len(stamps)))}).to_csv("r.csv", index=False)
-    for found in (read("r.csv").start, read("r.csv", gaps="mask").start):
-        assert found is not None
-        assert seconds_between(start, found) == pytest.approx(0, abs=2e-3)
-        if isinstance(start, pd.Timestamp):
-            assert str(found) == str(start)  # dates are shown as the file has them
 
 
 def test_rows_do_not_drift_away_from_the_time_stamps_over_many_gaps() -> None:

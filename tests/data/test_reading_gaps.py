@@ -54,17 +54,6 @@ def test_rows_missing_between_stamps_are_gaps(
     assert "--gaps mask" in said
 
 
-@pytest.mark.parametrize(("rows", "rate", "places"), [(30, 10, 1), (200, 44, 2)])
-def test_a_whole_record_reads_the_same_either_way(
-    tmp_path: Path, rows: int, rate: int, places: int
-) -> None:
-    path = stamped(tmp_path, [f"{row / rate:.{places}f}" for row in range(rows)])
-    masked, refused = read(path, gaps="mask"), read(path)
-    np.testing.assert_array_equal(masked.y, refused.y)
-    assert (masked.sampling_time, len(masked)) == (refused.sampling_time, rows)
-    assert masked.measured is None
-
-
 def test_the_refusal_names_the_stretches(tmp_path: Path) -> None:
     cells = ["" if row in (3, 5, 6) else f"{row}" for row in range(9)]
     path = text_file(tmp_path, "t,y\n" + "".join(f"{i},{c}\n" for i, c in enumerate(cells)))
@@ -92,6 +81,8 @@ def test_what_is_no_gap_is_refused(tmp_path: Path) -> None:
     assert words in message(path, columns=["y", "dead"], gaps="mask")
     assert words.replace("1", "0") in message(path, columns="y", inputs="dead", gaps="mask")
     assert "row 1 holds 'broken'" in message(path, columns="word", gaps="mask")
+    with pytest.raises(ValueError, match="gaps must be one of refuse, mask, got 'drop'"):
+        read(path, gaps="drop")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("rate", [30, 60])

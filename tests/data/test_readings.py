@@ -45,26 +45,10 @@ def test_a_date_and_a_time_of_the_day(
     np.testing.assert_array_equal(found.y[:, 0], np.arange(48))
 
 
-def test_serial_days_beside_fractions_of_a_day_are_to_be_added_first(tmp_path: Path) -> None:
-    rows = "".join(f"{45292 + i // 24},{i % 24 / 24:.9f},{i}\n" for i in range(48))
-    path = text_file(tmp_path, f"Date,Time,y\n{rows}")
-    assert "must increase: row 24" in message(path)
-    assert "must hold numbers or dates: row 0 holds '45292 0.0'" in message(
-        path, time_column="Date,Time"
-    )
-    found = read(path, time_column="", sampling_time=3600, columns="y")
-    assert (len(found), found.start) == (48, None)
-
-
 def test_a_whole_date_needs_no_time_of_the_day(tmp_path: Path) -> None:
     rows = "".join(f"2024-03-01 10:00:0{i},00:00:0{i},{i}\n" for i in range(9))
     with pytest.warns(ReadingWarning, match="'Date' \\(another time column\\)"):
         assert read(text_file(tmp_path, f"Date,Time,y\n{rows}")).start == 0
-
-
-def test_a_temperature_called_t_is_no_time_stamp(tmp_path: Path) -> None:
-    rows = "".join(f"{20 - i % 3},2024-03-01 10:00:0{i}\n" for i in range(9))
-    assert read(text_file(tmp_path, f"T,date\n{rows}")).columns == ("T",)
 
 
 @pytest.mark.parametrize("form", ["{h:02d}:{m:02d}:{s:02d}", "{m:02d}:{s:02d}.0"])
@@ -102,19 +86,14 @@ def test_a_clock_that_goes_back_has_not_passed_midnight(tmp_path: Path) -> None:
     ("stamps", "step"),
     [
         ([f"00:{i // 10:02d}.{i % 10}" for i in range(30)], 0.1),
-        ([f"{23 + i // 20}:{i * 3 % 60:02d}.5" for i in range(60)], 3),
         (["59:58", "59:59", "1:00:00", "1:00:01"], 1),
         ([f"10:00:00:{10 * i:03d}" for i in range(9)], 0.01),
-        ([f"01.02.2024 10:00:00,{10 * i:03d}" for i in range(9)], 0.01),
         ([f"{24 + i}:30:00" for i in range(9)], 3600),
         ([str(pd.Timedelta(i, "h")) for i in range(30)], 3600),
-        ([f"{i / 10} sec" for i in range(9)], 0.1),
         ([f"{20240101 + i}1200" for i in range(9)], 86400),
-        ([f"2024022823595{i}" for i in range(9)], 1),
         (iso([0.0, 0.25, 0.5, 0.75, 1.0]), 0.25),  # isoformat drops the zero fractions
         ([f"{stamp}+02:00" for stamp in iso([0, 1, 2, 3])], 1),
         (["29.02.2024 10:00:00", "29.02.2024 10:00:02", "29.02.2024 10:00:04"], 2),
-        (["00:00:01.5", "00:00:02.0", "00:00:02.5"], 0.5),
     ],
 )
 def test_stamps_that_mean_one_thing(tmp_path: Path, stamps: Sequence[str], step: float) -> None:
@@ -180,9 +159,7 @@ def test_a_reading_that_is_probable_is_said(
     ("stamps", "step"),
     [
         ([f"{i + (i % 5 == 1) / 100:.2f}" for i in range(60)], 1),  # 0.99, 1, 1.01 s
-        ([f"{1e6 + i + (i % 5 == 1) / 100:.2f}" for i in range(60)], 1),
         ([60 * i - (i % 4 == 1) for i in range(60)], 60),
-        ([15 * i + (i % 7 == 3) for i in range(60)], 15),
         ([f"2024-01-01 {clock(60 * i - (i % 3 == 1))}" for i in range(60)], 60),
         ([f"{0.1 * i + 0.001 * (i % 3 == 1):.3f}" for i in range(60)], 0.1),
     ],

@@ -51,7 +51,7 @@ def test_c_says_what_a_stream_says(
     at = rows(record, stream)
     rng = np.random.default_rng(0)
     observing, worst, scale = False, 0.0, np.std(record.y)
-    for n in range(600):
+    for n in range(300):
         row = n % (len(record) - 1)
         observing ^= bool(rng.random() < 0.03)
         if observing:

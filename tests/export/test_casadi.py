@@ -35,7 +35,7 @@ def test_casadi_says_what_a_stream_says(name: str) -> None:
     step, stream = sb.casadi_step(forecaster), forecaster.stream()
     at = rows(record, stream)
     scale, state, worst = float(np.std(record.y)), step.state(), 0.0
-    for n in range(1000):
+    for n in range(300):
         row = at(n % (len(record) - 1))
         state, y = step(state, *given(row))
         worst = max(worst, np.abs(flat(y) - stream.step(**row)).max())

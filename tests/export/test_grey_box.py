@@ -16,7 +16,6 @@ from splitband.simulators.fixed_steps import FixedSteps
 from tests.export.test_c import Compiled
 from tests.export.test_fmu import Instance
 from tests.export.test_onnx import session
-from tests.streams import SHORT, in_double
 
 Array = npt.NDArray[np.float64]
 EXACT = 1e-11, 1e-13
@@ -149,22 +148,6 @@ def test_coarse_tolerances_are_said(tmp_path: Path) -> None:
         model.export(tmp_path / "rig.c")
 
 
-def test_a_hybrid_contains_the_equation_of_its_grey_box(tmp_path: Path) -> None:
-    ode = EQUATIONS["inputs on straight lines"]()
-    record: Any = record_of(ode, 1)
-    hybrid = sb.Residual(sb.GreyBox(ode, starts=1), sb.GRU(3), conditioned=True, settings=SHORT)
-    model = hybrid.fit(record[:150])
-    in_double(model)
-    compiled, stream = Compiled(model.export(tmp_path / "rig.c")[0]), model.stream()
-    for n in range(150, 200):
-        u = record.u[n]
-        if n < 180:
-            compiled.observe(record.y[n], u)
-            stream.observe(record.y[n], u)
-        else:
-            np.testing.assert_allclose(compiled.step(1, u), stream.step(u), atol=1e-9)
-
-
 @pytest.mark.parametrize("count", [1, 4])
 @pytest.mark.parametrize("hold", ["linear", "zoh"])
 def test_equal_steps_are_those_of_the_solver(count: int, hold: Any) -> None:
@@ -265,7 +248,7 @@ def test_what_cannot_be_written_is_told_with_its_line(
         return [p.k * (u[0] - 0.1 * np.real(expression(x[0])) - x[0])]
 
     ode = sb.Ode(rhs, [0.5], parameters={"k": (0.5, 2.0)})
-    u = inputs()
+    u = inputs(40)
     record = sb.Record(np.cumsum(0.1 * u), 0.1, u=u)
     model = sb.GreyBox(ode, starts=1).fit(record)
     with pytest.raises(ValueError, match=rf"{message}.*test_grey_box.py, line"):

@@ -190,15 +190,6 @@ def test_first_outputs_start_the_recurrence(b: Array, a: Array) -> None:
         np.testing.assert_allclose(lfilter(b, a, x, first=first), expected, atol=TIGHT, rtol=0)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("start", ONE_WAY)
-def test_its_own_first_outputs_change_nothing(order: int, start: Start) -> None:
-    b, a = butterworth(CUTOFF, RATE, order)
-    x = noise(2, 50, 3)
-    y = lfilter(b, a, x, start=start)
-    np.testing.assert_allclose(lfilter(b, a, x, first=y[:, :order]), y, atol=TIGHT, rtol=0)
-
-
 GRADIENTS: list[Callable[[Tensor, Tensor], Tensor]] = [
     *(lambda x, _, s=s: lfilter(*ORDER_3, x, start=s) for s in ONE_WAY),
     *(lambda x, _, s=s: filtfilt(*ORDER_3, x, start=s) for s in BOTH_WAYS),

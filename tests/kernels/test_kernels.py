@@ -335,31 +335,6 @@ def test_several_threads_at_once(case: Case, kernel: Run, loop: Run) -> None:
             agree(run.result(), alone, 1e-12)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"u": torch.zeros(3, 6, 1)}, r"u must be \(2, 6, 1\)"),
-        ({"weight_ih": torch.zeros(15, 1)}, r"weight_ih must be \(15, 2\)"),
-        ({"weight_out": torch.zeros(1, 4)}, r"weight_out must be \(1, 5\)"),
-        ({"bias_hh": torch.zeros(15, dtype=torch.float64)}, "bias_hh must be .* torch.float32"),
-        ({"y_warmup": torch.zeros(2, 3, 1).half()}, "float32 or float64, got torch.float16"),
-    ],
-)
-def test_tensors_that_do_not_fit_are_refused(wrong: dict[str, Tensor], message: str) -> None:
-    tensors = {
-        "y_warmup": torch.zeros(2, 3, 1),
-        "u": torch.zeros(2, 6, 1),
-        "weight_ih": torch.zeros(15, 2),
-        "weight_hh": torch.zeros(15, 5),
-        "bias_ih": torch.zeros(15),
-        "bias_hh": torch.zeros(15),
-        "weight_out": torch.zeros(1, 5),
-        "bias_out": torch.zeros(1),
-    }
-    with pytest.raises(ValueError, match=message):
-        gru_rollout(steps=4, **tensors | wrong)
-
-
 def test_an_euler_rollout_refuses_tensors_that_do_not_fit() -> None:
     cell, h0, steps, u = euler_case((2, 3, 4, 1, 5, 1), torch.float32)
     with pytest.raises(ValueError, match=r"u must be \(2, 3, 1\)"):

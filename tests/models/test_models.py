@@ -325,11 +325,6 @@ def test_the_low_band_of_the_network_cannot_move_the_hybrid_prediction(
             lambda: FilteredModel(GRU(4, 1, 1), BANDS[0], conditioned=True),
             "at least 2 ny = 2 inputs.*got nu = 1",
         ),
-        (
-            lambda: ResidualModel(GRU(4, 2, 3), conditioned=True),
-            "at least 2 ny = 4 inputs.*got nu = 3",
-        ),
-        (lambda: SplitModel([GRU(4, 1)] * 2, BANDS[0], 17), "downsampling by 17 .* of 0.3 Hz"),
     ],
 )
 def test_errors_name_the_argument_and_the_value(call: Any, message: Any) -> None:

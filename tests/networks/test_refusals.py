@@ -1,6 +1,5 @@
 """Sizes, inputs and backends that cannot be: the rule and the value are named."""
 
-import re
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -49,24 +48,14 @@ WARM = (BATCH, WARMUP, NY)
     [
         (rolled(gru(), WARM, backend="plian"), r"backend must .* 'plian'"),
         (rolled(gru(), WARM, -1), "steps must not be negative, got -1"),
-        *(
-            (rolled(gru(), shape), rf"y_warmup must be .* ny = 2\), got {re.escape(str(shape))}$")
-            for shape in [(WARMUP, NY), (BATCH, WARMUP, NY + 1), (BATCH, 0, NY)]
+        (rolled(gru(), (WARMUP, NY)), r"y_warmup must be .* ny = 2\), got \(6, 2\)$"),
+        (rolled(gru(), (BATCH, 0, NY)), r"y_warmup must be .* ny = 2\), got \(4, 0, 2\)$"),
+        (
+            rolled(gru(nu=NU), WARM, u=noise(BATCH + 1, 15, NU)),
+            r"u must be \(batch = 4, time, nu = 3\), got \(5, 15, 3\)$",
         ),
-        *(
-            (
-                rolled(gru(nu=NU), WARM, u=noise(*shape)),
-                rf"u must be \(batch = 4, time, nu = 3\), got {re.escape(str(shape))}$",
-            )
-            for shape in [(BATCH, 15, NU + 1), (BATCH + 1, 15, NU), (WARMUP, NU)]
-        ),
-        *(
-            (
-                rolled(gru(nu=NU), WARM, steps, inputs(NU, rows)),
-                rf"^u must .* got {rows}$",
-            )
-            for steps, rows in [(0, WARMUP - 1), (1, WARMUP - 1), (STEPS, WARMUP + STEPS - 2)]
-        ),
+        (rolled(gru(nu=NU), WARM, 0, inputs(NU, WARMUP - 1)), "^u must .* got 5$"),
+        (rolled(gru(nu=NU), WARM, STEPS, inputs(NU, WARMUP + STEPS - 2)), "^u must .* got 13$"),
         (rolled(euler_mlp(), (BATCH, 3, NY)), "warm-up must have at least 4 samples, got 3"),
         (
             rolled(StateSpace(2, 3, encoded=5).double(), (1, 4, 1), 3),

@@ -10,12 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from examples.own_cell import LSTM
-from splitband.data import Record
-from splitband.filters import ComplementaryPair
-from splitband.models import Model, Recurrent, SplitModel
 from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
-from splitband.training import TrainingSettings, fit
-from tests.support import simulated
 
 Array = npt.NDArray[Any]
 
@@ -156,17 +151,6 @@ def test_a_rollout_equals_two_with_the_state_carried_over(make: Make, nu: int, b
 
 
 @pytest.mark.parametrize("make", CELLS)
-@pytest.mark.parametrize("nu", [0, NU])
-def test_windows_of_a_batch_do_not_meet(make: Make, nu: int) -> None:
-    cell, y, u = make(nu=nu), noise(BATCH, WARMUP, NY), inputs(nu)
-    together = rollout(cell, y, STEPS, u)
-    for i in range(BATCH):
-        one = slice(i, i + 1)
-        alone = rollout(cell, y[one], STEPS, None if u is None else u[one])
-        torch.testing.assert_close(together[one], alone, atol=1e-13, rtol=0)
-
-
-@pytest.mark.parametrize("make", CELLS)
 def test_a_rollout_leaves_nothing_behind_in_the_cell(make: Make) -> None:
     cell, y = make(), noise(BATCH, WARMUP, NY)
     attributes = set(vars(cell))
@@ -242,36 +226,3 @@ def test_the_backend_never_changes_what_an_altered_gru_predicts(how: str) -> Non
     cell, y = altered(how), noise(BATCH, WARMUP, NY)
     expected = rollout(cell, y, STEPS, backend="plain")
     torch.testing.assert_close(rollout(cell, y, STEPS), expected, atol=TIGHT, rtol=0)
-
-
-def whole(cell: Cell) -> Model:
-    return Recurrent(cell)
-
-
-def split(cell: Cell) -> Model:
-    torch.manual_seed(7)
-    pair = ComplementaryPair.butterworth(0.1, 1.0, order=1)
-    return SplitModel([cell, LSTM(HIDDEN, cell.ny, cell.nu)], pair, downsampling=2)
-
-
-@pytest.mark.parametrize("make_model", [whole, split])
-@pytest.mark.parametrize("nu", [0, 1])
-def test_a_user_s_cell_is_trained_in_any_model(
-    make_model: Callable[[Cell], Model], nu: int
-) -> None:
-    torch.manual_seed(6)
-    phase = 2 * np.pi * np.arange(70) / 20
-    y = np.stack([np.sin(phase), np.cos(phase) + 0.5 * np.sin(5 * phase)], axis=1)
-    u = np.cos(phase)[:, None] if nu else None
-    model = make_model(LSTM(8, NY, nu))
-    settings = TrainingSettings.paper(
-        window=28, warmup=16, epochs=12, batch_size=22, learning_rate=2e-2
-    )
-    history = fit(model, Record(y, 1.0, u=u), settings)
-    assert len(history.losses) == (2 if isinstance(model, SplitModel) else 1)
-    for losses in history.losses.values():
-        assert len(losses) == 12
-        assert losses[-1] < 0.9 * losses[0]
-    found = simulated(model, y[:16], 30, None if u is None else u[:46])
-    assert found.shape == (30, NY)
-    assert np.isfinite(found).all()
