@@ -485,7 +485,9 @@ class Network(Forecaster):
             )
         begin, since = start - self.warmup, len(y) - start
         if base is not None and slow is None:
-            slow = base.trajectory(replace(known, since=begin))[begin:]
+            # The run begins here: what was measured since moves its base as little as itself.
+            run = replace(known, y=y[:start], steps=since + known.steps, since=begin)
+            slow = base.trajectory(run)[begin:]
         return y[begin:start], None if u is None else u[begin:], slow, since
 
 
