@@ -189,8 +189,8 @@ def _compared(
 
     def runs_of(delays: Sequence[int], late: int) -> list[Signals]:
         """Return the windows with delayed inputs, from where a delay `late` is in the record."""
-        rows = [(i, slice(max(a, late) if late < len(records[i][0]) // 2 else a, b))
-                for i, a, b in cuts]  # fmt: skip
+        half = [late if late < len(y) // 2 else 0 for y, _ in records]
+        rows = [(i, slice(max(a, half[i]), b)) for i, a, b in cuts]
         return [units.run(*records[i], delays, of) for i, of in rows if of.start < of.stop]
 
     @cache

@@ -152,10 +152,8 @@ def _of_outputs(
             by_prediction = _by_prediction(model, at, runs, longest)
             if not (_unstable_by_chance(by_prediction) or _of_sensors(model, by_prediction, runs)):
                 model = by_prediction
-    model = replace(
-        model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
-        values=search.values,
-    )  # fmt: skip
+    orders, held_out = tuple(search.errors), np.array([*search.errors.values()])
+    model = replace(model, orders=orders, held_out=held_out, values=search.values)
     model = model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
     u = records[0][1]
     begin = len(u) - runs[0].u.shape[1]
@@ -212,14 +210,13 @@ def _model_of(
     both = sum((s[1:] * s[:-1]).sum(axis=0) for s in measured)
     alike = pairs / np.maximum(both, 1) / np.maximum(at.scale**2, 1e-300)
     alike = np.clip(alike, 0, _MOST_CORRELATED)
-    return LinearModel(
-        a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, measured),
-        np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny,
-        into @ first[0], into @ first[0], centre, root_of(spread),
-        at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny),
-        int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum()), by,
-        silent=tuple(silent(np.linalg.eigvals(a).astype(np.complex128), runs)),
-    )  # fmt: skip
+    system = a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, measured)
+    of_u = np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny
+    begin = into @ first[0], into @ first[0], centre, root_of(spread)
+    left = at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny)
+    integrators = int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum())
+    angles = tuple(silent(np.linalg.eigvals(a).astype(np.complex128), runs))
+    return LinearModel(*system, *of_u, *begin, *left, integrators, by, silent=angles)
 
 
 def _by_prediction(

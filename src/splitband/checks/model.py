@@ -18,7 +18,7 @@ from splitband.checks.residuals import (
 )
 from splitband.data import Record, require_records
 from splitband.data.signals import first_after
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
     Extrapolation,
@@ -163,8 +163,8 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free)
     beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
-    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond,
-                      forecaster._title)  # fmt: skip
+    title = titled(forecaster.name, forecaster.in_words())
+    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond, title)
 
 
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:

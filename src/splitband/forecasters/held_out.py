@@ -75,7 +75,7 @@ def refitted(
         try:
             with within(Deadline.after(current().left / (len(groups) - done))):  # a share each
                 records = [record[: group[0].fitted], *others]
-                fitted = forecaster._fitted_copy(records, **how)
+                fitted = forecaster.fitted_copy(records, **how)
         except DeadlineError:
             if not done:
                 raise
