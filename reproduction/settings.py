@@ -15,6 +15,10 @@ SAMPLE_FREQUENCY = 10.0
 """The "sample frequency f" of every filter table, whatever the record's real rate."""
 
 
+_EULER_MLP = {f"{kind}rnn": f"{kind}euler-mlp" for kind in ("", "residual-", "filtered-")}
+"""Methods that the paper calls RNN, by our names."""
+
+
 @dataclass(frozen=True)
 class Setup:
     """What the methods of one run share.
@@ -33,8 +37,9 @@ class Setup:
     sizes: Sizes
 
     def forecaster(self, name: str) -> Forecaster:
-        """The method with this name."""
-        return with_defaults(named(name, self.sizes), self.settings, self.bands)
+        """The method with this name of the paper."""
+        ours = _EULER_MLP.get(name, name)
+        return with_defaults(named(ours, self.sizes), self.settings, self.bands)
 
     def as_json(self) -> dict[str, Any]:
         """What a file of a run says of it."""

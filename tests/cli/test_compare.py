@@ -144,7 +144,7 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
 
 
 def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None:
-    call(f"compare record.csv --columns a,b --inputs force --methods rnn,split-gru,persistence "
+    call(f"compare record.csv --columns a,b --inputs force --methods euler-mlp,split-gru,persistence "
          f"{QUICK} --seeds 2 --jobs 1 --lr-milestones 1:1e-4 --order 2 "
          "--cutoff 1", tmp_path)  # fmt: skip
     found = results(tmp_path)
@@ -154,7 +154,7 @@ def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None
     held = [rms(*(y[n:] - y[n - 1] for y in (A, B))) for n in (WARMUP, TRAIN)]
     facts = found["methods"]["persistence"]
     assert [*facts["total_rmse"], *facts["forecast_rmse"]] == pytest.approx(held)
-    seeds = found["methods"]["rnn"]
+    seeds = found["methods"]["euler-mlp"]
     assert (seeds["seeds"], len({*seeds["total_rmse"]})) == ([0, 1], 2)
     assert seeds["total_rmse_std"] == pytest.approx(np.std(seeds["total_rmse"], ddof=1))
 

@@ -43,7 +43,7 @@ def recorded() -> Recorded:
 REPRESENTATIVES = (
     *(name for name in QUICK if name != "grey-box"),
     *("gru", "state-space", "split-gru-hp", "split-gru-conditioned"),
-    *("filtered-gru-calibrated-conditioned", "filtered-high-gru-conditioned", "residual-rnn"),
+    *("filtered-gru-calibrated-conditioned", "filtered-high-gru-conditioned", "residual-euler-mlp"),
     *("residual-gru-calibrated", "residual-periodic-gru", "filtered-linear-state-space"),
 )
 """One of each kind, and pairs of the options; grey boxes have tests of their own."""

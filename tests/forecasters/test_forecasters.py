@@ -150,7 +150,7 @@ def test_no_forecast_depends_on_a_measured_sample_after_its_origin(name: str) ->
 
 
 @pytest.mark.parametrize(
-    "name", ["state-space", "split-gru-conditioned", "residual-rnn", "ensemble"]
+    "name", ["state-space", "split-gru-conditioned", "residual-euler-mlp", "ensemble"]
 )
 def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
     """Whatever torch's own generator is at, and without moving it."""

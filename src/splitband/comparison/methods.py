@@ -83,7 +83,7 @@ def _kinds(sizes: Sizes) -> list[Forecaster]:
     euler = {"state_size": sizes.state_size, "step_size": sizes.step_size}
     cells = (
         alone,
-        Unbuilt("rnn", "EulerMLP", "EulerMLP", euler),
+        Unbuilt("euler-mlp", "EulerMLP", "EulerMLP", euler),
         Unbuilt("state-space", "state-space network", "StateSpace", {"states": 4, "hidden": 10}),
     )
     return [

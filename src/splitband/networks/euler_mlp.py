@@ -29,7 +29,7 @@ class EulerMLP(WithRepr, nn.Module):
     nu : Number of known inputs of f.
     """
 
-    label = "rnn"
+    label = "euler-mlp"
 
     def __init__(  # noqa: PLR0913
         self,

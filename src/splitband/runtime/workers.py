@@ -143,7 +143,8 @@ class _Pickler(ForkingPickler):
         whole, base = value, value.base
         if type(base) is np.ndarray and not base.flags.writeable and _has_rows(base, value):
             whole = base
-        path = os.path.join(self._folder, f"{len(_SHARED)}.npy")
+        number = sum(other.startswith(self._folder) for other in _SHARED)
+        path = os.path.join(self._folder, f"{number}.npy")
         np.save(path, whole)
         _SHARED[path] = whole
         return _by_file(self._folder, value)
