@@ -100,10 +100,11 @@ def test_a_failed_training_is_left_out_of_a_comparison_and_of_a_forecast() -> No
     compared = sb.compare(record(), TRAIN, [Wild()], **SETUP.options)
     found = of_all([Wild()])
     assert [fit.seed for fit in compared.fits["wild"]] == [0, 2]
+    assert isinstance(found.model, sb.Ensemble)
     assert found.model.seeds == (0, 2)
     np.testing.assert_array_equal(found.model.predict(30).y, 0)
     assert "seed 1 left out: training error" in found.fits["wild"][0].description
-    assert of_all([Wild()], seeds=3).model.seeds == (0, 1, 2)
+    assert of_all([Wild()], seeds=3).model.get_params()["seeds"] == (0, 1, 2)
 
 
 @pytest.mark.parametrize("methods", [["mean", "persistence"], [Fickle()]])
@@ -209,6 +210,7 @@ def test_the_seeds_that_did_not_diverge_are_handed_out() -> None:
     again = result.trained("diverging").untrained().fit(record()[:TRAIN], seed=0)
     np.testing.assert_array_equal(again.predict(40).y, result.medians["diverging"].ahead)
     found = of_all([_Diverging()], seeds=3).model
+    assert isinstance(found, sb.Ensemble)
     assert found.seeds == (0, 2)
     again = found.untrained().fit(record(), seed=0)
     np.testing.assert_array_equal(again.predict(30).y, found.predict(30).y)

@@ -147,7 +147,6 @@ def test_a_fit_searches_and_ends_with_one_training() -> None:
     planned = plan(RECORD, len(RECORD), ["gru"], horizon=0, rounds=2, **SMALL)  # type: ignore[arg-type]
     model = fit(planned)
     assert model.name == "gru"
-    assert model.seeds == (0,)
     # Its interval is that of the search, and a copy is trained as long as all rounds together.
     assert model.held_out is not None
     assert model.settings == vars(model)["_trained_by"]

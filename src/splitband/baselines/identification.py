@@ -19,8 +19,9 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
-from splitband.baselines.delays import Units, delays_of, explains
+from splitband.baselines.delays import Units, delays_of
 from splitband.baselines.kalman import (
     MAX_OBSERVER_POLE,
     covariance,
@@ -65,6 +66,12 @@ _LAGS = 16
 """Past samples from which an input is predicted. Checked by `benchmarks.sensitivity`."""
 _ROWS = 20_000
 """Most samples of all records for this. Bounds the time."""
+_CHANCE = 1e-6
+"""Probability that regressors without effect are significant. Checked by
+`benchmarks.sensitivity`."""
+_EFFECT = 0.02
+"""Share of what other regressors leave that tested ones explain at least, as models are but nearly
+right. Checked by `benchmarks.sensitivity`."""
 
 
 def identified(
@@ -152,10 +159,8 @@ def _of_outputs(
             by_prediction = _by_prediction(model, at, runs, longest)
             if not (_unstable_by_chance(by_prediction) or _of_sensors(model, by_prediction, runs)):
                 model = by_prediction
-    model = replace(
-        model, orders=tuple(search.errors), held_out=np.array([*search.errors.values()]),
-        values=search.values,
-    )  # fmt: skip
+    orders, held_out = tuple(search.errors), np.array([*search.errors.values()])
+    model = replace(model, orders=orders, held_out=held_out, values=search.values)
     model = model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
     u = records[0][1]
     begin = len(u) - runs[0].u.shape[1]
@@ -212,14 +217,13 @@ def _model_of(
     both = sum((s[1:] * s[:-1]).sum(axis=0) for s in measured)
     alike = pairs / np.maximum(both, 1) / np.maximum(at.scale**2, 1e-300)
     alike = np.clip(alike, 0, _MOST_CORRELATED)
-    return LinearModel(
-        a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, measured),
-        np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny,
-        into @ first[0], into @ first[0], centre, root_of(spread),
-        at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny),
-        int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum()), by,
-        silent=tuple(silent(np.linalg.eigvals(a).astype(np.complex128), runs)),
-    )  # fmt: skip
+    system = a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, measured)
+    of_u = np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny
+    begin = into @ first[0], into @ first[0], centre, root_of(spread)
+    left = at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny)
+    integrators = int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum())
+    angles = tuple(silent(np.linalg.eigvals(a).astype(np.complex128), runs))
+    return LinearModel(*system, *of_u, *begin, *left, integrators, by, silent=angles)
 
 
 def _by_prediction(
@@ -297,6 +301,24 @@ def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     data = np.concatenate(rows)
     signals = data[:, : nu + ny, :-1].reshape(len(data), -1)
     own, past = signals[:, : nu * _LAGS], signals[:, nu * _LAGS :]
-    noticed = explains(past, data[:, :nu, -1], own)
+    noticed = _explains(past, data[:, :nu, -1], own)
     squares = data[:, nu + ny :].reshape(len(data), -1)
-    return noticed and not explains(squares, data[:, nu : nu + ny, -1], signals)
+    return noticed and not _explains(squares, data[:, nu : nu + ny, -1], signals)
+
+
+def _explains(tested: Array, targets: Array, others: Array) -> bool:
+    """Return whether tested regressors explain a target beside other ones, `(rows, any)` each.
+
+    That is, whether an F test says so, and they explain a share `_EFFECT` of what the others leave.
+    """
+    data = np.hstack([others, tested, targets])
+    count, both = tested.shape[1], others.shape[1] + tested.shape[1]
+    freedom = len(data) - both
+    if freedom < both:
+        return False
+    size = np.linalg.norm(data, axis=0)
+    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
+    explained = (r[both - count : both, both:] ** 2).sum(axis=0)
+    left = np.maximum((np.triu(r[both:, both:]) ** 2).sum(axis=0), 1e-18 * freedom)
+    significant = scipy.special.fdtri(count, freedom, 1 - _CHANCE) * count / freedom
+    return bool((explained > max(_EFFECT, significant) * left).any())

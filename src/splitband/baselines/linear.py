@@ -92,14 +92,14 @@ class LinearModel:
     def __post_init__(self) -> None:
         """Check what may come from a file."""
         n, ny, taps = len(self.a), len(self.c), len(self.taps)
-        shapes = {
-            "a": (n, n), "b": (n, taps), "c": (ny, n), "d": (ny, taps), "offset": (ny,),
-            "drift": (n,), "gain": (n, ny), "noise": (ny, ny), "first": (n,), "last": (n,),
-            "centre": (n,), "root": (n, n), "error": (ny,), "spread": (ny, ny), "scale": (ny,),
-        }  # fmt: skip
+        shapes: dict[str, tuple[int, ...]]
+        shapes = {"a": (n, n), "root": (n, n), "noise": (ny, ny), "spread": (ny, ny)}
+        shapes |= {"b": (n, taps), "c": (ny, n), "d": (ny, taps), "gain": (n, ny)}
+        shapes |= dict.fromkeys(("drift", "first", "last", "centre"), (n,))
+        shapes |= dict.fromkeys(("offset", "error", "scale"), (ny,))
         for name, shape in shapes.items():
-            if np.shape(getattr(self, name)) != shape:
-                raise InputError(f"{name} must be {shape}, got {np.shape(getattr(self, name))}")
+            if (found := np.shape(vars(self)[name])) != shape:
+                raise InputError(f"{name} must be {shape}, got {found}")
         check_delays([delay for _, delay in self.taps], taps)
         check_delays(self.late, ny)
         if any(not 0 <= i < len(self.mean) for i, _ in self.taps):
@@ -185,12 +185,18 @@ class LinearModel:
         both, into = np.outer(y_scale, y_scale), u_scale[[i for i, _ in self.taps]]
         return replace(
             self,
-            b=self.b / into, c=self.c * y_scale[:, None], d=self.d * y_scale[:, None] / into,
-            offset=y_mean + y_scale * self.offset, gain=self.gain / y_scale,
-            noise=self.noise * both, mean=u_mean + u_scale * self.mean,
-            error=self.error * y_scale, spread=self.spread * both, scale=self.scale * y_scale,
+            b=self.b / into,
+            c=self.c * y_scale[:, None],
+            d=self.d * y_scale[:, None] / into,
+            offset=y_mean + y_scale * self.offset,
+            gain=self.gain / y_scale,
+            noise=self.noise * both,
+            mean=u_mean + u_scale * self.mean,
+            error=self.error * y_scale,
+            spread=self.spread * both,
+            scale=self.scale * y_scale,
             uncertainty=self.uncertainty and self.uncertainty.in_units(y_scale, u_scale),
-        )  # fmt: skip
+        )
 
     @property
     def without_filter(self) -> LinearModel:
@@ -347,10 +353,10 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
     back = np.argsort(outputs)
 
     found: dict[str, Any] = {
-        name: scipy.linalg.block_diag(*(getattr(m, name) for m in models))
+        name: scipy.linalg.block_diag(*(vars(m)[name] for m in models))
         for name in ("a", "b", "c", "d", "gain", "noise", "root", "spread")
     } | {
-        name: np.concatenate([getattr(m, name) for m in models])
+        name: np.concatenate([vars(m)[name] for m in models])
         for name in ("offset", "drift", "late", "first", "last", "centre", "error", "scale")
     }
     found |= {
@@ -415,6 +421,5 @@ def realised(
     starts = [first, *[middle] * (len(inputs) - 1)]
     runs = [states(a, u @ b.T + drift, x) for x, u in zip(starts, inputs, strict=True)]
     into, out = whitening(np.concatenate(runs))
-    offset = model.offset - model.d @ model.mean
-    return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset,
-                       tuple(run @ into.T for run in runs))  # fmt: skip
+    offset, whole = model.offset - model.d @ model.mean, tuple(run @ into.T for run in runs)
+    return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset, whole)

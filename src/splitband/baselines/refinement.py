@@ -273,10 +273,9 @@ def blocks_of(  # noqa: PLR0913
         into = np.linalg.lstsq(np.hstack(bases), b, rcond=None)[0]
         for i, part in enumerate(np.split(into, np.cumsum(sizes)[:-1])):
             of_b[i, : sizes[i]] = part
-    return Blocks(
-        np.array(rows), of_b, of_c, np.zeros((ny, nu)) if d is None else d, np.zeros(ny),
-        np.array(sizes) == 1, np.array(fixed), np.array(direct, bool),
-    )  # fmt: skip
+    kinds = np.array(sizes) == 1, np.array(fixed), np.array(direct, bool)
+    through = np.zeros((ny, nu)) if d is None else d
+    return Blocks(np.array(rows), of_b, of_c, through, np.zeros(ny), *kinds)
 
 
 def _second_order(poles: Array, vectors: Array) -> tuple[tuple[float, float], Array]:
@@ -400,8 +399,8 @@ def segments(runs: Sequence[Signals], count: int) -> list[tuple[int, int, int]]:
     found = []
     for i, run in enumerate(runs):
         edges = np.linspace(0, run.u.shape[1], max(round(count * run.u.shape[1] / time), 1) + 1)
-        found += [(i, a, b) for a, b in pairwise(edges.astype(int).tolist())
-                  if run.measured[:, a:b].any()]  # fmt: skip
+        cuts = pairwise(edges.astype(int).tolist())
+        found += [(i, a, b) for a, b in cuts if run.measured[:, a:b].any()]
     return found
 
 

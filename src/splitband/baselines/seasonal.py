@@ -8,7 +8,7 @@ them, and its period need not be a whole number of samples.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -153,7 +153,7 @@ def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
     order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
     frequencies = np.append(order * whole / lag, level.frequencies)
     dampings = np.append(np.zeros(len(order)), level.dampings)
-    series = level._replace(frequencies=frequencies, dampings=dampings, harmonics=len(order))
+    series = replace(level, frequencies=frequencies, dampings=dampings, harmonics=len(order))
     return series.solved(y)
 
 

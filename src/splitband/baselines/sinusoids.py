@@ -10,9 +10,8 @@ information criterion (BIC).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -56,7 +55,8 @@ Bounds the time."""
 
 
 @saved
-class Sinusoids(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Sinusoids:
     """Hold the sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a line.
 
     A sinusoid with less than one cycle in the record cannot be told from a drift. It describes the
@@ -129,12 +129,12 @@ class Sinusoids(NamedTuple):
         high = peaks[power[peaks] >= AS_HIGH * power.max()]
         peak = high[0] if len(high) else int(np.argmax(power))
         more = np.append(self.frequencies, frequencies[peak]), np.append(self.dampings, damping)
-        return self._replace(frequencies=more[0], dampings=more[1]).refined(y)
+        return replace(self, frequencies=more[0], dampings=more[1]).refined(y)
 
     def solved(self, y: Array) -> Sinusoids:
         """Return it with the coefficients that fit `y` best."""
         rows = known(y)
-        return self._replace(coefficients=_solver(self.basis(rows))(y[rows]))
+        return replace(self, coefficients=_solver(self.basis(rows))(y[rows]))
 
     def refined(self, y: Array) -> Sinusoids:
         """Return the local optimum of frequencies and dampings for `y` by variable projection.
@@ -158,8 +158,8 @@ class Sinusoids(NamedTuple):
             check()
             dampings = np.zeros(count)
             dampings[decaying] = moved[len(free) :]
-            new = self._replace(
-                frequencies=multiples @ np.array(moved[: len(free)]), dampings=dampings
+            new = replace(
+                self, frequencies=multiples @ np.array(moved[: len(free)]), dampings=dampings
             )
             basis = new.basis(rows)
             solved = _solver(basis)
@@ -171,7 +171,7 @@ class Sinusoids(NamedTuple):
             slopes = np.hstack([turned @ multiples, shrunk[:, decaying]])
             columns = [basis @ solved(slopes) - slopes, (values - basis @ found)[:, None]]
             triangle: Array = np.asarray(np.linalg.qr(np.hstack(columns), mode="r"))
-            return new._replace(coefficients=found), triangle
+            return replace(new, coefficients=found), triangle
 
         def left(moved: Array) -> Array:
             return at(*moved)[1][:, -1]
@@ -217,7 +217,7 @@ class Sinusoids(NamedTuple):
         for i in np.argsort(self.dampings):
             if best.dampings[i] > 0 and best.frequencies[i] > 0:
                 kept = np.where(np.arange(len(best.dampings)) == i, 0.0, best.dampings)
-                new = best._replace(dampings=kept).refined(y)
+                new = replace(best, dampings=kept).refined(y)
                 best = min(best, new, key=lambda fit: fit.bic(y))
         return best
 
@@ -249,7 +249,7 @@ class SinusoidRegression:
             found = of_channel((channel - offset) / scale)
             coefficients = scale * found.coefficients
             coefficients[0] += offset
-            channels.append(found._replace(coefficients=coefficients))
+            channels.append(replace(found, coefficients=coefficients))
         return cls(tuple(channels), begin)
 
     def predict(self, start: float, steps: int) -> Array:
@@ -309,9 +309,9 @@ def trend(y: Array) -> Sinusoids:
     none, blocks = np.zeros(0), len(means)
     level = Sinusoids(none, none, np.zeros(1), blocks)
     if (counts > 0).sum() < FEWEST_BLOCKS:
-        return level._replace(samples=len(y))
-    decaying = level._replace(frequencies=np.zeros(1), dampings=np.array([FAST_DAMPING / blocks]))
-    starts = level, level._replace(line=True), decaying
+        return replace(level, samples=len(y))
+    decaying = replace(level, frequencies=np.zeros(1), dampings=np.array([FAST_DAMPING / blocks]))
+    starts = level, replace(level, line=True), decaying
     best = min(
         (start.refined(means).grown(means, 0.0, most, strict=True) for start in starts),
         key=lambda fit: fit.bic(means, strict=True),
@@ -322,8 +322,8 @@ def trend(y: Array) -> Sinusoids:
     sizes = best.coefficients[1 + kept] * np.exp(best.dampings[kept] * centre / length)
     line = [best.coefficients[-1] * len(y) / (blocks * length)] * best.line
     coefficients = scale * np.array([0.0, *sizes, *np.zeros(len(kept)), *line])
-    return Sinusoids(np.zeros(len(kept)), best.dampings[kept] / length, coefficients, len(y),
-                     best.line)  # fmt: skip
+    dampings = best.dampings[kept] / length
+    return Sinusoids(np.zeros(len(kept)), dampings, coefficients, len(y), best.line)
 
 
 def bic(y: Array, left: Array, parameters: int, strict: bool = False) -> float:

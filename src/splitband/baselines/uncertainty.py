@@ -101,7 +101,7 @@ class Uncertainty:
         """Return that of models of some outputs each, in the order `back`."""
 
         def joined(name: str, axis: int = 0) -> Array:
-            return np.concatenate([getattr(part, name) for part in parts], axis=axis)
+            return np.concatenate([vars(part)[name] for part in parts], axis=axis)
 
         return cls(
             joined("parts"),

@@ -163,8 +163,8 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
         leaves = None if unchecked else _leaves(forecaster, record, begin)
     tests = tests_of(record, free)
     beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
-    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond,
-                      forecaster.title)  # fmt: skip
+    title = forecaster.title
+    return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond, title)
 
 
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:

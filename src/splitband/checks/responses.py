@@ -171,7 +171,7 @@ def step_responses(
         return found
 
     y = settled = longer = simulated(steps)
-    system = forecaster._system()
+    system = forecaster.system_matrices()
     while system is None and not _settled(settled) and np.isfinite(longer).all():
         settled = longer
         if len(longer) >= LONGEST * steps:
@@ -181,8 +181,8 @@ def step_responses(
         a, b, c, d = system
         system = a, b[:, of], c, d[:, of]
     inputs = tuple(record.inputs[i] for i in of)
-    return Responses(y, record.sampling_time, record.columns, inputs, held[of], sizes[of],
-                     settled, system)  # fmt: skip
+    step, columns = record.sampling_time, record.columns
+    return Responses(y, step, columns, inputs, held[of], sizes[of], settled, system)
 
 
 def respond_over_range(forecaster: Forecaster) -> list[Responses]:
@@ -206,8 +206,8 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     names = forecaster.require_fitted().record.inputs
     still = [name for name in names if name not in every[0].inputs]
     said = [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
-    said += [f"The response at {each.place} of the training inputs is not finite: left out."
-             for each in every if each not in finite]  # fmt: skip
+    lost = [each.place for each in every if each not in finite]
+    said += [f"The response at {at} of the training inputs is not finite: left out." for at in lost]
     for each in [each for each in finite if not each.settled][:1]:
         after = len(each.whole) * each.sampling_time
         said.append(

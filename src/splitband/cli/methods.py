@@ -13,9 +13,9 @@ from splitband.forecasters.grey_box import GreyBox
 def methods() -> None:
     """List the methods by name: what each is, and the options that it needs.
 
-    One network (gru, euler-mlp, state-space) suits any record, split-... one with a slow and a fast part,
-    filtered-... and residual-... one with a simulator that is roughly right, or with a simple slow
-    part. The others are references to beat. In a name that ends in -calibrated the simulator is
+    One network (gru, euler-mlp, state-space) suits any record, split-... one with a slow and a fast
+    part, filtered-... and residual-... one with a simulator that is roughly right, or with a simple
+    slow part. The others are references to beat. In a name that ends in -calibrated the simulator is
     calibrated first (gain, offset, delay, clock); in one that ends in -conditioned the network has
     the slower part's output as an input. Give names to --methods, separated by commas.
     """

@@ -32,8 +32,7 @@ class Bands(WithRepr):
 
     def __post_init__(self) -> None:
         """Check sizes."""
-        for name in ("order", "downsampling"):
-            value = getattr(self, name)
+        for name, value in (("order", self.order), ("downsampling", self.downsampling)):
             if value is not None:
                 object.__setattr__(self, name, whole(name, value, 1, LARGEST_SIZE))
 
@@ -63,7 +62,7 @@ class Bands(WithRepr):
 
     def pair(self, sampling_rate: float) -> ComplementaryPair:
         """Return the zero-phase pair of a split model."""
-        cutoff, order = self._filter()
+        cutoff, order = self.filter
         return ComplementaryPair.butterworth(cutoff, sampling_rate, order)
 
     def one_way_pair(self, sampling_rate: float, simulator_band: Band = "low") -> ComplementaryPair:
@@ -72,11 +71,12 @@ class Bands(WithRepr):
         The simulator's filter is a Butterworth filter, that of the network the rest: only then
         does a high-pass filter of order n remove a drift up to the power n - 1 of time.
         """
-        cutoff, order = self._filter()
+        cutoff, order = self.filter
         b, a = butterworth(cutoff, sampling_rate, order, simulator_band)
         return ComplementaryPair.perfect(b, a, sampling_rate, simulator_band, cutoff=cutoff)
 
-    def _filter(self) -> tuple[float, int]:
+    @property
+    def filter(self) -> tuple[float, int]:
         """Return cut-off and order; raises ValueError where they are not known."""
         if self.cutoff is None or self.order is None:
             raise InputError("cutoff and order must be given, or chosen first, see Bands.chosen")

@@ -104,6 +104,9 @@ class Forecaster(WithRepr, Saved, ABC):
     """Description that all instances of the class share; see `in_words`."""
     slow_part: ClassVar[str] = ""
     """Description as the slow component of a hybrid, such as "linear model"."""
+    forgets: ClassVar[bool] = False
+    """Whether a forecast needs no more of a history than its warm-up, as far as inputs are delayed,
+    and the last measured sample of each channel. Of a forecaster of your own nothing is known."""
     affine: ClassVar[bool] = False
     """Whether predictions are affine in the inputs, or do not depend on them."""
     fitted: Fitted | None = None
@@ -147,11 +150,6 @@ class Forecaster(WithRepr, Saved, ABC):
     def parameters(self) -> dict[str, Any]:
         """Return the fitted parameters of its simulator, in a form that JSON can hold."""
         return {}
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        """Return the seeds of an ensemble's members; (0,) for a single forecaster."""
-        return (0,)
 
     def in_words(self) -> str:
         """Return what it is, short enough for a legend; empty where there is no description."""
@@ -430,14 +428,14 @@ class Forecaster(WithRepr, Saved, ABC):
 
         Raises TypeError for an unknown option, and the errors of the constructor.
         """
-        new = self._made({**self.get_params(), **params})
+        new = self.with_options({**self.get_params(), **params})
         vars(self).clear()
         vars(self).update(vars(new))
         return self
 
     def clone(self) -> Self:
         """Return a new forecaster with the same options, not fitted."""
-        return self._with_parts(lambda part: part.clone())
+        return with_parts(self, lambda part: part.clone())
 
     def require_fitted(self) -> Fitted:
         """Return the training records and the report of the fit; raises ValueError before `fit`."""
@@ -467,11 +465,15 @@ class Forecaster(WithRepr, Saved, ABC):
         return not self.random
 
     @property
-    def _bases(self) -> list[Forecaster]:
+    def fitted_bases(self) -> list[Forecaster]:
         """Return the fitted forecasters that a network in it learns the error of."""
         return []
 
-    def _system(self) -> tuple[Array, Array, Array, Array] | None:
+    def as_base(self) -> Forecaster:
+        """Return the fitted forecaster as it is the slow component of a hybrid."""
+        return self
+
+    def system_matrices(self) -> tuple[Array, Array, Array, Array] | None:
         """Return A, B, C and D of a linear model in state space; None for any other one."""
         return None
 
@@ -484,33 +486,36 @@ class Forecaster(WithRepr, Saved, ABC):
 
     def for_trial(self, samples: int) -> Self:
         """Return it adapted to `samples` without their held-out part."""
-        return self._with_parts(lambda part: part.for_trial(samples)) if parts_of(self) else self
+        if not parts_of(self):
+            return self
+        return with_parts(self, lambda part: part.for_trial(samples))
 
     @property
-    def _slow_label(self) -> str:
+    def slow_label(self) -> str:
         """Return the label of the slow component of a prediction, if that is the forecaster."""
         return self.name
 
-    def _stepped(self, outside: bool = False) -> Recursion:
-        """Return the step-by-step form of the fitted forecaster, by default that of its `_part`.
+    def recursion(self, outside: bool = False) -> Recursion:
+        """Return the step-by-step form of the fitted forecaster: that of its `stepped_part`.
 
         With `outside`, its own simulator's output is given with each sample, as to an exported
         program. Raises NotSteppedError where `predict` is needed for each sample, with the reason.
         """
         record = self.require_fitted().record
-        return recursion_of_part(self._part(outside), record.ny, record.nu)
+        return recursion_of_part(self.stepped_part(outside), record.ny, record.nu)
 
-    def _part(self, outside: bool = False) -> Part:
-        """Return what computes its values step by step, alone or in a hybrid; see `_stepped`."""
+    def stepped_part(self, outside: bool = False) -> Part:
+        """Return what computes its values step by step, alone or in a hybrid; see `recursion`."""
         raise NotSteppedError(f"{self.name} cannot be stepped: it has no step-by-step form")
 
-    def _first_needed(self) -> int:
-        """Return the first sample of the training record that a forecast from its end needs."""
+    def first_needed(self) -> int:
+        """Return the first sample of the training record that a forecast from its end needs.
+
+        A calibrated delay or clock of a simulator uses all of its earlier output.
+        """
         record = self.require_fitted().record
-        if "simulator" in self.needs:
-            return 0  # a calibrated delay or clock uses earlier output
-        if not all(type(part).__module__.startswith("splitband.") for part in all_parts(self)):
-            return 0  # a forecaster of one's own may use all of its history
+        if "simulator" in self.needs or not all(part.forgets for part in all_parts(self)):
+            return 0
         measured = ~np.isnan(record.y_with_gaps)
         first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
         if self.warmup:
@@ -519,26 +524,21 @@ class Forecaster(WithRepr, Saved, ABC):
         first -= max(self.delays, default=0)
         return max(0, min(first, len(record) - 2))
 
-    def _to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what is saved: of the training record the end, on which a forecast warms up."""
-        end = None if self.fitted is None else self.fitted.end(self._first_needed())
+        end = None if self.fitted is None else self.fitted.end(self.first_needed())
         return {**vars(self), "fitted": end}
 
     @classmethod
-    def _from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the forecaster that `_to_dict` described; its constructor is not called."""
-        new = super()._from_dict(found)
+    def from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the forecaster that `to_dict` described; its constructor is not called."""
+        new = super().from_dict(found)
         if new.fitted is not None and new.delays:
             check_delays(new.delays, new.fitted.record.nu)
         return new
 
-    def _with_parts(self, changed: Callable[[Forecaster], Forecaster]) -> Self:
-        """Return a new one with each part changed."""
-        given = self.get_params().items()
-        return self._made({name: _changed(option, changed) for name, option in given})
-
-    def _made(self, params: dict[str, Any]) -> Self:
-        """Return a forecaster of the same class with these options."""
+    def with_options(self, params: dict[str, Any]) -> Self:
+        """Return a new forecaster of the same class with all of these options."""
         return type(self)(**params)
 
 
@@ -556,13 +556,21 @@ def all_parts(forecaster: Forecaster) -> Iterator[Forecaster]:
         yield from all_parts(part)
 
 
+def with_parts(
+    forecaster: AnyForecaster, changed: Callable[[Forecaster], Forecaster]
+) -> AnyForecaster:
+    """Return a new forecaster, not fitted, with each of its parts changed."""
+    given = forecaster.get_params().items()
+    return forecaster.with_options({name: _changed(option, changed) for name, option in given})
+
+
 def with_parts_changed(
     forecaster: AnyForecaster, changed: Callable[[Forecaster], Forecaster]
 ) -> AnyForecaster:
     """Return a forecaster with all of its parts, and itself, changed, the innermost ones first."""
     new: Any = forecaster
     if parts_of(forecaster):
-        new = forecaster._with_parts(lambda part: with_parts_changed(part, changed))
+        new = with_parts(forecaster, lambda part: with_parts_changed(part, changed))
     found: Any = changed(new)
     return found
 

@@ -37,7 +37,7 @@ class ByTime(Protocol):
 class Mean(Forecaster):
     """Forecast the mean of the training samples, the best forecast of unpredictable signals."""
 
-    affine = True
+    affine = forgets = True
     name = "mean"
     at_once = True
 
@@ -49,7 +49,7 @@ class Mean(Forecaster):
         """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the mean as a constant part."""
         level = self.level[:, None]
         return Part(lambda state, u, y_sim, ahead: (state, np.tile(level, (1 + ahead, 1, 1))))
@@ -65,7 +65,7 @@ class Mean(Forecaster):
 class Persistence(Forecaster):
     """Hold the last measured sample, as if nothing changed."""
 
-    affine = True
+    affine = forgets = True
     name = "persistence"
     at_once = True
 
@@ -77,7 +77,7 @@ class Persistence(Forecaster):
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the part that holds the last measured value of each channel."""
         ny = self.require_fitted().record.ny
         return Part(
@@ -105,7 +105,7 @@ class _ByTime(Forecaster):
     """Returns the function that fits samples `(time, ny)`, NaN in gaps."""
 
     anchored = True
-    affine = True
+    affine = forgets = True
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
@@ -121,7 +121,7 @@ class _ByTime(Forecaster):
         """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_begin(known), len(known.y) + known.steps)
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the function of time."""
 
         def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
@@ -161,7 +161,7 @@ class SeasonalNaive(_ByTime):
 
     _fitted_to = staticmethod(LastPeriod.fit)
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the part that rotates the period by a sample at each sample."""
         last = self.baseline
 

@@ -45,6 +45,8 @@ class Ensemble(Forecaster):
     ('gru', (20, 1))
     """
 
+    forgets = True
+
     def __init__(
         self,
         member: Forecaster | Sequence[Forecaster],
@@ -133,9 +135,9 @@ class Ensemble(Forecaster):
         return super().to(device)
 
     @classmethod
-    def _from_dict(cls, found: dict[str, Any]) -> Self:
+    def from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved ensemble; raises ValueError where `count` does not match the members."""
-        new = super()._from_dict(found)
+        new = super().from_dict(found)
         if new.fitted is not None and len(new.members) != whole("count", new.count):
             raise InputError(f"count must be {len(new.members)}, got {new.count}")
         return new
@@ -145,9 +147,9 @@ class Ensemble(Forecaster):
         members = [member.untrained() for member in self.members or self.templates]
         return type(self)(members, name=self._name, seeds=self.seeds)
 
-    def _first_needed(self) -> int:
+    def first_needed(self) -> int:
         """Return the earliest sample that a member needs."""
-        return min(member._first_needed() for member in self.members)
+        return min(member.first_needed() for member in self.members)
 
     def in_words(self) -> str:
         """Return the description of the first member."""
@@ -156,7 +158,9 @@ class Ensemble(Forecaster):
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the members."""
         seed, start, progress = how["seed"], how["start"], how["progress"]
-        starts = [None] * self.count if start is None else [*getattr(start, "members", ())]
+        starts: list[Forecaster | None] = [None] * self.count
+        if start is not None:
+            starts = [*start.members] if isinstance(start, Ensemble) else []
         if len(starts) != self.count:
             raise InputError(f"start must be a trained median of {self.count}, got {start!r}")
         bases = [*how["bases"]]
@@ -169,7 +173,7 @@ class Ensemble(Forecaster):
                 bases=bases,
             )
             self.members.append(member)
-            bases += [each for each in member._bases if not each.random]
+            bases += [each for each in member.fitted_bases if not each.random]
         self._take(self.members, seed)
 
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
@@ -180,9 +184,9 @@ class Ensemble(Forecaster):
             parts = [{"": y} for y, _ in found]
         return median_components(parts, [y for y, _ in found])
 
-    def _stepped(self, outside: bool = False) -> Recursion:
+    def recursion(self, outside: bool = False) -> Recursion:
         """Return the recursion that predicts the median of the members."""
-        return recursion_of_median([member._stepped(outside) for member in self.members])
+        return recursion_of_median([member.recursion(outside) for member in self.members])
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""

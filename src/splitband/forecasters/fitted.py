@@ -152,9 +152,12 @@ class Fitted:
         late by itself, so that the dead time is one sample less.
         """
         step, names = self.record.sampling_time, self.record.inputs
-        said = [f"{name} {late - 1} samples ({(late - 1) * step:.4g} s; "
-                f"its impulse response begins at sample {late})"
-                for name, late in zip(names, delays, strict=False) if late > 1]  # fmt: skip
+        said = [
+            f"{name} {late - 1} samples ({(late - 1) * step:.4g} s; "
+            f"its impulse response begins at sample {late})"
+            for name, late in zip(names, delays, strict=False)
+            if late > 1
+        ]
         return f"dead time {', '.join(said)}" if said else ""
 
     def inputs_beyond(self, u: Array | None) -> list[Extrapolation]:
@@ -176,11 +179,12 @@ class Fitted:
 
 def _alike(one: Record, other: Record) -> bool:
     """Return whether two records are equal in all that a fit sees of them."""
-    names = "y_with_gaps", "u", "y_sim", "beyond", "u_beyond"
-    pairs = [(getattr(one, name), getattr(other, name)) for name in names]
+    ours, theirs = (
+        (each.y_with_gaps, each.u, each.y_sim, each.beyond, each.u_beyond) for each in (one, other)
+    )
     return one.grid == other.grid and all(
         a is b or (a is not None and b is not None and np.array_equal(a, b, equal_nan=True))
-        for a, b in pairs
+        for a, b in zip(ours, theirs, strict=True)
     )
 
 

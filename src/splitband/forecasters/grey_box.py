@@ -90,6 +90,7 @@ class GreyBox(Forecaster):
         return self._name or "grey-box"
 
     slow_part = "fitted simulator"
+    forgets = True
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -116,10 +117,10 @@ class GreyBox(Forecaster):
     refits = False
     fits_simulator = True
 
-    def _to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what is saved, with a description in place of the simulator."""
         described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
-        return {**super()._to_dict(), "simulator": described}
+        return {**super().to_dict(), "simulator": described}
 
     def in_words(self) -> str:
         """Return a description; a simulator whose parameters are all given is not fitted.
@@ -173,7 +174,7 @@ class GreyBox(Forecaster):
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole.time, whole.u, state)
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the simulator, integrated from the first state of the training record on."""
         if outside and self.writable:
             return self._written()
@@ -279,7 +280,7 @@ class GreyBox(Forecaster):
 
         return Part(row, initial, merged=merged)
 
-    def _stepped(self, outside: bool = False) -> Recursion:
+    def recursion(self, outside: bool = False) -> Recursion:
         """Return the simulator, unless its state is estimated from the last samples.
 
         A program begins with the estimate at the end of the history, and is not corrected later.
@@ -288,7 +289,7 @@ class GreyBox(Forecaster):
             return self._as_program()
         if self.memory:
             raise NotSteppedError(f"{self.name} estimates its state from {self.memory} samples")
-        return super()._stepped()
+        return super().recursion()
 
     def _as_program(self) -> Recursion:
         record = self.require_fitted().record

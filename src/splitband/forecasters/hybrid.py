@@ -232,7 +232,7 @@ class Filtered(Network):
         """Return whether the base has the high band."""
         return self.simulator_band == "high"
 
-    def _in_bands(self, bands: Bands) -> dict[str, Any]:
+    def in_bands(self, bands: Bands) -> dict[str, Any]:
         """Return the bands; a simulator is calibrated in its own, the low one."""
         base = self.base
         own = isinstance(base, Calibrated) and base.below is None and not self._above
@@ -242,7 +242,7 @@ class Filtered(Network):
 
     def in_words(self) -> str:
         """Return which part has which band."""
-        base, network = self.base.slow_part or self.base._slow_label, words_of(self.cell)
+        base, network = self.base.slow_part or self.base.slow_label, words_of(self.cell)
         return self._of_bands(*((network, base) if self._above else (base, network)))
 
     def _shortest_warmup(self) -> int:
@@ -262,8 +262,8 @@ class Filtered(Network):
             return []
         bands = self._bands_for(record, self._settings_for(record))
         assert record.y_sim is not None
-        reachable = oracle(record.y, record.y_sim, record.sampling_rate, *bands._filter(),
-                           record.y_with_gaps)  # fmt: skip
+        of_filter = record.sampling_rate, *bands.filter
+        reachable = oracle(record.y, record.y_sim, *of_filter, record.y_with_gaps)
         if not reachable.nothing_to_learn:
             return []
         advice = "" if self.calibrates else "; calibrating it may change that"
@@ -313,7 +313,7 @@ class Residual(Network):
 
     def in_words(self) -> str:
         """Return the parts that add up."""
-        return f"{self.base.slow_part or self.base._slow_label} + {words_of(self.cell)}"
+        return f"{self.base.slow_part or self.base.slow_label} + {words_of(self.cell)}"
 
     def _derived_name(self) -> str:
         return _name("residual", self.base, self.cell, self.conditioned)
@@ -323,5 +323,5 @@ def _name(kind: str, base: Forecaster, cell: Template, conditioned: bool) -> str
     """Return the name of a hybrid; a simulator shows in it by what is calibrated."""
     name = f"{kind}-{base.name}-{label_of(cell)}"
     if isinstance(base, SimulatorForecaster):
-        name = f"{kind}-{label_of(cell)}{base._suffix}"
+        name = f"{kind}-{label_of(cell)}{base.suffix}"
     return name + CONDITIONED * conditioned

@@ -40,6 +40,9 @@ class LinearPart(Protocol):
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
         """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
 
+    def stable(self) -> bool:
+        """Return whether a simulation cannot grow without bound."""
+
 
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
     """Set the linear parts of a model's networks to linear models, in place.

@@ -58,7 +58,7 @@ class Linear(Forecaster):
     """
 
     name = "linear"
-    affine = True
+    affine = forgets = True
     needs = frozenset({"inputs"})
 
     slow_part = "linear model"
@@ -116,7 +116,7 @@ class Linear(Forecaster):
         y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
         return self.model.without_filter.continued(known.u, y, _inputs_before(self.u, known))[0]
 
-    def _as_simulator(self) -> Self:
+    def as_base(self) -> Self:
         """Return it without its Kalman filter, for the slow component of a hybrid."""
         new = copy(self)
         new.model = replace(self.model.without_filter, last=self.model.state_after(self.u))
@@ -132,7 +132,7 @@ class Linear(Forecaster):
             raise InputError("uncertainty was not computed: the deadline of the fit came first")
         return self.model.uncertainty
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the model's recursion."""
         return _driven(self.model, self.u)
 
@@ -143,10 +143,11 @@ class Linear(Forecaster):
         """
         self.require_fitted()
         return scipy.signal.StateSpace(
-            *self._system(), dt=self.require_fitted().record.sampling_time
+            *self.system_matrices(), dt=self.require_fitted().record.sampling_time
         )
 
-    def _system(self) -> tuple[Array, Array, Array, Array]:
+    def system_matrices(self) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C and D, delays included."""
         return self.model.state_space()
 
     def operating_point(self) -> tuple[Array, Array]:
@@ -182,10 +183,8 @@ class Linear(Forecaster):
         import control  # noqa: PLC0415  an extra
 
         record = self.require_fitted().record
-        return control.ss(
-            *self.model.state_space(), record.sampling_time,
-            inputs=[*record.inputs], outputs=[*record.columns],
-        )  # fmt: skip
+        names = {"inputs": [*record.inputs], "outputs": [*record.columns]}
+        return control.ss(*self.model.state_space(), record.sampling_time, **names)
 
     def describe(self) -> str:
         """Return the chosen order, the delays of the inputs, and remarks."""

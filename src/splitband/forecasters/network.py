@@ -2,14 +2,14 @@
 
 A forecaster holds a model of `splitband.models`, the settings of its training, its bands, and the
 base that it is combined with. Networks alone, and hybrids with a simulator or
-another forecaster, are in `forecasters.learned`.
+another forecaster, are in `forecasters.hybrid`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self, Unpack
@@ -31,13 +31,12 @@ from splitband.forecasters.base import (
 )
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.held_out import first_held_out
-from splitband.forecasters.initialisation import begin_as_linear
-from splitband.forecasters.linear import Linear
+from splitband.forecasters.initialisation import LinearPart, begin_as_linear
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.stepping import NotSteppedError, Recursion, recursion_of_network
 from splitband.models.labels import NETWORK, SIMULATOR
-from splitband.networks.cell import Cell, Template
+from splitband.networks.cell import Cell, Template, WithSize
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -102,6 +101,7 @@ class Network(Forecaster):
         return self._name or self._derived_name()
 
     random = True
+    forgets = True
 
     @property
     def warmup(self) -> int:
@@ -131,7 +131,7 @@ class Network(Forecaster):
 
     slow_part = "network"
 
-    def _in_bands(self, bands: Bands) -> dict[str, Any]:
+    def in_bands(self, bands: Bands) -> dict[str, Any]:
         """Return the options that a comparison's bands decide."""
         return {"bands": bands}
 
@@ -202,26 +202,26 @@ class Network(Forecaster):
     def training_in_words(self) -> str:
         """Return sizes, window and steps, for tables."""
         cells = cells_of(self).values()
-        sizes = [cell.size_in_words() for cell in cells if hasattr(cell, "size_in_words")]
+        sizes = [cell.size_in_words() for cell in cells if isinstance(cell, WithSize)]
         said = [" and ".join(sizes)] if sizes else []
         settings = self._trained_by or self.settings
         if settings is not None:
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
-    def _to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what is saved: the model as its weights; the device is omitted."""
-        said = super()._to_dict()
+        said = super().to_dict()
         del said["_device"]  # that of the training may not exist where it is loaded
         model = said.pop("model", None)
         return said | {"weights": None if model is None else dict(model.state_dict())}
 
     @classmethod
-    def _from_dict(cls, found: dict[str, Any]) -> Self:
+    def from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
         weights = found.pop("weights")
         found["_device"] = "cpu"
-        new = super()._from_dict(found)
+        new = super().from_dict(found)
         if new.fitted is not None:
             record, settings = new.fitted.record, new._trained_by
             assert settings is not None
@@ -231,13 +231,13 @@ class Network(Forecaster):
                 new._prehistory.check(new.model, settings.warmup)
         return new
 
-    def _first_needed(self) -> int:
+    def first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs.
 
         With a network as base the whole record is needed, since the base's run starts there.
         """
         beside_network = self._fitted_base is not None and self._fitted_base.random
-        return 0 if beside_network else super()._first_needed()
+        return 0 if beside_network else super().first_needed()
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for records that do not fit its warm-up, windows, filters or base."""
@@ -256,7 +256,7 @@ class Network(Forecaster):
             )
         checked_starts(records, settings.window, settings.warmup)
         # Cells that are given by name are built when they are trained, as torch loads slowly.
-        if not any(hasattr(cell, "build") for cell in cells_of(self).values()):
+        if all(isinstance(cell, Cell) for cell in cells_of(self).values()):
             self.clone()._built(first, settings, seed=0)
         if settings.warmup <= (shortest := self._shortest_warmup()):
             raise InputError(
@@ -291,8 +291,8 @@ class Network(Forecaster):
         history = training.fit(self.model, seen, settings, seed, how["progress"])
         self.model.eval()
         notes = (*self._remarks(seen[0]), *history.notes)
-        networks: Iterable[Any] = self.model.modules()
-        stable = all(each.stable() for each in networks if hasattr(each, "stable"))
+        linear = (each for each in self.model.modules() if isinstance(each, LinearPart))
+        stable = all(each.stable() for each in linear)
         # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
         self._prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
@@ -340,27 +340,27 @@ class Network(Forecaster):
             doubts = [*dict.fromkeys([*doubts, short])]
         return doubts
 
-    def _stepped(self, outside: bool = False) -> Recursion:
+    def recursion(self, outside: bool = False) -> Recursion:
         """Return the step-by-step form of model and base, warmed up."""
         try:
             model = self._trained().stepped()
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
-        part = None if self._fitted_base is None else self._fitted_base._part(outside)
+        part = None if self._fitted_base is None else self._fitted_base.stepped_part(outside)
         return recursion_of_network(model, part, self.warmup, self.delays)
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""
         fitted, base = self.require_fitted(), self._fitted_base
         said = []
-        if base is not None and (base._slow_label != SIMULATOR or base.calibrates):
-            said = [f"{base._slow_label}: {base.describe()}"]
+        if base is not None and (base.slow_label != SIMULATOR or base.calibrates):
+            said = [f"{base.slow_label}: {base.describe()}"]
         said += [self.training_in_words(), fitted.late_inputs(self.delays)]
         return "; ".join(filter(None, [*said, *fitted.report.notes]))
 
-    def _made(self, params: dict[str, Any]) -> Self:
+    def with_options(self, params: dict[str, Any]) -> Self:
         """Return one with other options, on the same device."""
-        new = super()._made(params)
+        new = super().with_options(params)
         new._device = self._device
         return new
 
@@ -379,11 +379,10 @@ class Network(Forecaster):
         """Return the records for the model: with the base's output, and with delayed inputs."""
         seen = [*records]
         if self.base is not None:
-            fitted = [*how["bases"], *([] if start is None else start._bases)]
+            fitted = [*how["bases"], *([] if start is None else start.fitted_bases)]
             base = fitted_like(self.base, records, fitted)
             if base is None:
-                base = self.base.clone()._fit(records, how["seed"], bases=fitted)
-                base = base._as_simulator() if isinstance(base, Linear) else base
+                base = self.base.clone()._fit(records, how["seed"], bases=fitted).as_base()
             self._fitted_base = base
             seen = [base.on(record, first=i == 0) for i, record in enumerate(records)]
         self.delays = ()
@@ -394,9 +393,10 @@ class Network(Forecaster):
         return [r if r.u is None else replace(r, u=delayed(r.u, self.delays)) for r in seen]
 
     @property
-    def _bases(self) -> list[Forecaster]:
+    def fitted_bases(self) -> list[Forecaster]:
         """Return the fitted base, and that of the base."""
-        return [] if self._fitted_base is None else [self._fitted_base, *self._fitted_base._bases]
+        base = self._fitted_base
+        return [] if base is None else [base, *base.fitted_bases]
 
     def _remarks(self, record: Record) -> list[str]:
         """Return remarks for the user on a training record with the base's output."""
@@ -459,7 +459,7 @@ class Network(Forecaster):
             label = part
             if self._fitted_base is not None and part.startswith(SIMULATOR):
                 # The base may have the label of the fast component; labels must differ.
-                slow_label = self._fitted_base._slow_label
+                slow_label = self._fitted_base.slow_label
                 label = "base" if slow_label == NETWORK else slow_label
                 label += part.removeprefix(SIMULATOR)
             found[label] = values[since:]
@@ -485,7 +485,9 @@ class Network(Forecaster):
             )
         begin, since = start - self.warmup, len(y) - start
         if base is not None and slow is None:
-            slow = base.trajectory(replace(known, since=begin))[begin:]
+            # The run begins here: what was measured since moves its base as little as itself.
+            run = replace(known, y=y[:start], steps=since + known.steps, since=begin)
+            slow = base.trajectory(run)[begin:]
         return y[begin:start], None if u is None else u[begin:], slow, since
 
 
@@ -509,7 +511,7 @@ def with_defaults(
         # Bands that are given in part are completed later, to suit the given cut-off or order.
         if part.bands == OPEN:
             of_band = high if part.simulator_band == "high" else bands
-            shared |= part._in_bands(of_band if part.takes_bands else given)
+            shared |= part.in_bands(of_band if part.takes_bands else given)
         return part.clone().set_params(**shared) if shared else part
 
     return with_parts_changed(forecaster, changed)

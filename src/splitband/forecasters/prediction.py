@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -66,13 +66,11 @@ def by_name(name: str, given: npt.ArrayLike | None, names: Sequence[str]) -> npt
 
     Raises ValueError for other names; numbered ones match any others, in the order given.
     """
-    table: Any = given
-    columns = {str(column): column for column in getattr(table, "columns", ())}
-    if not columns or not names:
+    if not isinstance(given, pd.DataFrame) or not names:
         return given
+    columns = {str(column): column for column in given.columns}
     if sorted(columns) == sorted(names):
-        ordered: npt.ArrayLike = table[[columns[each] for each in names]]
-        return ordered
+        return given[[columns[each] for each in names]]
     if not same_names([*columns], names):
         raise InputError(
             f"{name} must have the columns {', '.join(names)}, got {', '.join(columns)}"

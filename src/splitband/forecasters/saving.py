@@ -7,7 +7,7 @@ description is saved (`simulators.base.Absent`); `loading.load` takes the simula
 
 Loading runs no code from a file, and none that a file names. The description of an object contains
 the name of its class, which is looked up in the modules that are loaded: nothing is imported. The
-class has to be that of a forecaster, restored by `_from_dict` from the result of `_to_dict`; one of
+class has to be that of a forecaster, restored by `from_dict` from the result of `to_dict`; one of
 the package that is marked as `saved`, restored from its fields; or that of a cell, which is a
 module with a method `sized`, restored from the arguments of its constructor.
 """
@@ -31,6 +31,7 @@ import safetensors
 import safetensors.numpy
 
 from splitband import networks
+from splitband.networks.cell import Template
 from splitband.runtime import outputs
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
@@ -50,9 +51,9 @@ LARGEST_NUMBER = 1_000_000
 _DIGITS = 16
 """Digits of the weights' SHA-256 in the name of their file: enough to be unique."""
 _UNFIT = (
-    RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError, MemoryError,
-    AssertionError, safetensors.SafetensorError,
-)  # fmt: skip
+    *(RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError),
+    *(MemoryError, AssertionError, safetensors.SafetensorError),
+)
 """Errors that a forged or damaged description may raise."""
 _AGAIN = "train it again, with `splitband fit` or fit(record), and save it"
 _SEVERAL = list, tuple, frozenset
@@ -66,13 +67,13 @@ Tensors = dict[str, npt.NDArray[Any]]
 class Saved:
     """Define what is saved of an object, and how it is restored from that: of every forecaster."""
 
-    def _to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what is saved."""
         return {**vars(self)}
 
     @classmethod
-    def _from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the object that `_to_dict` described; its constructor is not called."""
+    def from_dict(cls, found: dict[str, Any]) -> Self:
+        """Return the object that `to_dict` described; its constructor is not called."""
         new = object.__new__(cls)
         vars(new).update(found)
         return new
@@ -206,17 +207,16 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
         tensors[place] = np.array(value, order="C")
         return {"array": place}
     if isinstance(value, Saved):
-        return _named("class", value, value._to_dict(), tensors, place)
+        return _named("class", value, value.to_dict(), tensors, place)
     if is_saved(type(value)):
-        parts = {name: getattr(value, name) for name in _fields(type(value))}
+        parts = {each.name: vars(value)[each.name] for each in fields(value) if each.init}
         return _named("class", value, parts, tensors, place)
     if isinstance(value, Mapping):
         return {"mapping": _parts(value, tensors, place)}
-    if isinstance(value, _SEVERAL) and not hasattr(value, "_fields"):  # of a named tuple
+    if type(value) in _SEVERAL:
         ordered = sorted(value) if isinstance(value, frozenset) else value
         inner = [described(v, tensors, f"{place}.{i}") for i, v in enumerate(ordered)]
-        kind = next(each for each in _SEVERAL if isinstance(value, each))
-        return {kind.__name__: inner}
+        return {type(value).__name__: inner}
     try:
         return _of_torch(value, tensors, place)
     except TypeError as error:  # of `options`, or a number format that NumPy does not have
@@ -224,8 +224,10 @@ def described(value: Any, tensors: Tensors, place: str = "") -> Any:  # noqa: PL
 
 
 def _of_torch(value: Any, tensors: Tensors, place: str) -> Any:
-    """Return the description of a tensor, a device or a cell; raises TypeError for others."""
+    """Return the description of a tensor, its size, a device or a cell; raises TypeError else."""
     torch: Any = sys.modules.get("torch")  # without it, the value is nothing of torch's
+    if torch is not None and isinstance(value, torch.Size):
+        return described(tuple(value), tensors, place)
     if torch is None or not isinstance(value, torch.Tensor | torch.device | torch.nn.Module):
         raise TypeError("it is no number, text, array, date, list or dict")
     if isinstance(value, torch.Tensor):
@@ -286,7 +288,7 @@ def restored(value: Any, tensors: Tensors) -> Any:  # noqa: PLR0911  a line a ki
         return _cell(_loaded(value["cell"], value.get("module")), found)
     kind = _loaded(value["class"], value.get("module"))
     if issubclass(kind, Saved):
-        return kind._from_dict(found)
+        return kind.from_dict(found)
     _check_numbers(kind, found)
     return kind(**found)
 
@@ -318,7 +320,7 @@ def _inside(place: Any, name: str, module: str | None) -> type | None:
     if not isinstance(place, type) or _of_package(place) != (module is None):
         return None
     torch = sys.modules.get("torch")
-    cell = torch is not None and issubclass(place, torch.nn.Module) and hasattr(place, "sized")
+    cell = torch is not None and issubclass(place, torch.nn.Module) and issubclass(place, Template)
     return place if cell or issubclass(place, Saved) or is_saved(place) else None
 
 
@@ -338,12 +340,6 @@ def _cell(kind: Any, parts: dict[str, Any]) -> Any:
             return kind(**parts)
     except RuntimeError:  # a user's cell may need values, which the meta device does not have
         return kind(**parts)
-
-
-def _fields(kind: Any) -> list[str]:
-    """Return the names of the fields that a class is restored from."""
-    named: tuple[str, ...] | None = getattr(kind, "_fields", None)
-    return [*named] if named else [field.name for field in fields(kind) if field.init]
 
 
 def _check_numbers(kind: type, parts: Mapping[str, Any]) -> None:

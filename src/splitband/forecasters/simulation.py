@@ -128,7 +128,8 @@ class SimulatorForecaster(Forecaster):
     affine = True
     applied = Calibration()
     """The calibration of the output."""
-    _slow_label = SIMULATOR
+    slow_label = SIMULATOR
+    forgets = True
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = simulator
@@ -144,10 +145,10 @@ class SimulatorForecaster(Forecaster):
     @property
     def name(self) -> str:
         """Return the given name, or "simulator" with the suffix of its calibration."""
-        return self._name or f"simulator{self._suffix}"
+        return self._name or f"simulator{self.suffix}"
 
     @property
-    def _suffix(self) -> str:
+    def suffix(self) -> str:
         """Return the end of its name and of that of a hybrid: the terms that it fits."""
         return ""
 
@@ -181,17 +182,17 @@ class SimulatorForecaster(Forecaster):
             ran[own] = _Runs(runs, self._driven, id(self.simulator))
         return self.clone().set_params(simulator=ran[own])
 
-    def _to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return what is saved; a simulator that is not recorded output becomes a description."""
-        said = super()._to_dict()
+        said = super().to_dict()
         if self.simulator is not None and not self._at_own_times:
             said["simulator"] = Absent.of(self.simulator)
         return said
 
     @classmethod
-    def _from_dict(cls, found: dict[str, Any]) -> Self:
+    def from_dict(cls, found: dict[str, Any]) -> Self:
         """Return the saved forecaster; raises ValueError for a calibration of other channels."""
-        new = super()._from_dict(found)
+        new = super().from_dict(found)
         if new.fitted is not None:
             new.applied.check(new.fitted.record.ny)
         return new
@@ -296,7 +297,7 @@ class SimulatorForecaster(Forecaster):
         y = self.applied.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
-    def _part(self, outside: bool = False) -> Part:
+    def stepped_part(self, outside: bool = False) -> Part:
         """Return the simulator sample by sample: its output is given, or computed ahead."""
         if self._driven and not outside:
             raise NotSteppedError(f"{self.name} has a simulator that its inputs drive")
@@ -447,7 +448,7 @@ class Calibrated(SimulatorForecaster):
         self.below = below
 
     @property
-    def _suffix(self) -> str:
+    def suffix(self) -> str:
         """Return the end of its name: the terms that it fits."""
         if self.terms is None:
             return "-calibrated"

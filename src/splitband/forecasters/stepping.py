@@ -302,8 +302,8 @@ def recursion_of_network(
 
     simulated = part.simulated_over is not None
     free_run = _run_of_network(model, part, warmup, kept, delayed)
-    return Recursion(ny, nu, initial, tick, ahead, simulated, warmup, part=part,
-                     first_row=first_row, free_run=free_run)  # fmt: skip
+    recursion = Recursion(ny, nu, initial, tick, ahead, simulated, warmup)
+    return replace(recursion, part=part, first_row=first_row, free_run=free_run)
 
 
 def _run_of_network(model: Stepped, part: Part, warmup: int, kept: int, delayed: Any) -> FreeRun:
@@ -495,7 +495,7 @@ def stream_of(
     if history is not None:
         require_records("history", history)
     try:
-        return _begun(forecaster, forecaster._stepped(), history, other_record)
+        return _begun(forecaster, forecaster.recursion(), history, other_record)
     except NotSteppedError:
         return _begun(forecaster, _repredicted(forecaster), history, other_record)
 
@@ -515,7 +515,7 @@ def program_of(
 
     The state is None where it depends on past output of a simulator that is not available.
     """
-    recursion, past = _in_units(forecaster, forecaster._stepped(outside=True), history)
+    recursion, past = _in_units(forecaster, forecaster.recursion(outside=True), history)
     try:
         return recursion, recursion.after(known_of(forecaster, 0, past, other_record))
     except ValueError:

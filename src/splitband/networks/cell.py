@@ -53,6 +53,14 @@ class Template(Protocol):
 
 
 @runtime_checkable
+class WithSize(Protocol):
+    """Describe a cell that says its size."""
+
+    def size_in_words(self) -> str:
+        """Return its size, such as "64 units"."""
+
+
+@runtime_checkable
 class Penalised(Protocol):
     """Describe a network of which some weights only are penalised."""
 

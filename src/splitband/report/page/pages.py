@@ -233,7 +233,7 @@ def _bases(result: Comparison) -> dict[str, Array]:
     for fits in result.fits.values():
         run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
-        slow = [part._slow_label for part in parts_of(method)]
+        slow = [part.slow_label for part in parts_of(method)]
         for label in [each for each in slow if each in parts and each != SIMULATOR]:
             whole = record.y.copy()
             whole[len(whole) - len(parts[label]) :] = parts[label]
