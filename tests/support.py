@@ -56,7 +56,7 @@ def asked(
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
-    return backtest(forecaster, BacktestSpec(record, sorted(origins), len(record), others), seed)
+    return backtest(forecaster, BacktestSpec(record, sorted(origins), others), seed)
 
 
 def compare(

@@ -73,6 +73,14 @@ MADE: dict[str, Callable[[], Forecaster]] = {
 }
 
 
+def ahead(at: int = TRAIN) -> dict[str, Array]:
+    """Return what is known of the record from a sample on, for `predict`."""
+    whole = record()
+    assert whole.u is not None
+    assert whole.y_sim is not None
+    return {"u": whole.u[at:], "y_sim": whole.y_sim[at:]}
+
+
 @cache
 def fitted(name: str) -> Forecaster:
     """Once in a process; its interval too, which takes more fits."""

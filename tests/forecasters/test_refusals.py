@@ -73,7 +73,7 @@ def mean() -> Forecaster:
         ),
         (
             lambda: fitted("simulator").predict(
-                9, replace(record()[:TRAIN], y_sim=None, beyond=None)
+                9, replace(record()[:TRAIN], y_sim=None), u=np.ones(9)
             ),
             "history must bring a simulator's output",
         ),
@@ -215,5 +215,5 @@ def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
     settings = sb.TrainingSettings.paper(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
     model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
     model.save(tmp_path)
-    u = record()[:TRAIN].u_beyond
+    u = np.ones(3)
     np.testing.assert_array_equal(sb.load(tmp_path).predict(3, u=u).y, model.predict(3, u=u).y)

@@ -37,8 +37,9 @@ SHORT = sb.TrainingSettings.paper(window=30, warmup=12, epochs=1)
 
 def ahead(model: sb.Forecaster, level: float | None = None) -> sb.Prediction:
     """Return a forecast from the end of the training record."""
-    y_sim = TRAIN.beyond if "simulator" in model.needs else None
-    return model.predict(STEPS, u=TRAIN.u_beyond, y_sim=y_sim, level=level)
+    assert RECORD.u is not None
+    assert RECORD.y_sim is not None
+    return model.predict(STEPS, u=RECORD.u[120:], y_sim=RECORD.y_sim[120:], level=level)
 
 
 @cache

@@ -34,7 +34,7 @@ from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, all_parts, parts_of, with_parts_changed
 from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.held_out import Origin, held_out_origins
+from splitband.forecasters.held_out import Origin, beginning, held_out_origins
 from splitband.forecasters.network import Network, with_defaults
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
@@ -94,7 +94,7 @@ class Plan:
     @cached_property
     def training(self) -> Record:
         """Return the training part of the record."""
-        return self.record[: self.train]
+        return beginning(self.record, self.train)
 
     @cached_property
     def held_out(self) -> Record:
@@ -125,21 +125,12 @@ class Plan:
         train, warmup = self.train, self.settings.warmup
         first = first_origin(self.record, train, forecaster.warmup or warmup)
         origins = [first, Origin(train, train)][: 1 + (self.horizon > 0)]
-        return BacktestSpec(
-            self.record,
-            origins,
-            train + self.horizon,
-            self.others,
-            self.tests,
-            warmup,
-            self.initial,
-        )
+        return BacktestSpec(self.record, origins, self.others, self.tests, warmup, self.initial)
 
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
         origins = held_out_origins(forecaster, self.held_out)
-        end = self.train + self.horizon
-        return BacktestSpec(self.held_out, origins, end, self.others, components=False)
+        return BacktestSpec(self.record, origins, self.others, components=False)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.
@@ -261,7 +252,7 @@ def plan(  # noqa: PLR0913
     others, tests = ([_driven(each, simulator) for each in several] for several in (others, tests))
     tried = horizon != 0 or bool(tests)
     record, horizon = _cut_to_horizon(record, train, horizon, refit)
-    training, changes = record[:train], settings if isinstance(settings, Mapping) else {}
+    training, changes = beginning(record, train), settings if isinstance(settings, Mapping) else {}
     given = settings if isinstance(settings, TrainingSettings) else None
     decided = _settings(given or recipe_settings(recipe, training, others), changes)
     if tests and given is None and "warmup" not in changes:
@@ -424,7 +415,7 @@ def high_bands(given: Bands, training: Record, settings: TrainingSettings | None
     What is given stays. The simulator is not calibrated: its drift would decide its gain. Settings
     are by default the usual ones for such a record.
     """
-    y, rate, y_sim = training.y, training.sampling_rate, training.y_sim
+    y, rate, y_sim = training.y, training.sampling_rate, training[:].y_sim
     settings = settings or recipe_settings("default", training)
     with nullcontext() if given.cutoff is not None else suppress(ValueError):
         return given.chosen(y, rate, settings.warmup, y_sim, "high")

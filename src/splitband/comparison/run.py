@@ -23,7 +23,7 @@ from splitband.comparison.result import Comparison
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
-from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin
+from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin, beginning
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
 from splitband.runtime.deadlines import NEVER, Deadline, within
@@ -226,7 +226,7 @@ class RunningComparison:
         for forecaster in prepared:
             spec = self.plan.held_out_spec(forecaster)
             for samples in sorted({origin.fitted for origin in spec.origins}):
-                records = [spec.record[:samples], *spec.others]
+                records = [beginning(spec.record, samples), *spec.others]
                 self._bases.fit(forecaster, records, until)
         self._try([f for f in prepared if not f.random])
         if self._runner.executor is None:
@@ -415,7 +415,7 @@ class RunningComparison:
         record, others = self.plan.record, self.plan.others
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
-        spec = BacktestSpec(record, [Origin(samples, samples - 1)], samples, others)
+        spec = BacktestSpec(record, [Origin(samples, samples - 1)], others)
         kept = {id(fit.model) for fit in self.fits()[name]}
         jobs = [
             Job(job.forecaster, spec, job.seed, None if job.start is None else fit.model)
@@ -449,16 +449,12 @@ class RunningComparison:
         plan, others = self.plan, self.plan.others
         try:
             try:
-                return with_simulators_run(
-                    forecaster, plan.training, plan.horizon, *others, *plan.tests, ran=ran
-                )
+                return with_simulators_run(forecaster, plan.record, *others, *plan.tests, ran=ran)
             except ValueError:
                 if not plan.tests:
                     raise
                 # It may fail for the test records only, which are then left out.
-                return with_simulators_run(
-                    forecaster, plan.training, plan.horizon, *others, ran=ran
-                )
+                return with_simulators_run(forecaster, plan.record, *others, ran=ran)
         except ValueError as error:
             self.failed[forecaster.name] = " ".join(str(error).split())
             return None

@@ -310,9 +310,9 @@ class Network(Forecaster):
         """
         return self._run(self._trained().simulate_components, known)
 
-    def _unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+    def _unfiltered(self, **known: Any) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
-        return self._run(self._trained().simulate_unfiltered, known_of(self, steps, history))
+        return self._run(self._trained().simulate_unfiltered, known_of(self, **known))
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
@@ -486,7 +486,7 @@ class Network(Forecaster):
         begin, since = start - self.warmup, len(y) - start
         if base is not None and slow is None:
             slow = base.trajectory(replace(known, since=begin))[begin:]
-        return y[begin:start], None if u is None else u[begin:], slow, since
+        return y[begin:start], None if u is None else u[begin : len(y) + known.steps], slow, since
 
 
 def with_defaults(
