@@ -70,6 +70,14 @@ def compare(
     return compared(record, setup.train, names, seeds=seeds, **setup.options, **options)
 
 
+def known_after(record: Record, at: int) -> dict[str, Any]:
+    """Return inputs and simulator's output of a record from a sample on, for `predict`."""
+    return {
+        name: None if signal is None else signal[at:]
+        for name, signal in (("u", record.u), ("y_sim", record.y_sim))
+    }
+
+
 def with_other_samples(record: Record, start: int, stop: int | None = None) -> Record:
     """A record of which other samples were measured from index `start` on."""
     y = record.y.copy()

@@ -9,7 +9,7 @@ import pytest
 
 from splitband.data import Record
 from splitband.runtime.arrays import Array
-from tests.data.support import RNG, STEP, U, Y
+from tests.data.support import STEP, U, Y
 
 
 def test_signals_become_read_only_matrices() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, TrainingSettings
 from splitband.comparison.methods import QUICK, Sizes
 from tests.records import Setup
+from tests.support import known_after
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20
@@ -73,12 +75,9 @@ MADE: dict[str, Callable[[], Forecaster]] = {
 }
 
 
-def ahead(at: int = TRAIN) -> dict[str, Array]:
+def ahead(at: int = TRAIN) -> dict[str, Any]:
     """Return what is known of the record from a sample on, for `predict`."""
-    whole = record()
-    assert whole.u is not None
-    assert whole.y_sim is not None
-    return {"u": whole.u[at:], "y_sim": whole.y_sim[at:]}
+    return known_after(record(), at)
 
 
 @cache

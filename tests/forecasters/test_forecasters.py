@@ -135,7 +135,8 @@ def test_no_forecast_depends_on_a_measured_sample_after_its_origin(name: str) ->
     """The names are asked the same in tests/models."""
     other = with_other_samples(record(), TRAIN)
     found = MADE[name]().fit(other[:TRAIN], seed=1)
-    np.testing.assert_array_equal(found.predict(STEPS, **ahead()).y, fitted(name).predict(STEPS, **ahead()).y)
+    expected = fitted(name).predict(STEPS, **ahead()).y
+    np.testing.assert_array_equal(found.predict(STEPS, **ahead()).y, expected)
     at = TRAIN + 5
     expected = fitted(name).predict(STEPS, record()[:at], **ahead(at)).y
     later = with_other_samples(record(), at)
@@ -182,21 +183,22 @@ def test_a_simulation_that_ends_too_early_for_its_clock_is_said_to(several: bool
         model = sb.Ensemble(model, 2)
     model.fit(whole[:200])
     with pytest.warns(ExtrapolationWarning, match="output ends too early for its calibration"):
-        found = model.predict(100)
+        found = model.predict(100, y_sim=y_sim[200:])
     (said,) = [text for text in found.warnings if "too early" in text]
     assert "clock 1.04" in said
     assert re.search(r"the last 1[0-3] of 100 samples", said)
-    assert not [text for text in model.predict(50).warnings if "too early" in text]
+    found = model.predict(50, y_sim=y_sim[200:])
+    assert not [text for text in found.warnings if "too early" in text]
 
 
 def test_a_late_simulator_runs_on_with_the_inputs_that_are_known_after_the_forecast() -> None:
-    """As those of a slice of a longer record; without them it says that its end is held."""
+    """Without them it says that its end is held."""
     u = np.sin(0.3 * np.arange(300.0))[:, None]
     whole = Record(np.roll(u, -3), DT, u=u)
     late = sb.Function(lambda time, u: u)
     model = sb.Calibrated(late, terms=["delay"]).fit(whole[:200])
-    longer, found = model.predict(50, whole[:220]).y, model.predict(10, whole[:220])
-    np.testing.assert_allclose(found.y, longer[:10], rtol=0, atol=1e-6)
+    longer, found = (model.predict(steps, whole[:220], u=u[220:]) for steps in (50, 10))
+    np.testing.assert_allclose(found.y, longer.y[:10], rtol=0, atol=1e-6)
     assert not found.warnings
     with pytest.warns(ExtrapolationWarning, match="for the last 3 of 10 samples"):
         model.predict(10, whole[:220], u=u[220:230])

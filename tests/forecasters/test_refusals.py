@@ -80,7 +80,7 @@ def mean() -> Forecaster:
         (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
         (lambda: SETUP.forecaster("filtered-gru").fit(plain()), "filtered-gru needs a simulator, "),
         (
-            lambda: fitted("residual-rnn").predict(5, interrupted()),
+            lambda: fitted("residual-rnn").predict(5, interrupted(), u=np.ones(5)),
             "history must have 8 measured samples in a row .*, got 15 samples, of which 14",
         ),
         (lambda: mean().predict(5, untyped(record().y)), "history must be a Record, got ndarray"),

@@ -205,7 +205,7 @@ def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
     missing = int((found.positions(SAMPLES, DT) > SAMPLES + spare - 0.5).sum())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        prediction = model.predict(SAMPLES - TRAIN)
+        prediction = model.predict(SAMPLES - TRAIN, y_sim=y_sim[TRAIN:])
     said = [str(w.message) for w in caught]
     assert len(said) == (1 if missing else 0)
     assert not missing or f"for the last {missing} of {SAMPLES - TRAIN} samples" in said[0]
