@@ -100,7 +100,7 @@ _ROWS = ("ii", "iii", "iv")
 def _measured(job: RecordJob) -> Facts:
     if job.path.exists():
         return dict(json.loads(job.path.read_text(encoding="utf-8")))
-    record = replace(job.record(), y_sim=None, beyond=None, y_true=None)
+    record = replace(job.record(), y_sim=None, y_true=None)
     comparison = _comparison(record, job)
     settled = comparison.require_trial()
     # A method may fail on the shorter held-out fits alone: it has no interval then.

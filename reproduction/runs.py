@@ -217,7 +217,7 @@ def run(job: Job, record: Record, setup: Setup) -> tuple[Fit, float | None]:
     forecaster.check(record[: setup.train])
     first = first_origin(record, setup.train, setup.settings.warmup)
     forecast = Origin(setup.train, setup.train)
-    spec = BacktestSpec(record, [first, forecast], len(record))
+    spec = BacktestSpec(record, [first, forecast])
     done = backtest(forecaster, spec, job.seed)
     sliced = None
     if job.splits:

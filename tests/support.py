@@ -56,7 +56,7 @@ def asked(
         Origin(setup.train, setup.train),
         *(Origin(setup.train, at) for at in later),
     }
-    return backtest(forecaster, BacktestSpec(record, sorted(origins), len(record), others), seed)
+    return backtest(forecaster, BacktestSpec(record, sorted(origins), others), seed)
 
 
 def compare(
@@ -68,6 +68,14 @@ def compare(
 ) -> Comparison:
     """Methods by name, under both protocols, trained as the setup says."""
     return compared(record, setup.train, names, seeds=seeds, **setup.options, **options)
+
+
+def known_after(record: Record, at: int) -> dict[str, Any]:
+    """Return inputs and simulator's output of a record from a sample on, for `predict`."""
+    return {
+        name: None if signal is None else signal[at:]
+        for name, signal in (("u", record.u), ("y_sim", record.y_sim))
+    }
 
 
 def with_other_samples(record: Record, start: int, stop: int | None = None) -> Record:

@@ -14,6 +14,7 @@ from benchmarks.linear import structure
 from splitband import Record, TrainingSettings
 from splitband.baselines.delays import delayed, input_delays
 from splitband.metrics import leaves_range, rmse
+from tests.support import known_after
 
 Array = npt.NDArray[np.float64]
 TRAIN, SAMPLES, DT = 600, 900, 0.02
@@ -39,7 +40,7 @@ def model() -> sb.Linear:
 def test_a_late_input_costs_no_accuracy(model: sb.Linear) -> None:
     """As little noise is left as with an input that acts at once."""
     record: Any = late(20)
-    y = model.predict(SAMPLES - TRAIN, record[:TRAIN]).y
+    y = model.predict(SAMPLES - TRAIN, u=record.u[TRAIN:]).y
     assert model.delays == (20,)
     assert "dead time u 19 samples (0.38 s; its impulse response begins at sample 20)" in (
         model.describe()
@@ -69,7 +70,7 @@ def test_a_delay_is_found_although_the_state_at_the_beginning_is_forgotten_withi
     record = Record(y + 0.01 * rng.standard_normal(SAMPLES), DT, u=u)
     model = sb.Linear().fit(record[:TRAIN])
     assert model.delays == (40,)
-    ahead = model.predict(SAMPLES - TRAIN, record[:TRAIN]).y
+    ahead = model.predict(SAMPLES - TRAIN, u=u[TRAIN:]).y
     assert rmse(np.asarray(ahead), y[TRAIN:, None]) < 2e-3
 
 
@@ -159,11 +160,12 @@ def test_a_network_sees_what_acts_late_when_it_acts(tmp_path: Path) -> None:
     shifted = Record(record.y, DT, u=delayed(record.u, (20,)))
     by_hand = sb.Single(sb.GRU(3), TrainingSettings.paper(60, 10, 1)).fit(shifted[:TRAIN], seed=1)
     assert by_hand.delays == (0,)
-    y = model.predict(50).y
-    np.testing.assert_array_equal(y, by_hand.predict(50).y)
+    y = model.predict(50, u=record.u[TRAIN:]).y
+    np.testing.assert_array_equal(y, by_hand.predict(50, **known_after(shifted, TRAIN)).y)
     at = TRAIN + 9
     np.testing.assert_array_equal(
-        model.predict(50, record[:at]).y, by_hand.predict(50, shifted[:at]).y
+        model.predict(50, record[:at], **known_after(record, at)).y,
+        by_hand.predict(50, shifted[:at], **known_after(shifted, at)).y,
     )
     model.save(tmp_path / "model")
     loaded = sb.load(tmp_path / "model")

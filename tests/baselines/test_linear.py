@@ -20,6 +20,7 @@ from splitband.baselines.linear import LinearModel
 from splitband.baselines.refinement import Blocks
 from splitband.metrics import fit_percent
 from splitband.runtime.deadlines import Deadline, current, within
+from tests.support import known_after
 
 Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
@@ -442,5 +443,5 @@ def test_a_slow_pole_that_the_record_does_not_determine_is_no_integrator() -> No
     model = sb.Linear().fit(record)
     assert (abs(model.poles()) < 1).all()
     with pytest.warns(sb.ExtrapolationWarning):  # the test's input goes a little beyond
-        y = model.predict(len(test) - 50, history=test[:50], other_record=True).y
+        y = model.predict(len(test) - 50, test[:50], **known_after(test, 50), other_record=True).y
     assert fit_percent(test.y[50:], y)[0] > 60

@@ -13,6 +13,7 @@ import splitband as sb
 from benchmarks import residuals
 from splitband.checks.residuals import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.prediction import ForecastContext
+from tests.support import known_after
 
 Array = npt.NDArray[np.float64]
 
@@ -199,7 +200,7 @@ def test_a_good_model_is_accepted_with_its_fits_on_a_record_with_gaps() -> None:
     assert found.accepted
     assert [*found.fits] == ["simulation", "1 step ahead", "10 steps ahead"]
     (fit,) = found.fits["simulation"]
-    simulated = model.predict(350, other[:50], other_record=True).y
+    simulated = model.predict(350, other[:50], **known_after(other, 50), other_record=True).y
     assert fit == pytest.approx(sb.fit_percent(gaps.y_with_gaps[50:], simulated)[0])
     assert "stays in range" in str(found)
 

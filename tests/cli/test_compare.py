@@ -145,8 +145,8 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
 
 def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None:
     call("compare record.csv --columns a,b --inputs force "
-         f"--methods euler-mlp,split-gru,persistence {QUICK} --seeds 2 --jobs 1 --lr-milestones 1:1e-4 --order 2 "
-         "--cutoff 1", tmp_path)  # fmt: skip
+         f"--methods euler-mlp,split-gru,persistence {QUICK} --seeds 2 --jobs 1 "
+         "--lr-milestones 1:1e-4 --order 2 --cutoff 1", tmp_path)  # fmt: skip
     found = results(tmp_path)
     assert (found["record"]["columns"], found["record"]["inputs"]) == (["a", "b"], 1)
     assert found["settings"]["settings"]["milestones"] == [[1, 1e-4]]

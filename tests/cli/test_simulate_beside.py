@@ -64,9 +64,8 @@ def test_the_file_stands_for_the_simulator(what: str) -> None:
     assert main(shlex.split(line)) == 0
     found = simulated(record, open_simulator("ran.csv", record), longer=True)
     np.testing.assert_array_equal(found.y_sim, expected.y_sim)
-    assert (found.beyond is None) == (expected.beyond is None) == (inputs is not None)
-    if found.beyond is not None:
-        np.testing.assert_array_equal(found.beyond, expected.beyond)
+    assert expected.y_sim is not None
+    assert (len(expected.y_sim) > len(record)) == (inputs is None)
     for each in ("rig.py", "ode.py"):
         Path(each).unlink()
     line = f"fit rig.csv {columns} --method simulator-calibrated --simulator ran.csv --out model"

@@ -42,7 +42,8 @@ def test_python_takes_what_the_command_line_names(simulator: str) -> None:
 def test_a_named_record_runs_its_own_simulator_for_a_calibration() -> None:
     plan = planned(Request("van-der-pol", methods="filtered-gru,simulator-calibrated"))
     assert plan.names == ["filtered-gru", "simulator-calibrated"]
-    assert plan.record.beyond is not None
+    assert plan.record.y_sim is not None
+    assert len(plan.record.y_sim) > len(plan.record)
 
 
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Further training records are for baselines, too; and what cannot be fitted has a reason."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from splitband.baselines.identification import identified
 from splitband.comparison.candidates import candidates
 from splitband.metrics import ExtrapolationWarning, rmse
 from tests.records import Setup
-from tests.support import compare
+from tests.support import compare, known_after
 
 SHORT = TrainingSettings.paper(40, 10, 1)
 SETUP = Setup(300, SHORT, Bands(0.6, 1, 2))
@@ -38,7 +39,7 @@ def test_baselines_learn_from_all_records(linear: sb.Linear) -> None:
     (mean,) = found.fits["mean"]
     both = np.concatenate([STILL.y[:300], MOVED.y]).mean()
     assert mean.tests[0].y[0, 0] == pytest.approx(both)
-    y = linear.predict(390, TEST[:10], other_record=True).y
+    y = linear.predict(390, TEST[:10], **known_after(TEST, 10), other_record=True).y
     assert rmse(np.asarray(y), TEST.y[10:]) < 0.1 * found.errors(mean).tests[0]
 
 
@@ -46,9 +47,9 @@ def test_baselines_learn_from_all_records(linear: sb.Linear) -> None:
 def test_an_input_within_the_range_of_any_training_record_is_not_warned_of(
     linear: sb.Linear,
 ) -> None:
-    assert not linear.predict(20, MOVED[:300]).warnings
+    assert not linear.predict(20, MOVED[:300], **known_after(MOVED, 300)).warnings
     with pytest.warns(ExtrapolationWarning, match="input u"):
-        sb.Linear().fit(STILL).predict(20, MOVED[:300])
+        sb.Linear().fit(STILL).predict(20, MOVED[:300], **known_after(MOVED, 300))
 
 
 def test_what_depends_on_the_time_says_that_it_knows_but_one_record() -> None:
@@ -59,8 +60,9 @@ def test_what_depends_on_the_time_says_that_it_knows_but_one_record() -> None:
 
 def test_a_network_stands_on_a_linear_model_of_all_records(linear: sb.Linear) -> None:
     model = sb.Residual(sb.Linear(), sb.GRU(3), settings=SHORT).fit(STILL, MOVED)
-    expected = linear.predict(30, TEST[:50], other_record=True).y
-    slow = model.predict(30, TEST[:50], other_record=True).components["linear"]
+    known: Any = {"history": TEST[:50], "u": known_after(TEST, 50)["u"], "other_record": True}
+    expected = linear.predict(30, **known).y
+    slow = model.predict(30, **known).components["linear"]
     np.testing.assert_allclose(slow, np.reshape(expected, slow.shape))
 
 

@@ -22,7 +22,7 @@ from tests.support import slowed
 
 def job() -> Job:
     origins = [Origin(TRAIN, 12), Origin(TRAIN, TRAIN)]
-    spec = BacktestSpec(record(), origins, LENGTH, tests=[record(seed=1)], warmup=12)
+    spec = BacktestSpec(record(), origins, tests=[record(seed=1)], warmup=12)
     return Job(SETUP.forecaster("filtered-gru"), spec)
 
 
@@ -51,13 +51,13 @@ def test_a_job_that_is_not_begun_in_time_says_so_unless_it_is_needed() -> None:
 @pytest.mark.parametrize("origin", [(80, LENGTH + 1), (0, 50), (80, 0)])
 def test_an_origin_is_inside_of_the_record(origin: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="origins must have fitted > 0 and 0 < at <= "):
-        BacktestSpec(record(), [Origin(*origin)], LENGTH + 50)
+        BacktestSpec(record(), [Origin(*origin)])
 
 
 def test_a_model_from_a_worker_holds_the_record_and_no_copy_of_it() -> None:
     """Of a million samples, a copy for each training was most of the memory."""
     long = Record(np.arange(150_000.0), 0.1)
-    spec = BacktestSpec(long, [Origin(140_000, 100), Origin(140_000, 140_000)], len(long))
+    spec = BacktestSpec(long, [Origin(140_000, 100), Origin(140_000, 140_000)])
     asked = Job(Mean(), spec)
     with Runner(2) as runner:
         runner.begin([asked], NEVER)

@@ -9,13 +9,13 @@ import pytest
 
 from splitband.data import Record
 from splitband.runtime.arrays import Array
-from tests.data.support import RNG, STEP, U, Y
+from tests.data.support import STEP, U, Y
 
 
 def test_signals_become_read_only_matrices() -> None:
     assert Record(np.asfortranarray(Y), STEP).y.flags.c_contiguous
     y: Any = np.arange(5, dtype=np.float32)
-    trajectory = Record(y, 0.5, u=np.ones((5, 3)), y_sim=y + 1, beyond=y[:2], name="demo")
+    trajectory = Record(y, 0.5, u=np.ones((5, 3)), y_sim=y + 1, name="demo")
     assert trajectory.y.shape == (5, 1)
     assert trajectory.y.dtype == np.float64
     assert trajectory.y.flags.c_contiguous
@@ -24,7 +24,7 @@ def test_signals_become_read_only_matrices() -> None:
     np.testing.assert_array_equal(trajectory.time, [0.0, 0.5, 1.0, 1.5, 2.0])
     assert (trajectory.columns, Record(Y, STEP).columns) == (("y",), ("y0", "y1"))
     assert Record(Y, STEP).nu == 0
-    for signal in (trajectory.y, trajectory.u, trajectory.y_sim, trajectory.beyond):
+    for signal in (trajectory.y, trajectory.u, trajectory.y_sim):
         assert signal is not None
         assert signal.dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):
@@ -41,8 +41,6 @@ def test_slices_and_replacements_share_what_nobody_can_change() -> None:
     part = replace(whole[5:30], name="part")
     for name in ("y", "u", "y_sim"):
         assert np.shares_memory(getattr(part, name), getattr(whole, name))
-    assert part.u_beyond is not None
-    assert np.shares_memory(part.u_beyond, whole.u)
     seen = y[:, None].view()  # of what its owner can still change
     seen.setflags(write=False)
     copied = Record(seen, 0.1)
@@ -51,7 +49,8 @@ def test_slices_and_replacements_share_what_nobody_can_change() -> None:
 
 
 def test_slices_cut_every_signal() -> None:
-    whole = Record(Y, STEP, u=U, y_true=Y + 1, y_sim=Y + 2, name="n", columns=("a", "b"))
+    longer = np.concatenate([Y, Y]) + 2
+    whole = Record(Y, STEP, u=U, y_true=Y + 1, y_sim=longer, name="n", columns=("a", "b"))
     part = whole[10:-5]
     np.testing.assert_array_equal(part.y, Y[10:-5])
     np.testing.assert_array_equal(part.u, U[10:-5, None])
@@ -60,23 +59,7 @@ def test_slices_cut_every_signal() -> None:
     assert (part.name, part.columns, part.sampling_time) == ("n", ("a", "b"), STEP)
     assert len(whole[:7]) == 7
     assert part.time[0] == 0.0
-    np.testing.assert_array_equal(part.u_beyond, U[-5:, None])
-    np.testing.assert_array_equal(part[:20].u_beyond, U[30:, None])
-
-
-@pytest.mark.parametrize("later", [0, 6])
-@pytest.mark.parametrize("key", [slice(None, 12), slice(5, 30), slice(-9, -4), slice(3, None)])
-def test_a_slice_hands_what_the_simulator_says_after_it_to_beyond(key: slice, later: int) -> None:
-    simulated = RNG.standard_normal((40 + later, 2))
-    whole = Record(Y, STEP, y_sim=simulated[:40], beyond=simulated[40:] if later else None)
-    for part, rows in ((whole[key], range(40)[key]), (whole[:30][5:20], range(5, 20))):
-        np.testing.assert_array_equal(part.y_sim, simulated[rows])
-        following = simulated[rows[-1] + 1 :]
-        if len(following):
-            np.testing.assert_array_equal(part.beyond, following)
-        else:
-            assert part.beyond is None
-    assert Record(Y, STEP)[key].beyond is None
+    np.testing.assert_array_equal(whole[3:].y_sim, longer[3 : len(Y)])
 
 
 @pytest.mark.parametrize(
@@ -111,11 +94,9 @@ def with_bad(*cells: tuple[int, int], value: float = np.nan) -> Array:
         ({"u": with_bad((5, 1))}, "bad value, the first (nan) at row 5, column 'u1'"),
         ({"y_sim": with_bad((5, 1))}, "y_sim must be finite"),
         ({"u": np.ones(39)}, "u must have the shape (40, any number): its shape is (39, 1)"),
-        ({"y_sim": np.ones(40)}, "y_sim must have the shape (40, 2): its shape is (40, 1)"),
+        ({"y_sim": np.ones(40)}, "y_sim must have the shape (40 or more, 2): its shape is (40, 1)"),
         ({"y_true": np.ones((41, 2))}, "y_true must have the shape (40, 2)"),
-        ({"beyond": np.ones((3, 2))}, "beyond must go on from y_sim, which is not given"),
-        ({"y_sim": Y, "beyond": np.ones(3)}, "beyond must have the shape (any time, 2): its"),
-        ({"y_sim": Y, "beyond": with_bad((4, 1))}, "beyond must be finite: 1 bad value, the first"),
+        ({"y_sim": Y[1:]}, "y_sim must have the shape (40 or more, 2): its shape is (39, 2)"),
         ({"y": [1.0]}, "y must have at least 2 samples: it has 1"),
         ({"y": np.ones((4, 2, 2))}, "its shape is (4, 2, 2)"),
         ({"y": 3.0}, "its shape is ()"),

@@ -316,8 +316,9 @@ def test_measured_values_survive_a_longer_step() -> None:
     expected = pd.Series(holed).groupby(np.arange(n) // 10).mean()
     np.testing.assert_allclose(record.y_with_gaps[:, 0], expected, rtol=1e-12)
     assert np.isnan(record.y_with_gaps).sum() == 1
+    assert record.u is not None
     model = sb.Linear().fit(record[:450])
-    assert sb.fit_percent(y[4500::10], model.predict(150).y[:, 0]) > 95
+    assert sb.fit_percent(y[4500::10], model.predict(150, u=record.u[450:]).y[:, 0]) > 95
 
 
 def test_a_record_without_a_measured_sample_is_refused() -> None:
@@ -329,5 +330,5 @@ def test_a_record_without_a_measured_sample_is_refused() -> None:
     y = np.column_stack([scipy.signal.lfilter([0, 1 - a], [1, -a], u) for a in (0.9, 0.95)])
     noisy = y + 0.01 * np.random.default_rng(1).standard_normal(y.shape)
     turns = np.where(np.arange(800)[:, None] % 2 == [0, 1], noisy, np.nan)  # never at one time
-    found = sb.Linear().fit(sb.Record.with_gaps(turns, 0.1, u=u)[:600]).predict(200)
+    found = sb.Linear().fit(sb.Record.with_gaps(turns, 0.1, u=u)[:600]).predict(200, u=u[600:])
     assert sb.fit_percent(y[600:], found.y).min() > 95

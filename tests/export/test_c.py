@@ -149,7 +149,7 @@ def test_a_program_takes_what_is_measured_and_prepares_it(tmp_path: Path) -> Non
     found = [
         compiled.step(2, u, y_sim) for u, y_sim in zip(raw.u[190:], raw.y_sim[190:], strict=True)
     ]
-    wanted = model.predict(70, raw[:190]).y
+    wanted = model.predict(70, raw[:190], raw.u[190:], raw.y_sim[190:]).y
     assert np.abs(np.stack(found) - wanted).max() < 1e-9 * np.std(raw.y)
 
 

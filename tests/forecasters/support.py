@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, TrainingSettings
 from splitband.comparison.methods import QUICK, Sizes
 from tests.records import Setup
+from tests.support import known_after
 
 Array = npt.NDArray[np.float64]
 DT, TRAIN, LENGTH, WARMUP, STEPS = 0.1, 60, 100, 8, 20
@@ -71,6 +73,11 @@ MADE: dict[str, Callable[[], Forecaster]] = {
         sb.Filtered(sb.Calibrated(recorded()), GRU(3), BANDS, settings=SETTINGS), 2
     ),
 }
+
+
+def ahead(at: int = TRAIN) -> dict[str, Any]:
+    """Return what is known of the record from a sample on, for `predict`."""
+    return known_after(record(), at)
 
 
 @cache

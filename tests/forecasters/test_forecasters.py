@@ -21,6 +21,7 @@ from tests.forecasters.support import (
     START,
     STEPS,
     TRAIN,
+    ahead,
     fitted,
     record,
 )
@@ -29,13 +30,13 @@ from tests.support import with_other_samples
 
 @pytest.mark.parametrize("name", MADE)
 def test_it_goes_on_from_the_end_of_the_training_record(name: str) -> None:
-    found = fitted(name).predict(STEPS)
+    found = fitted(name).predict(STEPS, **ahead())
     assert found.y.shape == (STEPS, 1)
     assert np.isfinite(found.y).all()
     assert (found.time == record().stamps[TRAIN : TRAIN + STEPS]).all()
     if found.components:
         np.testing.assert_allclose(sum(found.components.values()), found.y, atol=1e-12)
-    again = fitted(name).predict(STEPS, record()[:TRAIN])
+    again = fitted(name).predict(STEPS, record()[:TRAIN], **ahead())
     np.testing.assert_array_equal(again.y, found.y)
 
 
@@ -52,19 +53,14 @@ def test_it_goes_on_from_the_end_of_the_training_record(name: str) -> None:
 )
 def test_the_slow_component_of_a_hybrid_is_labelled_by_its_base(name: str, slow: str) -> None:
     band = ", high band" if "low band" in slow else ""
-    assert [*fitted(name).predict(STEPS).components] == [slow, f"network{band}"]
+    assert [*fitted(name).predict(STEPS, **ahead()).components] == [slow, f"network{band}"]
 
 
 @pytest.mark.parametrize("name", MADE)
 def test_it_goes_on_from_another_origin(name: str) -> None:
     at = TRAIN + 7
-    found = fitted(name).predict(STEPS, record()[:at])
+    found = fitted(name).predict(STEPS, record()[:at], **ahead(at))
     assert (found.time == record().stamps[at : at + STEPS]).all()
-    given: Any = record()[:at]
-    bare = replace(given, u_beyond=None, beyond=None)
-    y_sim = given.beyond if "simulator" in fitted(name).needs else None
-    said = fitted(name).predict(STEPS, bare, u=given.u_beyond[:STEPS, 0], y_sim=y_sim)
-    np.testing.assert_array_equal(said.y, found.y)
 
 
 # A linear model's state is estimated from all of the history: see test_histories.
@@ -75,8 +71,8 @@ def test_it_goes_on_from_another_origin(name: str) -> None:
 def test_by_its_time_stamps_it_is_known_where_a_history_lies(name: str) -> None:
     """The end of a history says what all of it does, for what needs no more than the end."""
     at, begin = TRAIN + 7, 30
-    whole = fitted(name).predict(STEPS, record()[:at])
-    part = fitted(name).predict(STEPS, record()[begin:at])
+    whole = fitted(name).predict(STEPS, record()[:at], **ahead(at))
+    part = fitted(name).predict(STEPS, record()[begin:at], **ahead(at))
     assert (part.time == whole.time).all()
     # The spline through a calibrated simulator's output bends a little where it begins.
     np.testing.assert_allclose(part.y, whole.y, rtol=0, atol=1e-5)
@@ -94,14 +90,12 @@ def test_by_its_time_stamps_it_is_known_where_a_history_lies(name: str) -> None:
 def test_saved_and_loaded_it_says_the_same_to_the_bit(name: str, tmp_path: Path) -> None:
     """From its own end and from another history, with its interval; and saves the same again."""
     saved = copy.copy(fitted(name))
-    given: Any = record()[:TRAIN]
-    y_sim = given.beyond if "simulator" in saved.needs else None
     later = record()[20 : TRAIN + 7]
 
     def asked(forecaster: Forecaster) -> list[Any]:
         return [
-            forecaster.predict(STEPS, u=given.u_beyond, y_sim=y_sim, level=0.9),
-            forecaster.predict(STEPS, later, level=0.9),
+            forecaster.predict(STEPS, **ahead(), level=0.9),
+            forecaster.predict(STEPS, later, **ahead(TRAIN + 7), level=0.9),
         ]
 
     expected = asked(saved)
@@ -131,10 +125,9 @@ def test_a_simulation_that_is_late_is_loaded_with_what_it_needs_of_the_past(tmp_
     """A forecast begins with what the simulator said before the end of the training record."""
     simulation = sb.Calibrated(terms=("delay",)).fit(record()[:TRAIN])
     assert simulation.applied.delay
-    r: Any = record()[:TRAIN]
     simulation.save(tmp_path / "model")
-    found = sb.load(tmp_path / "model").predict(STEPS, u=r.u_beyond, y_sim=r.beyond)
-    np.testing.assert_array_equal(found.y, simulation.predict(STEPS).y)
+    found = sb.load(tmp_path / "model").predict(STEPS, **ahead())
+    np.testing.assert_array_equal(found.y, simulation.predict(STEPS, **ahead()).y)
 
 
 @pytest.mark.parametrize("name", ["ensemble", "filtered linear", "filtered, simulator of its own"])
@@ -142,11 +135,12 @@ def test_no_forecast_depends_on_a_measured_sample_after_its_origin(name: str) ->
     """The names are asked the same in tests/models."""
     other = with_other_samples(record(), TRAIN)
     found = MADE[name]().fit(other[:TRAIN], seed=1)
-    np.testing.assert_array_equal(found.predict(STEPS).y, fitted(name).predict(STEPS).y)
+    expected = fitted(name).predict(STEPS, **ahead()).y
+    np.testing.assert_array_equal(found.predict(STEPS, **ahead()).y, expected)
     at = TRAIN + 5
-    expected = fitted(name).predict(STEPS, record()[:at]).y
+    expected = fitted(name).predict(STEPS, record()[:at], **ahead(at)).y
     later = with_other_samples(record(), at)
-    np.testing.assert_array_equal(found.predict(STEPS, later[:at]).y, expected)
+    np.testing.assert_array_equal(found.predict(STEPS, later[:at], **ahead(at)).y, expected)
 
 
 @pytest.mark.parametrize(
@@ -160,9 +154,9 @@ def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
     again = untrained.fit(record()[:TRAIN], seed=1)
     assert torch.equal(torch.get_rng_state(), before)
     other = MADE[name]().fit(record()[:TRAIN], seed=5)
-    expected = fitted(name).predict(STEPS).y
-    np.testing.assert_array_equal(again.predict(STEPS).y, expected)
-    assert not np.array_equal(other.predict(STEPS).y, expected)
+    expected = fitted(name).predict(STEPS, **ahead()).y
+    np.testing.assert_array_equal(again.predict(STEPS, **ahead()).y, expected)
+    assert not np.array_equal(other.predict(STEPS, **ahead()).y, expected)
 
 
 @pytest.mark.parametrize(
@@ -171,8 +165,8 @@ def test_a_seed_says_what_the_first_weights_are(name: str) -> None:
 def test_an_ensemble_says_the_median_of_its_members(options: Any, seeds: tuple[int, ...]) -> None:
     """Their seeds can be chosen; those of two fits share none."""
     part, single = record()[:TRAIN], sb.Single(GRU(3), SETTINGS)
-    members = [single.clone().fit(part, seed=s).predict(STEPS).y for s in seeds]
-    found = sb.Ensemble(single, **options).fit(part, seed=1).predict(STEPS)
+    members = [single.clone().fit(part, seed=s).predict(STEPS, **ahead()).y for s in seeds]
+    found = sb.Ensemble(single, **options).fit(part, seed=1).predict(STEPS, **ahead())
     np.testing.assert_allclose(found.y, np.median(members, axis=0), rtol=0, atol=1e-12)
 
 
@@ -189,21 +183,22 @@ def test_a_simulation_that_ends_too_early_for_its_clock_is_said_to(several: bool
         model = sb.Ensemble(model, 2)
     model.fit(whole[:200])
     with pytest.warns(ExtrapolationWarning, match="output ends too early for its calibration"):
-        found = model.predict(100)
+        found = model.predict(100, y_sim=y_sim[200:])
     (said,) = [text for text in found.warnings if "too early" in text]
     assert "clock 1.04" in said
     assert re.search(r"the last 1[0-3] of 100 samples", said)
-    assert not [text for text in model.predict(50).warnings if "too early" in text]
+    found = model.predict(50, y_sim=y_sim[200:])
+    assert not [text for text in found.warnings if "too early" in text]
 
 
 def test_a_late_simulator_runs_on_with_the_inputs_that_are_known_after_the_forecast() -> None:
-    """As those of a slice of a longer record; without them it says that its end is held."""
+    """Without them it says that its end is held."""
     u = np.sin(0.3 * np.arange(300.0))[:, None]
     whole = Record(np.roll(u, -3), DT, u=u)
     late = sb.Function(lambda time, u: u)
     model = sb.Calibrated(late, terms=["delay"]).fit(whole[:200])
-    longer, found = model.predict(50, whole[:220]).y, model.predict(10, whole[:220])
-    np.testing.assert_allclose(found.y, longer[:10], rtol=0, atol=1e-6)
+    longer, found = (model.predict(steps, whole[:220], u=u[220:]) for steps in (50, 10))
+    np.testing.assert_allclose(found.y, longer.y[:10], rtol=0, atol=1e-6)
     assert not found.warnings
     with pytest.warns(ExtrapolationWarning, match="for the last 3 of 10 samples"):
         model.predict(10, whole[:220], u=u[220:230])
@@ -273,7 +268,7 @@ def test_every_level_follows_from_forecasts_that_are_made_once(
         learn(self, *arguments, **named)
 
     monkeypatch.setattr(sb.Single, "learn", counted)
-    u = record()[:TRAIN].u_beyond
+    u = ahead()["u"]
     expected = {level: model.predict(STEPS, u=u, level=level).upper for level in (0.9, 0.5)}
     model.save(tmp_path / "model")
     loaded = sb.load(tmp_path / "model")

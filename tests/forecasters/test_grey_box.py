@@ -50,7 +50,7 @@ def test_it_forecasts_from_the_end_of_its_training_record(model: sb.GreyBox) -> 
     record = driven(0)
     found = model.predict(100, u=inputs(record)[300:])
     np.testing.assert_allclose(found.y, record.truth[300:], atol=0.01)
-    later = model.predict(STEPS, record[:320])
+    later = model.predict(STEPS, record[:320], inputs(record)[320:])
     np.testing.assert_allclose(later.y, record.truth[320:], atol=0.01)
     assert model.describe().startswith("k = ")
 
@@ -58,11 +58,12 @@ def test_it_forecasts_from_the_end_of_its_training_record(model: sb.GreyBox) -> 
 @pytest.mark.parametrize("warmup", [5, 100])
 def test_another_record_begins_in_a_state_of_its_own(model: sb.GreyBox, warmup: int) -> None:
     record = driven(1, state=(2.0, -1.0))
-    found = model.predict(STEPS, record[:warmup], other_record=True)
+    coming = inputs(record)[warmup:]
+    found = model.predict(STEPS, record[:warmup], coming, other_record=True)
     expected = record.truth[warmup : warmup + STEPS]
     assert sb.nrmse(expected, found.y) < (0.1 if warmup < 10 else 0.02)
     # Its time stamps are those of the training record, its inputs are not.
-    np.testing.assert_allclose(model.predict(STEPS, record[:warmup]).y, found.y, atol=0.05)
+    np.testing.assert_allclose(model.predict(STEPS, record[:warmup], coming).y, found.y, atol=0.05)
 
 
 def test_a_wrong_model_goes_on_from_what_was_measured_last() -> None:
@@ -134,7 +135,7 @@ def test_a_detrended_record_is_refused_beside_a_simulator_of_its_own() -> None:
         with pytest.raises(ValueError, match="record must not be detrended for"):
             model.fit(record.detrend())
     given = replace(record, y_sim=record.y)
-    found = sb.Simulation().fit(given.detrend()[:300]).predict(3, given[:300])
+    found = sb.Simulation().fit(given.detrend()[:300]).predict(3, given[:300], y_sim=record.y[300:])
     np.testing.assert_allclose(found.y, record.y[300:303])
 
 
@@ -159,8 +160,8 @@ def test_a_loaded_one_asks_for_its_equation_whatever_it_is_asked(
     model.save(tmp_path)
     loaded, record = sb.load(tmp_path), driven(3)
     for ask in (
-        lambda: loaded.predict(STEPS, record[:100], other_record=True),
-        lambda: loaded.predict(STEPS, record[:100]),
+        lambda: loaded.predict(STEPS, record[:100], inputs(record)[100:], other_record=True),
+        lambda: loaded.predict(STEPS, record[:100], inputs(record)[100:]),
         lambda: loaded.stream(record[:100], other_record=True).step([0.0]),
         lambda: sb.check(loaded, record),
         lambda: loaded.fit(record),

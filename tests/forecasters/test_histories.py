@@ -11,6 +11,7 @@ import splitband as sb
 from benchmarks import kinds as records
 from splitband import Record, TrainingSettings
 from splitband.metrics import ExtrapolationWarning, rmse, spread
+from tests.support import known_after
 
 STEPS, BEGUN = 300, 200
 
@@ -38,7 +39,9 @@ def test_the_state_of_another_run_is_that_of_its_history(
 ) -> None:
     other = run(1, -1.5, start)
     for other_record in (False, True):
-        y = linear.predict(STEPS, other[:samples], other_record=other_record).y
+        y = linear.predict(
+            STEPS, other[:samples], **known_after(other, samples), other_record=other_record
+        ).y
         assert rmse(np.asarray(y), other.truth[samples : samples + STEPS]) < 0.02
 
 
@@ -46,7 +49,7 @@ def test_so_it_is_for_a_network_on_a_linear_model() -> None:
     model = sb.Residual(sb.Linear(), sb.GRU(3), settings=TrainingSettings.paper(40, 10, 1))
     model.fit(run(0, 0.0))
     other = run(1, 4.0)
-    slow = model.predict(STEPS, other[:BEGUN]).components["linear"]
+    slow = model.predict(STEPS, other[:BEGUN], **known_after(other, BEGUN)).components["linear"]
     assert rmse(slow, other.truth[BEGUN : BEGUN + STEPS]) < 0.02
 
 
@@ -60,7 +63,7 @@ def test_noise_does_not_move_the_state_of_the_training_record(make: Any, at: int
     model = sb.Linear().fit(record[:1200])
     scale = spread(record.truth)
     expected = rmse((model.model.simulate(record.u) / scale)[at:], (record.truth / scale)[at:])
-    y = np.asarray(model.predict(len(record) - at, record[:at]).y)
+    y = np.asarray(model.predict(len(record) - at, record[:at], **known_after(record, at)).y)
     found = rmse(y.reshape(-1, record.ny) / scale, (record.truth / scale)[at:])
     assert found <= 1.01 * expected
 
@@ -68,8 +71,9 @@ def test_noise_does_not_move_the_state_of_the_training_record(make: Any, at: int
 def test_a_few_samples_of_another_run_do_not_make_up_a_state() -> None:
     """Least squares alone has an error of 0.72 deviations here."""
     record = records.two_masses(np.random.default_rng(0))
+    coming = known_after(record, 1200)
     model, scale = sb.Linear().fit(record[:1200]), spread(record.truth)
-    y = np.asarray(model.predict(800, record[1195:1200], other_record=True).y)
+    y = np.asarray(model.predict(800, record[1195:1200], **coming, other_record=True).y)
     assert rmse(y / scale, record.truth[1200:] / scale) < 0.25
 
 

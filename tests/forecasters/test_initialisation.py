@@ -38,9 +38,10 @@ def test_before_training_it_forecasts_as_the_linear_model_does(
     model = sb.Single(sb.StateSpace(states, 6))._build(training, settings)
     begin_as_linear(model, [training], True, seed=0)
     history = record[TRAINED : TRAINED + warmup]
-    linear = sb.Linear().fit(training).predict(AHEAD, history, other_record=True)
     inputs = record.u
     assert inputs is not None
+    coming = inputs[TRAINED + warmup :]
+    linear = sb.Linear().fit(training).predict(AHEAD, history, coming, other_record=True)
     found = simulated(model, history.y, AHEAD, inputs[TRAINED : TRAINED + warmup + AHEAD])
     scale = training.y.std(axis=0)
     assert np.sqrt(np.mean(((found - linear.y) / scale) ** 2)) < 0.05

@@ -73,14 +73,14 @@ def mean() -> Forecaster:
         ),
         (
             lambda: fitted("simulator").predict(
-                9, replace(record()[:TRAIN], y_sim=None, beyond=None)
+                9, replace(record()[:TRAIN], y_sim=None), u=np.ones(9)
             ),
             "history must bring a simulator's output",
         ),
         (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
         (lambda: SETUP.forecaster("filtered-gru").fit(plain()), "filtered-gru needs a simulator, "),
         (
-            lambda: fitted("residual-euler-mlp").predict(5, interrupted()),
+            lambda: fitted("residual-euler-mlp").predict(5, interrupted(), u=np.ones(5)),
             "history must have 8 measured samples in a row .*, got 15 samples, of which 14",
         ),
         (lambda: mean().predict(5, untyped(record().y)), "history must be a Record, got ndarray"),
@@ -215,5 +215,5 @@ def test_a_whole_number_of_numpy_is_one(tmp_path: Path) -> None:
     settings = sb.TrainingSettings.paper(window=np.int64(20), warmup=three, epochs=1)  # type: ignore[arg-type]
     model = sb.Single(GRU(three), settings).fit(record()[:TRAIN], seed=three)  # type: ignore[arg-type]
     model.save(tmp_path)
-    u = record()[:TRAIN].u_beyond
+    u = np.ones(3)
     np.testing.assert_array_equal(sb.load(tmp_path).predict(3, u=u).y, model.predict(3, u=u).y)

@@ -23,7 +23,7 @@ import splitband as sb
 from splitband.forecasters import saving
 from splitband.forecasters.prediction import ForecastContext
 from tests.streams import Leaky
-from tests.support import edit
+from tests.support import edit, known_after
 
 Array = npt.NDArray[np.float64]
 DT, STEPS = 0.1, 20
@@ -37,8 +37,7 @@ SHORT = sb.TrainingSettings.paper(window=30, warmup=12, epochs=1)
 
 def ahead(model: sb.Forecaster, level: float | None = None) -> sb.Prediction:
     """Return a forecast from the end of the training record."""
-    y_sim = TRAIN.beyond if "simulator" in model.needs else None
-    return model.predict(STEPS, u=TRAIN.u_beyond, y_sim=y_sim, level=level)
+    return model.predict(STEPS, **known_after(RECORD, 120), level=level)
 
 
 @cache

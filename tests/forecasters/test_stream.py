@@ -71,8 +71,9 @@ def test_a_linear_model_finds_its_state_in_another_record() -> None:
     for samples in (4, 9, 40):
         other = record[170 : 170 + samples]
         stream = forecaster.stream(other, other_record=True)
-        found = np.stack([stream.step(u) for u in record.u[170 + samples : 190 + samples]])
-        wanted = forecaster.predict(20, other, other_record=True).y
+        coming = record.u[170 + samples : 190 + samples]
+        found = np.stack([stream.step(u) for u in coming])
+        wanted = forecaster.predict(20, other, coming, other_record=True).y
         assert np.abs(found - wanted).max() < 1e-9 * np.std(record.y)
 
 

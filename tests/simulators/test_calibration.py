@@ -61,7 +61,7 @@ def measured(
 
 
 def record(y: Array, y_sim: Array) -> Record:
-    return Record(y, DT, y_sim=y_sim[: len(y)], beyond=y_sim[len(y) :])
+    return Record(y, DT, y_sim=y_sim)
 
 
 def test_a_constant_simulator_is_fitted_by_the_mean() -> None:
@@ -135,7 +135,7 @@ def test_calibration_brings_the_simulator_of_system_v_closer() -> None:
     r = van_der_pol()
     model = Calibrated().fit(r[:600])
     with pytest.warns(ExtrapolationWarning, match="for the last 4 of 1400 samples"):
-        found = model.predict(1400)
+        found = model.predict(1400, y_sim=r.y_sim[600:])  # type: ignore[index]
     assert rmse(r.y[600:], found.y) == pytest.approx(0.264, abs=5e-4)
 
 
@@ -205,7 +205,7 @@ def test_a_simulation_that_ends_with_the_record_is_calibrated_all_the_same(
     missing = int((found.positions(SAMPLES, DT) > SAMPLES + spare - 0.5).sum())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        prediction = model.predict(SAMPLES - TRAIN)
+        prediction = model.predict(SAMPLES - TRAIN, y_sim=y_sim[TRAIN:])
     said = [str(w.message) for w in caught]
     assert len(said) == (1 if missing else 0)
     assert not missing or f"for the last {missing} of {SAMPLES - TRAIN} samples" in said[0]

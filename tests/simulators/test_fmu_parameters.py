@@ -9,6 +9,7 @@ import scipy
 import splitband as sb
 from splitband.simulators import Effort, identify
 from tests.simulators.fmus import COMPILES, built
+from tests.support import known_after
 
 pytest.importorskip("fmpy")
 if not COMPILES:
@@ -34,7 +35,7 @@ def measured(samples: int = 150) -> sb.Record:
 def test_two_parameters_are_found_and_it_forecasts_with_inputs(rig: Path) -> None:
     record = measured()
     model = sb.GreyBox(sb.Fmu(rig, parameters={"k": (0.4, 11.0), "x": (-2.0, 2.0)}), starts=6)
-    found = model.fit(record[:100]).predict(50, record[:100])
+    found = model.fit(record[:100]).predict(50, **known_after(record, 100))
     assert model.estimate.values == pytest.approx({"k": 4.0, "x": 1.0}, rel=0.01)
     assert sb.nrmse(record.y[100:], found.y) < 0.05
 

@@ -19,6 +19,7 @@ from splitband.checks.residuals import (
 from splitband.data import Record, require_records
 from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.held_out import after
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
     Extrapolation,
@@ -196,7 +197,7 @@ def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
         return None
     other = not forecaster.anchored
     with without_warnings(ExtrapolationWarning):
-        return forecaster.predict(len(record) - begin, record[:begin], other_record=other)
+        return forecaster.predict(**after(record, begin), other_record=other)
 
 
 def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tuple[float, ...]]:
@@ -206,7 +207,7 @@ def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tupl
     other, made = not forecaster.anchored, dict[int, Array]()
     for at in origins:
         try:
-            made[at] = forecaster.predict(max(AHEAD), record[:at], other_record=other).y
+            made[at] = forecaster.predict(**after(record, at, max(AHEAD)), other_record=other).y
         except ValueError:
             continue  # a gap in the warm-up
     fits = {}

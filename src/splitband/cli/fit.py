@@ -22,7 +22,7 @@ from splitband.comparison.run import fit as fit_planned
 from splitband.data.timing import as_json
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.held_out import held_out_of
+from splitband.forecasters.held_out import after, held_out_of
 from splitband.metrics import rmse
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
@@ -168,5 +168,5 @@ def _training_error(forecaster: Forecaster) -> float | None:
     if start == len(record):
         return None
     with printing.without_warnings():
-        y = forecaster.predict(len(record) - start, record[:start]).y
+        y = forecaster.predict(**after(record, start)).y
     return rmse(record.y_with_gaps[start:], np.asarray(y))

@@ -15,9 +15,9 @@ def methods() -> None:
 
     One network (gru, euler-mlp, state-space) suits any record, split-... one with a slow and a fast
     part, filtered-... and residual-... one with a simulator that is roughly right, or with a simple
-    slow part. The others are references to beat. In a name that ends in -calibrated the simulator is
-    calibrated first (gain, offset, delay, clock); in one that ends in -conditioned the network has
-    the slower part's output as an input. Give names to --methods, separated by commas.
+    slow part. The others are references to beat. In a name that ends in -calibrated the simulator
+    is calibrated first (gain, offset, delay, clock); in one that ends in -conditioned the network
+    has the slower part's output as an input. Give names to --methods, separated by commas.
     """
     table = Table(Column("name", no_wrap=True), "also as", "what it is", "needs")
     listed: set[str] = set()

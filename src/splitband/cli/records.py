@@ -251,7 +251,7 @@ def inputs_ahead(
         ahead = replace(ahead, samples=more)
         u = aligned(option, coming.y, coming.grid, ahead, smooth=False)
     assert known.u is not None
-    whole = continued(option, known.u, u.values, u.values, steps)
+    whole = continued(option, known.u, u.values, steps)
     for step in known.prepared:
         whole = step.transform("u", whole, seconds(known)[0] + ahead.step * np.arange(len(whole)))
     return whole[len(known) :]
@@ -297,8 +297,9 @@ def simulator_ahead(
     simulator = simulator_of(options, record, time_column)
     if simulator is None or isinstance(simulator, str) or is_fitted(simulator):
         simulator = open_simulator(name, record)  # a named record's own
-    ahead = replace(record, y_sim=None, beyond=None, u_beyond=u)
-    return simulated(ahead, simulator, steps, longer=True).beyond
+    driving = u if u is None or record.u is None else np.concatenate([record.u, u])
+    found = simulated(record, simulator, steps, longer=True, u=driving).y_sim
+    return None if found is None else found[len(record) :]
 
 
 def _check_run_as_it_is(option: str, given: str | None, simulator: Any) -> None:

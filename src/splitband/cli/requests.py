@@ -57,7 +57,7 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
     record = records.load_record(asked.record, reading, model)
     simulator = records.simulator_of(simulated, record, reading.time_column)
     if simulator is not None and not isinstance(simulator, str) and not is_fitted(simulator):
-        record = replace(record, y_sim=None, beyond=None)  # the named one counts
+        record = replace(record, y_sim=None)  # the named one counts
     more, test = asked.further, asked.testing
     if is_fitted(simulator):
         given = {"--more-simulator": more.more_simulator, "--test-simulator": test.test_simulator}

@@ -19,6 +19,7 @@ from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.bands import Bands
+from splitband.forecasters.held_out import beginning
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
 from splitband.report import results
@@ -74,7 +75,7 @@ def spectrum(
     check_train(whole, trained)
     given = Bands(cutoff, order)
     method = "split-gru" if whole.y_sim is None else "filtered-gru-calibrated"
-    bands = chosen_bands(given, whole[:trained], forecasters(method))
+    bands = chosen_bands(given, beginning(whole, trained), forecasters(method))
     shown = whole[:train]
     rate = shown.sampling_rate
     pair = bands.pair(rate)

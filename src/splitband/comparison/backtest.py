@@ -17,6 +17,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.held_out import (
     Origin,
+    after,
     first_held_out,
     held_out_errors,
     refitted,
@@ -44,8 +45,6 @@ class BacktestSpec:
     record : The measured record. No prediction sees a measured sample after its origin.
     origins : Of the forecasts, the most important first. The forecaster is fitted once for each
         number of samples `fitted`; origins with the same number must be adjacent.
-    end : End of the forecasts, exclusive. It may lie beyond the record, as far as its inputs and
-        its simulator's output are known (`u_beyond`, `beyond`).
     others : Further training records.
     tests : Other records, each simulated to its end from its first samples, by the model that was
         fitted to the most samples.
@@ -57,7 +56,6 @@ class BacktestSpec:
 
     record: Record
     origins: Sequence[Origin]
-    end: int
     others: Sequence[Record] = ()
     tests: Sequence[Record] = ()
     warmup: int = 1
@@ -177,13 +175,13 @@ def _with_forecasts(
     """Return a fit with a model's forecasts from more origins; the model of most samples stays."""
     forecasts, unfiltered = {**found.forecasts}, found.unfiltered
     for origin in origins:
-        history = spec.record[: origin.at]
+        known = after(spec.record, origin.at)
         with without_warnings(ExtrapolationWarning):  # the prediction holds them
-            forecasts[origin] = model.predict(spec.end - origin.at, history)
+            forecasts[origin] = model.predict(**known)
         if not spec.components:
             forecasts[origin] = replace(forecasts[origin], components={})
         if origin.at < origin.fitted and isinstance(model, Network):
-            unfiltered = model.unfiltered(spec.end - origin.at, history)
+            unfiltered = model.unfiltered(**known)
     if found.model is not None and _samples(found.model) >= _samples(model):
         model = found.model
     return replace(found, model=model, forecasts=forecasts, unfiltered=unfiltered)
@@ -204,7 +202,7 @@ def _finished(found: Fit, spec: BacktestSpec, began: float, *notes: str) -> Fit:
         try:
             at = first_origin(test, 0, spec.initial or model.warmup or spec.warmup).at
             with without_warnings(ExtrapolationWarning):
-                tests.append(model.predict(len(test) - at, test[:at], other_record=True))
+                tests.append(model.predict(**after(test, at), other_record=True))
         except ValueError as error:
             tests, notes = [], (f"not tested on {test.name or 'a test record'}: {error}", *notes)
             break

@@ -106,7 +106,7 @@ def high_bands(given: Bands, training: Record, settings: TrainingSettings | None
     What is given stays. The simulator is not calibrated: its drift would decide its gain. Settings
     are by default the usual ones for such a record.
     """
-    y, rate, y_sim = training.y, training.sampling_rate, training.y_sim
+    y, rate, y_sim = training.y, training.sampling_rate, training[:].y_sim
     settings = settings or recipe_settings("default", training)
     with nullcontext() if given.cutoff is not None else suppress(ValueError):
         return given.chosen(y, rate, settings.warmup, y_sim, "high")

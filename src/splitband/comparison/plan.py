@@ -20,7 +20,7 @@ from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.held_out import Origin, first_held_out, held_out_origins
+from splitband.forecasters.held_out import Origin, beginning, first_held_out, held_out_origins
 from splitband.forecasters.network import Network, with_defaults
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
@@ -80,7 +80,7 @@ class Plan:
     @cached_property
     def training(self) -> Record:
         """Return the training part of the record."""
-        return self.record[: self.train]
+        return beginning(self.record, self.train)
 
     @cached_property
     def held_out(self) -> Record:
@@ -111,21 +111,12 @@ class Plan:
         train, warmup = self.train, self.settings.warmup
         first = first_origin(self.record, train, forecaster.warmup or warmup)
         origins = [first, Origin(train, train)][: 1 + (self.horizon > 0)]
-        return BacktestSpec(
-            self.record,
-            origins,
-            train + self.horizon,
-            self.others,
-            self.tests,
-            warmup,
-            self.initial,
-        )
+        return BacktestSpec(self.record, origins, self.others, self.tests, warmup, self.initial)
 
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
         origins = held_out_origins(forecaster, self.held_out)
-        end = self.train + self.horizon
-        return BacktestSpec(self.held_out, origins, end, self.others, components=False)
+        return BacktestSpec(self.record, origins, self.others, components=False)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.
@@ -193,7 +184,7 @@ def plan(  # noqa: PLR0913
         others, tests = ([_driven(each, beside) for each in several] for several in (others, tests))
     tried = horizon != 0 or bool(tests)
     record, horizon = _cut_to_horizon(record, train, horizon, refit)
-    training, given = record[:train], bands or OPEN
+    training, given = beginning(record, train), bands or OPEN
     decided, search = _settings(settings, recipe, training, others, tests)
     usual = default and not (base or calibrate or conditioned)
     if usual:

@@ -16,7 +16,7 @@ from splitband.comparison.recommendation import Trial, by_reason, judged, withou
 from splitband.comparison.result import Comparison
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
-from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin
+from splitband.forecasters.held_out import HELD_OUT_SHARE, Origin, beginning
 from splitband.forecasters.network import Network
 from splitband.forecasters.simulation import with_simulators_of, with_simulators_run
 from splitband.runtime.deadlines import NEVER, Deadline
@@ -204,7 +204,7 @@ class RunningComparison:
         for forecaster in prepared:
             spec = self.plan.held_out_spec(forecaster)
             for samples in sorted({origin.fitted for origin in spec.origins}):
-                records = [spec.record[:samples], *spec.others]
+                records = [beginning(spec.record, samples), *spec.others]
                 self._bases.fit(forecaster, records, until)
         self._try([f for f in prepared if not f.random])
         if self._runner.executor is None:
@@ -385,7 +385,7 @@ class RunningComparison:
         record, others = self.plan.record, self.plan.others
         samples = len(record)
         # One sample, the last one, is forecast, as a fit needs an origin.
-        spec = BacktestSpec(record, [Origin(samples, samples - 1)], samples, others)
+        spec = BacktestSpec(record, [Origin(samples, samples - 1)], others)
         state, kept = self.states[name], {id(fit.model) for fit in self.fits()[name]}
         ready, final = state.ready or state.method, state.final.items()
         if ready.random:
@@ -418,9 +418,8 @@ class RunningComparison:
         # It may fail for the test records only, which are then left out.
         for tests in dict.fromkeys([plan.tests, ()]):
             try:
-                state.ready = with_simulators_run(
-                    state.method, plan.training, plan.horizon, *others, *tests, ran=ran
-                )
+                beside = plan.record, *others, *tests
+                state.ready = with_simulators_run(state.method, *beside, ran=ran)
                 return
             except ValueError as error:
                 said = " ".join(str(error).split())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from splitband.data.preparation import AHEAD, signals_of
+from splitband.data.preparation import signals_of
 from splitband.data.record import Record
 from splitband.data.timing import Grid, same_sampling, seconds_between
 from splitband.runtime.arrays import Array
@@ -79,7 +79,7 @@ def resampled(record: Record, sampling_time: float) -> Record:
     """Return a record resampled to another sampling time in s, from its first sample on.
 
     Outputs and the simulator's output are interpolated by a cubic spline, known inputs linearly. A
-    sample counts as measured if both of its neighbours were. `beyond` and `u_beyond` are dropped.
+    sample counts as measured if both of its neighbours were. All signals end with the record.
     """
     samples = reach(record.grid, replace(record.grid, step=sampling_time))
     rows = np.minimum(np.arange(samples) * (sampling_time / record.sampling_time), len(record) - 1)
@@ -89,7 +89,7 @@ def resampled(record: Record, sampling_time: float) -> Record:
         measured = measured[before] & measured[after]
     changed: dict[str, Any] = {"sampling_time": sampling_time, "measured": measured}
     for name, signal in signals_of(record).items():
-        changed[name] = None if name in AHEAD else interpolated(signal, rows, name != "u")
+        changed[name] = interpolated(signal, rows, name != "u")
     return replace(record, **changed)
 
 

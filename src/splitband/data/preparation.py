@@ -24,8 +24,6 @@ Periods: TypeAlias = Mapping[str, float | None] | Sequence[str] | str
 """Angles and counters by name, with their periods or without."""
 What = Literal["y", "u", "y_sim"]
 """Measured samples, inputs, or a simulator's output, as which the noise-free signal counts, too."""
-AHEAD = "beyond", "u_beyond"
-"""Signals of a record after its end."""
 
 
 class Preparation:
@@ -42,17 +40,10 @@ class Preparation:
         y = refilled(record.y, self.transform("y", record.y_with_gaps, time))
         changed: dict[str, Any] = {"y": y}
         given = signals_of(record)
-        for field, after in (("y_true", ""), ("y_sim", "beyond"), ("u", "u_beyond")):
-            if field not in given:
-                continue
-            later = given.get(after)
-            signal = given[field] if later is None else np.concatenate([given[field], later])
-            at = time[0] + step * np.arange(len(signal))
-            found = self.transform("u" if field == "u" else "y_sim", signal, at)
-            found = found if field == "u" else self.beside(y, found)
-            changed[field] = found[: len(y)]
-            if later is not None:
-                changed[after] = found[len(y) :]
+        for field in given.keys() - {"y"}:
+            at = time[0] + step * np.arange(len(given[field]))
+            found = self.transform("u" if field == "u" else "y_sim", given[field], at)
+            changed[field] = found if field == "u" else self.beside(y, found)
         return replace(record, **changed)
 
     def transform(self, what: What, signal: Array, time: Array) -> Array:
@@ -242,9 +233,8 @@ class Resampled(Preparation):
         first = len(record) % k
         changed: dict[str, Any] = {}
         for field, signal in signals_of(record).items():
-            kept = signal[: len(signal) // k * k] if field in AHEAD else signal[first:]
-            means = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
-            changed[field] = means if len(means) else None
+            kept = signal[first : len(signal) - (len(signal) - first) % k]
+            changed[field] = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
         if record.measured is not None:
             known = record.y_with_gaps[first:].reshape(-1, k, record.ny)
             count = np.isfinite(known).sum(axis=1)
@@ -259,7 +249,6 @@ class Resampled(Preparation):
 def signals_of(record: Record) -> dict[str, Array]:
     """Return the signals that a record has, `(time, channels)` each, by the names of its fields."""
     found = {"y": record.y, "y_true": record.y_true, "y_sim": record.y_sim, "u": record.u}
-    found |= {"beyond": record.beyond, "u_beyond": record.u_beyond}
     return {name: signal for name, signal in found.items() if signal is not None}
 
 

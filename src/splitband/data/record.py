@@ -14,7 +14,6 @@ import pandas as pd
 
 from splitband.data.plausibility import warnings_of
 from splitband.data.preparation import (
-    AHEAD,
     Clipped,
     Detrended,
     Periods,
@@ -67,10 +66,8 @@ class Record:
     sampling_time : seconds between two samples.
     u : known inputs, (time, nu): forces, set-points, or another model's prediction.
     y_true : the noise-free signal where it is known, (time, ny).
-    y_sim : the simulator's output, (time, ny).
-    beyond : the simulator's output after the record's end, (any time, ny), for forecasts and for
-        calibration.
-    u_beyond : the known inputs after the record's end, (any time, nu), for forecasts.
+    y_sim : the simulator's output, (time or more, ny): a calibrated delay or clock may need it
+        after the record's end.
     name : name of the record in plots and tables.
     columns : names of the channels of y; by default "y", or "y0", "y1", ...
     inputs : names of the inputs; by default "u", or "u0", "u1", ...
@@ -95,11 +92,6 @@ class Record:
     >>> record = sb.Record([0.0, 0.2, 0.3, 0.3], sampling_time=0.5, u=[1, 1, 0, 0])
     >>> record.y.shape, record.time
     ((4, 1), array([0. , 0.5, 1. , 1.5]))
-
-    A slice keeps the inputs that are known after its end:
-
-    >>> record[:3].u_beyond
-    array([[0.]])
     """
 
     y: Array
@@ -107,8 +99,6 @@ class Record:
     u: Array | None = None
     y_true: Array | None = None
     y_sim: Array | None = None
-    beyond: Array | None = None
-    u_beyond: Array | None = None
     name: str = ""
     columns: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
@@ -128,8 +118,6 @@ class Record:
         inputs = channel_names("inputs", self.inputs, "u", self.nu)
         self._keep("y_true", len(y), columns)
         self._keep("y_sim", len(y), columns)
-        self._keep("beyond", None, columns, after="y_sim")
-        self._keep("u_beyond", None, inputs, after="u")
         start = None if self.start is None else as_stamp(self.start)
         step = positive_seconds(self.sampling_time)
         vars(self).update(columns=columns, inputs=inputs, sampling_time=step, start=start)
@@ -143,17 +131,14 @@ class Record:
             measured.setflags(write=False)
             vars(self)["measured"] = None if measured.all() else measured
 
-    def _keep(
-        self, field: str, samples: int | None, names: tuple[str, ...] = (), after: str = ""
-    ) -> None:
+    def _keep(self, field: str, samples: int, names: tuple[str, ...] = ()) -> None:
         """Check a signal, and keep it as an array."""
         if (value := vars(self)[field]) is None:
             return
-        if after and vars(self)[after] is None:
-            raise InputError(f"{field} must go on from {after}, which is not given")
-        signal = signal_of(field, value)
-        if samples not in (None, len(signal)) or len(names) not in (0, signal.shape[1]):
-            shape = f"({samples or 'any time'}, {len(names) or 'any number'})"
+        signal, more = signal_of(field, value), " or more" if field == "y_sim" else ""
+        rows = min(len(signal), samples) if more else len(signal)
+        if rows != samples or len(names) not in (0, signal.shape[1]):
+            shape = f"({samples}{more}, {len(names) or 'any number'})"
             raise InputError(f"{field} must have the shape {shape}: its shape is {signal.shape}")
         require_finite(field, signal, names or numbered("u", signal.shape[1]))
         vars(self)[field] = signal
@@ -191,7 +176,6 @@ class Record:
     def __getitem__(self, key: slice) -> Record:
         """Return the slice `key` of every signal, with its time stamps.
 
-        The simulator's output and the inputs after the slice are kept as `beyond` and `u_beyond`.
         Without time stamps, `time` starts at 0 again.
         """
         if not isinstance(key, slice):
@@ -199,8 +183,7 @@ class Record:
         if key.step not in (None, 1):
             raise InputError(f"a Record takes slices of step 1 only: got step {key.step}")
         begin, end, _ = key.indices(len(self))
-        given = signals_of(self).items()
-        parts: dict[str, Any] = {name: x[key] for name, x in given if name not in AHEAD}
+        parts: dict[str, Any] = {name: x[begin:end] for name, x in signals_of(self).items()}
         if self.measured is not None:  # gaps are filled again, from the slice only
             parts["y"] = refilled(self.y[key], self.y_with_gaps[key])
             measured = self.measured[key]
@@ -208,13 +191,12 @@ class Record:
         start = self.start
         if start is not None:
             start = stamp_after(start, begin * self.sampling_time)
-        beyond, u_beyond = _after(self.y_sim, self.beyond, end), _after(self.u, self.u_beyond, end)
         if len(parts["y"]) < 2:
             raise InputError(f"y must have at least 2 samples: it has {len(parts['y'])}")
         parts["y"].setflags(write=False)
         # Views of what was checked: copies of a long record would take much memory.
         part = copy(self)
-        vars(part).update(beyond=beyond, u_beyond=u_beyond, start=start, **parts)
+        vars(part).update(start=start, **parts)
         return part
 
     def to_frame(self) -> pd.DataFrame:
@@ -405,17 +387,6 @@ class Record:
     def grid(self) -> Grid:
         """Return the grid of the sampling times."""
         return Grid(self.start, self.sampling_time, len(self))
-
-
-def _after(signal: Array | None, beyond: Array | None, end: int) -> Array | None:
-    """Return a signal and its continuation from row `end` on, (any time, channels), or None."""
-    parts = (None if signal is None else signal[end:], beyond)
-    later = [part for part in parts if part is not None and len(part)]
-    if not later:
-        return None
-    whole = later[0] if len(later) == 1 else np.concatenate(later)
-    whole.setflags(write=False)
-    return whole
 
 
 def require_records(what: str, *given: Any) -> None:

@@ -268,12 +268,11 @@ class Forecaster(WithRepr, Saved, ABC):
             those of the training record; without time stamps both are taken to begin together.
             Where the training record was detrended, clipped or resampled and the history was not,
             the same is done to the history and the inputs, and undone on the prediction.
-        u : Known inputs of the forecast samples, `(steps, nu)`; by default those that the history
-            brings (`u_beyond`), as a slice of a longer record does. The columns of a DataFrame are
-            found by their names, here and in `y_sim`.
+        u : Known inputs of the forecast samples, `(steps or more, nu)`; required where the record
+            has inputs. The columns of a DataFrame are found by their names, here and in `y_sim`.
         y_sim : Simulator output of the forecast samples, `(steps or more, ny)`; by default the
-            history's (`beyond`). A calibrated delay or clock may need more than `steps`. Ignored by
-            forecasters that need none or run their own simulator.
+            history's after its end. A calibrated delay or clock may need more than `steps`. Ignored
+            by forecasters that need none or run their own simulator.
         level : Of the interval, 0 to 1: the share of samples that should lie in it. The first call
             with a level refits copies of the forecaster to shorter parts of its training record (a
             network: to three quarters) and forecasts the rest; the errors give all intervals.
@@ -383,7 +382,7 @@ class Forecaster(WithRepr, Saved, ABC):
         """Return a training record, the `first` or another, with the trajectory as `y_sim`."""
         begin = 0.0 if first else None
         known = ForecastContext(record.y_with_gaps, 0, begin, record.u, record.y_sim, record.grid)
-        return replace(record, y_sim=self.trajectory(known), beyond=None)
+        return replace(record, y_sim=self.trajectory(known))
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run networks on this device from now on, and return the forecaster itself."""

@@ -93,11 +93,10 @@ class Fitted:
 
     def end(self, first: int) -> Fitted:
         """Return the version to save, with the training record from its sample `first` on."""
-        end = replace(self.record[first:], beyond=None, u_beyond=None)
         whole, begin = self.whole and not self.others, self.begin + first
         # Without the run time, the same fit is saved as the same file, byte by byte.
         saved = self.reporting(seconds=0.0)
-        return replace(saved, record=end, begin=begin, others=(), whole=whole)
+        return replace(saved, record=self.record[first:], begin=begin, others=(), whole=whole)
 
     @classmethod
     def of(cls, records: Sequence[Record], seed: int) -> Fitted:
@@ -179,9 +178,7 @@ class Fitted:
 
 def _alike(one: Record, other: Record) -> bool:
     """Return whether two records are equal in all that a fit sees of them."""
-    ours, theirs = (
-        (each.y_with_gaps, each.u, each.y_sim, each.beyond, each.u_beyond) for each in (one, other)
-    )
+    ours, theirs = ((each.y_with_gaps, each.u, each.y_sim) for each in (one, other))
     return one.grid == other.grid and all(
         a is b or (a is not None and b is not None and np.array_equal(a, b, equal_nan=True))
         for a, b in zip(ours, theirs, strict=True)

@@ -375,7 +375,8 @@ class GreyBox(Forecaster):
         """Return history and forecast as one experiment, with NaN for the samples to come."""
         ahead = np.full((known.steps, known.y.shape[1]), np.nan)
         time = self._times(self._begin(known), len(known.y) + known.steps)
-        return Experiment(time, np.concatenate([known.y, ahead]), known.u)
+        u = None if known.u is None else known.u[: len(time)]
+        return Experiment(time, np.concatenate([known.y, ahead]), u)
 
     def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
         """Return the simulation after `samples`, from a state estimated on the last `memory`."""

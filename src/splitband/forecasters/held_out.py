@@ -6,7 +6,7 @@ Forecasters are passed to these functions, on which `Forecaster.predict` is buil
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +57,18 @@ def first_held_out(samples: int) -> int:
     return samples - max(1, round(HELD_OUT_SHARE * samples))
 
 
+def beginning(record: Record, samples: int) -> Record:
+    """Return the first samples of a record; its simulator's output goes on, for calibrations."""
+    return replace(record[:samples], y_sim=record.y_sim)
+
+
+def after(record: Record, at: int, steps: int | None = None) -> dict[str, Any]:
+    """Return the arguments of `predict` for samples of a record, by default all, from `at` on."""
+    steps = len(record) - at if steps is None else steps
+    u = None if record.u is None else record.u[at : at + steps]
+    return {"steps": steps, "history": beginning(record, at), "u": u}
+
+
 def refitted(
     forecaster: Forecaster,
     record: Record,
@@ -74,7 +86,7 @@ def refitted(
     for done, group in enumerate(groups):
         try:
             with within(Deadline.after(current().left / (len(groups) - done))):  # a share each
-                records = [record[: group[0].fitted], *others]
+                records = [beginning(record, group[0].fitted), *others]
                 fitted = forecaster.fitted_copy(records, **how)
         except DeadlineError:
             if not done:
@@ -160,8 +172,7 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
     for model, group in refitted(shorter, record, origins, fitted.others, seed=seed):
         with without_warnings(ExtrapolationWarning):
             for origin in group:
-                steps = len(record) - origin.at
-                forecasts[origin] = model.predict(steps, record[: origin.at]).y
+                forecasts[origin] = model.predict(**after(record, origin.at)).y
     forecaster.held_out = interval_errors(record, forecasts)
     return forecaster.held_out
 

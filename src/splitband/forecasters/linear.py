@@ -102,9 +102,10 @@ class Linear(Forecaster):
         """Return the simulation after the history, from the state at its end."""
         assert known.u is not None
         time, before = len(known.y), _inputs_before(self.u, known)
+        u = known.u[: time + known.steps]
         if not known.own or before is None:
-            return self.model.continued(known.u, known.y, before)[0][time:]
-        return self.model.simulate(known.u, self.model.last, before, time)
+            return self.model.continued(u, known.y, before)[0][time:]
+        return self.model.simulate(u, self.model.last, before, time)
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return its simulation over history and forecast, from a state estimated on the history.
@@ -114,7 +115,8 @@ class Linear(Forecaster):
         """
         assert known.u is not None
         y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
-        return self.model.without_filter.continued(known.u, y, _inputs_before(self.u, known))[0]
+        u = known.u[: len(y) + known.steps]
+        return self.model.without_filter.continued(u, y, _inputs_before(self.u, known))[0]
 
     def as_base(self) -> Self:
         """Return it without its Kalman filter, for the slow component of a hybrid."""

@@ -310,9 +310,9 @@ class Network(Forecaster):
         """
         return self._run(self._trained().simulate_components, known)
 
-    def unfiltered(self, steps: int, history: Record) -> dict[str, Array]:
+    def unfiltered(self, **known: Any) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
-        return self._run(self._trained().simulate_unfiltered, known_of(self, steps, history))
+        return self._run(self._trained().simulate_unfiltered, known_of(self, **known))
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return a free run from the first warm-up of the history on, `(time + steps, ny)`.
@@ -488,7 +488,7 @@ class Network(Forecaster):
             # The run begins here: what was measured since moves its base as little as itself.
             run = replace(known, y=y[:start], steps=since + known.steps, since=begin)
             slow = base.trajectory(run)[begin:]
-        return y[begin:start], None if u is None else u[begin:], slow, since
+        return y[begin:start], None if u is None else u[begin : len(y) + known.steps], slow, since
 
 
 def with_defaults(

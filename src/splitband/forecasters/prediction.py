@@ -41,13 +41,11 @@ class ForecastContext:
     steps : Number of samples to forecast.
     begin : Index of the first sample of `y`, counted from the first one of the training record;
         None for a record with an unrelated time.
-    u : The inputs of history and forecast, `(time + steps, nu)`, where there are any.
+    u : The inputs of history and forecast, `(time + steps or more, nu)`, where there are any.
     y_sim : A simulator's output over the same samples, `(time + steps or more, ny)`, if any.
     grid : The times of `y`, by the clock of its record.
     own : Whether `y` is the training record or its end, to which the model is already fitted.
     since : First row of a trajectory that is used; the rows before it are ignored.
-    u_beyond : The inputs after those of `u`, `(any time, nu)`, as far as they are known: a
-        simulator whose calibrated clock is fast, or whose output is late, runs on with them.
     """
 
     y: Array
@@ -58,7 +56,6 @@ class ForecastContext:
     grid: Grid | None = None
     own: bool = False
     since: int = 0
-    u_beyond: Array | None = None
 
 
 def by_name(name: str, given: npt.ArrayLike | None, names: Sequence[str]) -> npt.ArrayLike | None:
@@ -78,16 +75,8 @@ def by_name(name: str, given: npt.ArrayLike | None, names: Sequence[str]) -> npt
     return given
 
 
-def continued(
-    name: str,
-    past: Array,
-    beyond: npt.ArrayLike | None,
-    given: npt.ArrayLike | None,
-    steps: int,
-) -> Array:
-    """Return a signal up to the origin and after it, `steps` samples or more.
-
-    `given` is what a user gives in place of the samples that a history has `beyond` its end.
+def continued(name: str, past: Array, given: npt.ArrayLike | None, steps: int) -> Array:
+    """Return a signal up to the origin and, as `given`, after it, `steps` samples or more.
 
     Raises
     ------
@@ -96,16 +85,15 @@ def continued(
         finite or begin with those of the history.
     """
     n, channels = past.shape
-    ahead = beyond if given is None else given
-    values = past[:0] if ahead is None else signal_of(name, ahead)
+    values = past[:0] if given is None else signal_of(name, given)
     if len(values) < steps or values.shape[1] != channels:
         raise InputError(
             f"{name} must hold the {steps} samples to predict in {channels} channel(s), got "
-            f"{'none' if ahead is None else values.shape}"
+            f"{values.shape if len(values) else 'none'}"
         )
-    if given is not None and not np.isfinite(values).all():
+    if not np.isfinite(values).all():
         raise InputError(f"{name} must hold finite numbers, got some that are not")
-    whole = given is not None and len(values) >= n + steps and np.array_equal(values[:n], past)
+    whole = len(values) >= n + steps and np.array_equal(values[:n], past)
     if whole and n and np.ptp(past):
         raise InputError(
             f"{name} must hold the {steps} samples to predict alone, got the {n} of the history "
@@ -285,10 +273,9 @@ def known_of(
                 f"depends on the time since then: every {step:.7g} s, got every {own:.7g} s"
             )
         past, begin = history, None if other_record else fitted.begins(history)
-    inputs = u_beyond = None
+    inputs = None
     if past.u is not None:
-        inputs = continued("u", past.u, past.u_beyond, u, steps)
-        inputs, u_beyond = np.split(inputs, [len(past) + steps])
+        inputs = continued("u", past.u, u, steps)
     elif u is not None:
         raise InputError("u must be left out: the record has no inputs")
     simulated = None
@@ -297,11 +284,10 @@ def known_of(
             raise InputError(
                 f"history must bring a simulator's output (y_sim) for {forecaster.name}"
             )
-        simulated = continued("y_sim", past.y_sim, past.beyond, y_sim, steps)
+        known, later = np.split(past.y_sim, [len(past)])
+        simulated = continued("y_sim", known, later if y_sim is None else y_sim, steps)
     own = history is None
-    return ForecastContext(
-        past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own, u_beyond=u_beyond
-    )
+    return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own)
 
 
 def extrapolated(forecaster: Forecaster, known: ForecastContext) -> tuple[Array, dict[str, Array]]:
@@ -321,7 +307,7 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
     """Return the prediction of a forecaster, with the reasons to doubt it."""
     fitted, steps = forecaster.require_fitted(), known.steps
     y, parts = extrapolated(forecaster, known)
-    beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :])
+    beyond = fitted.inputs_beyond(None if known.u is None else known.u[len(known.y) :][:steps])
     messages = [each.describe(past.inputs[each.channel], " of the prediction") for each in beyond]
     used = known.y[-(forecaster.warmup or default_warmup(len(known.y))) :]
     messages += [
@@ -362,7 +348,7 @@ def prepared_like(
     ) -> npt.ArrayLike | None:
         if past is None or given is None:
             return given
-        signal = continued(name, past, None, given, steps)
+        signal = continued(name, past, given, steps)
         time = seconds_after(prepared, len(signal) - len(past))
         for step in record.prepared:  # also of the past, on which only the turn of an angle depends
             signal = step.transform(name, signal, np.append(np.zeros(len(past)), time))

@@ -86,9 +86,7 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
         part.simulator = by_id.get(getattr(part.simulator, "ran", 0), part.simulator)
 
 
-def with_simulators_run(
-    method: Forecaster, record: Record, horizon: int, *others: Record, ran: dict[Any, _Runs]
-) -> Forecaster:
+def with_simulators_run(method: Forecaster, *records: Record, ran: dict[Any, _Runs]) -> Forecaster:
     """Return a method whose simulators have been run, see `SimulatorForecaster._simulated`.
 
     What `ran` for another method is not run again; what runs is added.
@@ -97,7 +95,7 @@ def with_simulators_run(
     def changed(part: Forecaster) -> Forecaster:
         if not isinstance(part, SimulatorForecaster):
             return part
-        return part._simulated(record, horizon, *others, ran=ran)
+        return part._simulated(*records, ran=ran)
 
     return with_parts_changed(method, changed)
 
@@ -122,7 +120,7 @@ def description_of(part: Any) -> Absent | None:
 class SimulatorForecaster(Forecaster):
     """Forecast with a simulator's output.
 
-    `simulator`: what to run; by default the record contains its output (`y_sim`, `beyond`).
+    `simulator`: what to run; by default the record contains its output (`y_sim`).
     """
 
     affine = True
@@ -158,18 +156,13 @@ class SimulatorForecaster(Forecaster):
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
 
-    def _simulated(
-        self, record: Record, horizon: int, *others: Record, ran: dict[Any, _Runs]
-    ) -> Self:
-        """Return it with its simulator's output computed once, for all processes.
-
-        The output covers the training record and `horizon` samples more, and other records.
-        """
+    def _simulated(self, *records: Record, ran: dict[Any, _Runs]) -> Self:
+        """Return it with its simulator's output over these records, computed once."""
         if self.simulator is None or hasattr(self.simulator, "reach"):
             return self
         longest: dict[Any, tuple[Grid, Record, Array | None]] = {}
-        for each, ahead in ((record, horizon), *((other, 0) for other in others)):
-            needed = self._needed(len(each) + ahead, max(len(record), len(each)))
+        for each in records:
+            needed = self._needed(len(each), max(len(records[0]), len(each)))
             u = self._driving(each)
             needed = needed if u is None else min(needed, len(u))
             key = each.start, each.sampling_time, None if u is None else u.tobytes()
@@ -249,10 +242,8 @@ class SimulatorForecaster(Forecaster):
         return self.simulator is not None and is_driven(self.simulator)
 
     def _driving(self, record: Record) -> Array | None:
-        """Return the known inputs of a record, those beyond it included, if they drive it."""
-        if not self._driven or record.u is None:
-            return None
-        return record.u if record.u_beyond is None else np.concatenate([record.u, record.u_beyond])
+        """Return the known inputs of a record, if they drive it."""
+        return record.u if self._driven else None
 
     def _driving_until(self, known: ForecastContext, begin: float) -> Array | None:
         """Return the inputs from the start of the simulation on, if they drive it.
@@ -261,9 +252,8 @@ class SimulatorForecaster(Forecaster):
         """
         if not self._driven or known.u is None:
             return None
-        u = known.u if known.u_beyond is None else np.concatenate([known.u, known.u_beyond])
         if begin <= 0:
-            return u
+            return known.u
         fitted = self.require_fitted()
         past = fitted.record.u if self.u is None and not fitted.begin else self.u
         if past is None or begin % 1 or begin > len(past):
@@ -272,7 +262,7 @@ class SimulatorForecaster(Forecaster):
                 "whose simulator is driven by all inputs since that began; with other_record=True "
                 "(--other-run) the simulator begins with the history"
             )
-        return np.concatenate([past[: int(begin)], u])
+        return np.concatenate([past[: int(begin)], known.u])
 
     @property
     def _at_own_times(self) -> bool:
@@ -316,7 +306,7 @@ class SimulatorForecaster(Forecaster):
         """Return a record with the calibrated output as `y_sim`; both begin together."""
         y_sim = self._output(record)
         y_sim = self.applied.apply(y_sim, len(record), record.sampling_time)
-        return replace(record, y_sim=y_sim, beyond=None)
+        return replace(record, y_sim=y_sim)
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return a warning where a calibrated clock or delay needs more output than there is."""
@@ -324,7 +314,7 @@ class SimulatorForecaster(Forecaster):
         if self._at_own_times:
             end = float(self.simulator.reach(self._times(known)))
         elif self._driven and known.u is not None:
-            end = begin + len(known.u) + (0 if known.u_beyond is None else len(known.u_beyond))
+            end = begin + len(known.u)
         elif self.simulator is None and known.y_sim is not None:
             end = begin + len(known.y_sim)
         else:
@@ -356,8 +346,7 @@ class SimulatorForecaster(Forecaster):
             return self._run(replace(record.grid, samples=samples), record, u)
         if record.y_sim is None:
             raise InputError(f"{self.name} needs a simulator, the record has none")
-        ahead = record.y_sim[:0] if record.beyond is None else record.beyond
-        return np.concatenate([record.y_sim, ahead])
+        return record.y_sim
 
     def _in_columns(self, record: Record) -> Any:
         """Return its recorded output with the channels of a record."""
@@ -395,7 +384,7 @@ class Simulation(SimulatorForecaster):
 
     Parameters
     ----------
-    simulator : What to run; by default the record contains its output (`y_sim`, `beyond`).
+    simulator : What to run; by default the record contains its output (`y_sim`).
     name : By default "simulator".
     """
 
@@ -418,7 +407,7 @@ class Calibrated(SimulatorForecaster):
 
     Parameters
     ----------
-    simulator : What to run; by default the record contains its output (`y_sim`, `beyond`).
+    simulator : What to run; by default the record contains its output (`y_sim`).
     terms : Which of "gain", "offset", "delay" and "clock" to fit; by default those that lower the
         error on held-out samples.
     name : By default "simulator-calibrated", or "simulator-affine" for gain and offset.

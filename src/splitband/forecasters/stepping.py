@@ -566,7 +566,6 @@ def _repredicted(forecaster: Forecaster) -> Recursion:
             y_sim=state["y_sim"] if simulated else None,
             grid=history.grid and replace(history.grid, samples=origin),
             own=False,
-            u_beyond=None,  # it follows the history, not what was observed since
         )
         return extrapolated(forecaster, known)[0][-1]
 

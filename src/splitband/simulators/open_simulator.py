@@ -9,11 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from splitband.data import Grid, Record, read
 from splitband.data.reading import ColumnError
 from splitband.data.timing import in_words
+from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (
     Absent,
@@ -187,15 +186,22 @@ def read_beside(
         return read(path, **options)
 
 
-def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool = False) -> Record:
+def simulated(
+    record: Record,
+    simulator: Simulator,
+    ahead: int = 0,
+    longer: bool = False,
+    u: Array | None = None,
+) -> Record:
     """Return the record with the output of a simulator.
 
     Parameters
     ----------
-    record : Its inputs drive the simulator.
+    record : The samples to run beside.
     simulator : As for `simulators.run`.
     ahead : Samples beyond the record that the output must reach, too.
     longer : Ask for more samples, for a calibration, if the simulator can run that long.
+    u : Inputs that may drive the simulator, by default the record's.
 
     Raises
     ------
@@ -204,7 +210,7 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
     """
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if longer else least
-    grid, u = Grid(record.start, record.sampling_time, samples), record.u
+    grid, u = Grid(record.start, record.sampling_time, samples), record.u if u is None else u
     name = getattr(simulator, "name", "") or type(simulator).__name__
     if isinstance(simulator, Recorded):
         samples = min(samples, max(least, simulator.reach(grid)))
@@ -212,7 +218,6 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
         simulator = matched(simulator, record.columns, record.inputs)
         u = u if is_driven(simulator) else None
         if u is not None:
-            u = u if record.u_beyond is None else np.vstack([u, record.u_beyond])
             samples = min(samples, len(u))
         begin = origin(simulator, record.start)
         if record.start:
@@ -235,10 +240,7 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
         y_sim = output(least)
     for step in record.prepared:
         y_sim = step.beside(record.y, y_sim)
-    rest = y_sim[len(record) :]
-    said = Absent.of(simulator)
-    beyond = rest if len(rest) else None
-    return replace(record, y_sim=y_sim[: len(record)], beyond=beyond, simulator=said)
+    return replace(record, y_sim=y_sim, simulator=Absent.of(simulator))
 
 
 def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
@@ -259,5 +261,4 @@ def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
         )
     whole = simulated(record, simulator, steps, longer=True)
     assert whole.y_sim is not None
-    y = whole.y_sim if whole.beyond is None else np.concatenate([whole.y_sim, whole.beyond])
-    return Record(y, record.sampling_time, start=record.start, columns=record.columns)
+    return Record(whole.y_sim, record.sampling_time, start=record.start, columns=record.columns)
