@@ -23,12 +23,9 @@ def record() -> sb.Record:
     "own",
     [
         sb.Single(LSTM(4), sb.TrainingSettings.paper(window=30, warmup=10, epochs=1)),
-        sb.Residual(
-            sb.Periodic(), LSTM(3), settings=sb.TrainingSettings.paper(30, 10, 1), conditioned=True
-        ),
         Drift(),
     ],
-    ids=["a cell", "a cell on a base", "a forecaster"],
+    ids=["a cell", "a forecaster"],
 )
 def test_it_is_compared_saved_loaded_and_streamed(own: sb.Forecaster, tmp_path: Path) -> None:
     whole = record()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from docs.tables import FOLDER, NUMBERS, PAGES, ROOT, filled, numbers_of, with_numbers, with_tables
+from docs.tables import FOLDER, NUMBERS, PAGES, ROOT, numbers_of, with_numbers, with_tables
 from docs.tables import written as made
 
 GRU = "{results/demo[methods][gru][forecast_rmse][0]:.2f}"
@@ -81,28 +81,3 @@ def test_a_sentence_must_stand_on_the_page_once() -> None:
     for text in ("none", "has 1 m, has 2 m"):
         with pytest.raises(ValueError, match="must stand once"):
             with_numbers(text, f"has {GRU} m")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        f"<!--={GRU}-->\n1",
-        f"a <!--={GRU}-->\n1\n<!--/-->",
-    ],
-)
-def test_comments_stand_alone_and_in_pairs(text: str) -> None:
-    with pytest.raises(ValueError, match="must stand between"):
-        with_tables(text)
-
-
-@pytest.mark.parametrize(
-    ("template", "said"),
-    [
-        ("{results/none[x]}", "results/none"),
-        ("{results/demo[nothing]}", "nothing"),
-        ("{results/demo[methods].gru}", "gru"),
-    ],
-)
-def test_what_cannot_be_looked_up_is_refused(template: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        filled(template)

@@ -64,7 +64,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize(
     ("name", "head", "row", "step", "column"),
     [
-        ("units.csv", "time,T\ns,C\n", "{i},{y}", 1, "T [C]"),
         ("a.dat", TOA5, '"{at:%Y-%m-%d %H:%M:%S}",{i},{y}', 60, "T [Deg C]"),
         ("a.lvm", LVM, "{t:.6f}\t{y}\t", 1e-3, "V"),
         ("hobo.csv", HOBO, "{n},{at:%m/%d/%y %I:%M:%S %p},{y}", 600, "T, °C (LGR S/N: 1, SEN: 2)"),
@@ -73,14 +72,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
         ("keysight.csv", "x-axis,1\nsecond,Volt\n", "{t:.6E},{y}", 1e-6, "1 [Volt]"),
         ("influx.csv", INFLUX, ",,0,2024-01-01T10:00:{i:02d}Z,{y}", 1, "T"),
         ("r.csv", '"time","T"\n', '"{n}",{t},{y}', 0.5, "T"),
-        ("r.txt", '"time" "T"\n', '"{n}" {t} {y}', 0.5, "T"),
         ("canape.csv", "Time[s],T[km/h]\ns,km/h\n", "{t:.1f},{y}", 0.1, "T[km/h]"),
         ("pico.csv", "Time,T\n(ms),(mV)\n\n", "{i:.5f},{y}", 1e-3, "T [mV]"),
         ("agilent.csv", AGILENT, "{n},2/13/2024 10:00:{i:02d}:250,{y}", 1, "T"),
         ("sep.csv", "sep=|\ntime|T\n", "{i}|{y}", 1, "T"),
         ("excel.csv", "sep=\t\r\ntime\tT\r\n", "{i}\t{y}\r", 1, "T"),
         ("numpy.csv", "# time,T\n", "{i},{y}", 1, "T"),
-        ("numpy.txt", "# rig\n# time T\n", "{i} {y}", 1, "T"),
         ("units.txt", "# time,T\n# ms,V\n", "{i},{y}", 1e-3, "T [V]"),
         ("frame.csv", ",0,1\n", "{i},{i},{y}", 1, "1"),
         ("several.csv", "X,1\nForce,T\ns,mm\n", "{i},{y}", 1, "T [mm]"),

@@ -38,14 +38,12 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
         (table(str, "time,y\nms,\n"), 1e-3, 0, ("y",)),  # a unit for the time alone
         (table(lambda i: f"{i},{i}", "time,x,y\nms,1,1\n"), 1e-3, 0, ("x [1]", "y [1]")),
         (table(str, "ms,C\ntime,y\n"), 1e-3, 0, ("y [C]",)),  # units above the names
-        (table(str, "time,y\n,\nms,\n"), 1e-3, 0, ("y",)),
         (table(str, "Started 2024-01-05 10:00:00\ntime,y\nrun 3,\n"), 1, 0, ("y",)),
         (table(str, "Probe,#7\n\nTime,y\nsec,°C\n"), 1, 0, ("y [°C]",)),
         (table(lambda i: f"{HOURS[i]:%d.%m.%y,%H:%M:%S}", "Date,Time,y\n"), 3600, HOURS[0], ("y",)),
         (table(lambda i: f"2024-03-01,10:00:{i:02d}Z", "Date,Time,y\n"), 1, ZULU, ("y",)),
         (table(lambda i: f"{HOURS[i]:%H.%M.%S}"), 3600, 72000, ("y",)),
         (table(lambda i: f"{59 + i // 60}:{i % 60:02d}.25"), 1, 3540.25, ("y",)),
-        (table(lambda i: f"{i / 60:.2f}", "time [min],y\n"), 1, 0, ("y",)),
         (
             table(lambda i: f"10:{int(3.3 * i) // 60:02d}:{int(3.3 * i) % 60:02d}"),
             3.3,
@@ -54,8 +52,6 @@ def check(path: Path, step: float, start: Any, columns: tuple[str, ...], **optio
         ),
         (table(lambda i: f"{i / 120:.6f}"), 1 / 120, 0, ("y",)),  # a camera of 120 Hz
         (table(lambda i: f"{DAYS[i]:%d.%m.%Y %H:%M}"), 86400, DAYS[0], ("y",)),
-        (table(str, "time,y\nmsec.,mm\n"), 1e-3, 0, ("y [mm]",)),
-        (table(str, "Time_ms_,y\n"), 1e-3, 0, ("y",)),
     ],
 )
 def test_files_that_are_read(

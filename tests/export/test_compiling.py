@@ -105,12 +105,6 @@ def test_without_ziglang_an_fmu_runs_here_and_says_how_elsewhere(
     assert 'pip install "splitband[everywhere]"' in caplog.text
 
 
-def test_equal_models_are_equal_files(tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-    assert exported(tmp_path / "one").read_bytes() == exported(tmp_path / "two").read_bytes()
-
-
 def test_a_compiler_with_other_options_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

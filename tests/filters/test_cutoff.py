@@ -105,10 +105,8 @@ def test_a_short_warmup_leaves_order_one() -> None:
     ("decided", "message"),
     [
         ({"cutoff": 0.0}, "got 0 Hz"),
-        ({"cutoff": 5.0}, "got 5 Hz"),
         ({"cutoff": float("nan")}, "got nan"),
         ({"cutoff": 1.0, "downsampling": 5}, "downsampling by 5"),
-        ({"downsampling": 0}, "got 0"),
     ],
 )
 def test_what_cannot_be_used_is_refused(decided: dict[str, Any], message: str) -> None:

@@ -45,15 +45,6 @@ def test_upsampling_is_linear_interpolation(y: Array, k: int) -> None:
         np.testing.assert_allclose(found, expected, atol=tolerance(y), rtol=0)
 
 
-@pytest.mark.parametrize("k", [1, 2, 3, 5])
-def test_the_paper_s_upsampling_is_torch_s(k: int) -> None:
-    y = torch.from_numpy(noise(3, 7, 2))
-    expected = torch.nn.functional.interpolate(
-        y.mT, size=7 * k, mode="linear", align_corners=False
-    ).mT
-    torch.testing.assert_close(upsample(y, k, align="paper"), expected, atol=1e-12, rtol=0)
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("align", ALIGNMENTS)
 def test_upsampling_acts_on_each_channel_of_each_batch(

@@ -71,15 +71,6 @@ def test_the_warm_up_is_an_observer_written_out(backend: Backend) -> None:
     np.testing.assert_allclose(found, expected[WARMUP:], atol=1e-12, rtol=0)
 
 
-def test_an_observer_finds_the_state_of_the_system_that_it_models() -> None:
-    u = inputs()
-    _, y, _ = scipy.signal.dlsim((A, B, C, D, 1.0), u, x0=[2.0, -1.0, 3.0])
-    gain = scipy.signal.place_poles(A.T, C.T, [0.0, 0.02, 0.05]).gain_matrix.T
-    found = simulate(linear(gain), y[:WARMUP], u, "fused")
-    np.testing.assert_allclose(found, y[WARMUP:], atol=1e-6, rtol=0)
-    assert np.abs(simulate(linear(), y[:WARMUP], u, "fused") - y[WARMUP:]).max() > 0.5
-
-
 def test_a_free_run_does_not_depend_on_the_gain() -> None:
     torch.manual_seed(1)
     cell, u = StateSpace(3, 6, 2, 2), torch.randn(5, STEPS, 2)

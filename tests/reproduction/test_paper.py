@@ -101,7 +101,8 @@ def test_a_foreign_run_file_is_refused(folder: Path, tmp_path: Path) -> None:
     facts = json.loads((folder / "runs" / job.path).read_text(encoding="utf-8"))
     changes = {"settings": {"cutoff": 0.404}, "record": {"mean": 1e-3}, "job": {"seed": 3}}
     texts = {name: json.dumps(facts | {name: facts[name] | of}) for name, of in changes.items()}
-    for name, text in {**texts, "format": json.dumps(facts | {"format": 0}), "not": "{"}.items():
+    texts |= {"format": json.dumps(facts | {"format": 0}), "not JSON": "{"}
+    for name, text in texts.items():
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ValueError, match=name):
             load(job, tmp_path)

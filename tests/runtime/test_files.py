@@ -1,5 +1,6 @@
 """Files appear whole or not at all."""
 
+import errno
 import json
 import os
 import stat
@@ -129,6 +130,23 @@ def test_json_refuses_what_it_lacks_and_keeps_the_old_file(
     path.write_text(OLD)
     with pytest.raises((ValueError, TypeError), match=said):
         write_json(path, value)
+    assert path.read_text() == OLD
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_json_cut_short_by_a_full_disk_keeps_the_old_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path.write_text(OLD)
+    written = Path.write_bytes
+
+    def cut_short(self: Path, data: bytes) -> int:
+        written(self, data[:5])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", cut_short)
+    with pytest.raises(OSError, match="No space left"):
+        write_json(path, {"rmse": 0.1})
     assert path.read_text() == OLD
     assert list(path.parent.iterdir()) == [path]
 
