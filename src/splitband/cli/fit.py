@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -75,10 +75,8 @@ def fit(
             "method must be named: `splitband compare` recommends one, `splitband methods` lists "
             "them, and --like takes that of an earlier result; got none"
         )
-    asked = Request(
-        record, reading, simulator, further, model=model, train=train, methods=method,
-        calibrate=calibrate, conditioned=conditioned, like=like,
-    )  # fmt: skip
+    asked = Request(record, reading, simulator, further, model=model, train=train, methods=method)
+    asked = replace(asked, calibrate=calibrate, conditioned=conditioned, like=like)
     plan = planned(asked, fitting=True)
     with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)
@@ -137,11 +135,10 @@ def fit(
 @contextmanager
 def _bar() -> Iterator[Callable[[Progress], None]]:
     """Show the epochs of a training, if standard error is a terminal."""
-    bar = BarOfEpochs(
-        "[progress.description]{task.description}", BarColumn(), TaskProgressColumn(),
-        TimeRemainingColumn(), console=Console(stderr=True), transient=True,
-        disable=printing.console.quiet or not sys.stderr.isatty(),
-    )  # fmt: skip
+    text, left = "[progress.description]{task.description}", TimeRemainingColumn()
+    hidden = printing.console.quiet or not sys.stderr.isatty()
+    columns = text, BarColumn(), TaskProgressColumn(), left
+    bar = BarOfEpochs(*columns, console=Console(stderr=True), transient=True, disable=hidden)
     with bar:
         task = bar.add_task("training", total=1.0)
 
