@@ -22,11 +22,7 @@ def check(
     model_dir: options.ModelArgument,
     record: Annotated[
         Path,
-        options.plain(
-            "Measured samples with the columns of the training record, best of another run.",
-            "FILE",
-            False,
-        ),
+        options.plain("Measured samples, columns as in training, best of another run.", "FILE"),
     ],
     simulator: options.SimulatorOptions,
     files: options.FileOptions,
@@ -50,7 +46,7 @@ def check(
         responses = respond_over_range(model)
     facts = command_of(context)
     used = Usage(asked=checking(facts["arguments"]))
-    results.save_check(found, out, model, responses, facts, used)
+    results.save_check(found, model, responses, facts, out, used)
     for line in str(found).splitlines():
         printing.console.print(line)
     for remark in responses[0].remarks if responses else ():

@@ -22,7 +22,7 @@ from splitband.simulators.open_simulator import trajectory
 
 @options.with_groups
 def simulate(
-    out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv", False)],
+    out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv")],
     simulator: options.SimulatorOptions,
     files: options.RecordOptions,
     model_dir: Annotated[
@@ -33,16 +33,13 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    steps: Annotated[
-        int | None, options.plain("Samples to simulate after them.", None, False, min=1)
-    ] = None,
+    steps: Annotated[int | None, options.plain("Samples to simulate after them.", min=1)] = None,
     record: Annotated[
         str | None,
         options.plain(
             "Run --simulator beside this record, in place of a model. What was written is then "
             "given as --simulator FILE.csv, so that a slow simulator runs once.",
             "RECORD",
-            False,
         ),
     ] = None,
     history: options.History = None,
@@ -52,9 +49,7 @@ def simulate(
         float | None,
         options.plain(
             "Also write the interval that should hold this share of the samples, 0 to 1. The model "
-            "must have been saved with intervals (fit --intervals, compare).",
-            None,
-            False,
+            "must have been saved with intervals (fit --intervals, compare)."
         ),
     ] = None,
     device: options.Device = "cpu",
