@@ -104,8 +104,9 @@ def test_a_function_runs_on_the_time_stamps_of_the_record(
 
 
 def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
-    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
+    caplog.set_level("INFO", "splitband")
     record = Record(signal(times(20)), DT, start=20.0)
     other = times(50, 0.1009)
     write(Path("more.csv"), other, y=signal(other))
@@ -113,9 +114,7 @@ def test_further_records_are_resampled_and_have_simulators_of_their_own_time(
     (found,) = load_further(
         "--more", ["more.csv"], ["sim.csv"], record, RecordOptions(), SimulatorOptions()
     )
-    assert (
-        "more.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in capsys.readouterr().out
-    )
+    assert "more.csv: sampled every 0.1009 s, interpolated to every 0.1 s" in caplog.text
     assert (found.sampling_time, found.start) == (DT, 50)
     assert found.y_sim is not None
     np.testing.assert_allclose(found.y_sim, found.y, atol=1e-3)

@@ -64,9 +64,6 @@ WORDS = [
     bad("learn record.csv", "learn"),
     bad("", "command"),
     bad("compare '[/b] :car:.csv'", "[/b] :car:.csv"),
-    bad(f"{GRU} --effort 60s", "--rounds", "--budget"),
-    bad(f"{GRU} --settings x.json", "--like"),
-    bad("benchmark list.csv", "compare", "splitband summary"),
 ]
 
 OUTPUTS = [

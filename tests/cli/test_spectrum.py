@@ -10,16 +10,7 @@ import pytest
 import scipy.integrate
 import scipy.signal
 
-from tests.cli.support import (
-    DT,
-    FAST,
-    SAMPLES,
-    SIMULATED,
-    SLOW,
-    A,
-    call,
-    results,
-)
+from tests.cli.support import DT, FAST, SAMPLES, SIMULATED, SLOW, A, call, results
 from tests.records import rms
 
 pytestmark = pytest.mark.usefixtures("inside", "simulated_here")

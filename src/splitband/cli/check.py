@@ -39,7 +39,7 @@ def check(
     """
     model = load(model_dir)
     past = records.history_of(record, "--record", model, files)
-    model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
+    records.with_simulator(model, simulator, past, files)
     model.to(device)
     with printing.warnings_as_lines():
         found = checks.check(model, past)

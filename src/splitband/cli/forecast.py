@@ -51,7 +51,7 @@ def forecast(
     asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
     plan = planned(replace(asked, train="all", seeds=seeds))
     u = records.inputs_ahead(future_inputs, plan.record, steps, reading)
-    y_sim = records.simulator_ahead(record, simulator, plan.record, steps, u, reading.time_column)
+    y_sim = records.simulator_ahead(simulator, plan.record, steps, u, reading)
     result = compared(context, plan, out, jobs, cluster)
     predicted(out / "forecast.csv", record, result.model, steps, u=u, y_sim=y_sim, level=COVERAGE)
     if result.interrupted:

@@ -87,9 +87,7 @@ def simulate(
         past = records.history_of(history, "--history", forecaster, files)
     since = 0 if history else forecaster.require_fitted().begin + trained
     u = records.inputs_ahead(future_inputs, past, steps, files, since)
-    forecaster = records.with_simulator(
-        forecaster, model_dir, simulator, past, steps, files.time_column
-    )
+    records.with_simulator(forecaster, simulator, past, files, steps)
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):
