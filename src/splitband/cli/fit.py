@@ -21,7 +21,7 @@ from splitband.comparison.backtest import first_origin
 from splitband.comparison.run import fit as fit_planned
 from splitband.data.timing import as_json
 from splitband.forecasters import saving
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.held_out import held_out_of
 from splitband.metrics import rmse
 from splitband.report.environment import environment
@@ -112,7 +112,7 @@ def fit(
         if note not in plan.warnings:
             printing.warn(note)
         described = described.replace(f"; {note}", "")  # it is said once
-    said = f"{forecaster._title}, {described}: fitted to "
+    said = f"{titled(forecaster.name, forecaster.in_words())}, {described}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
     if error is not None:
         begin = max(forecaster.warmup, 2)

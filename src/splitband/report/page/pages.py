@@ -18,6 +18,7 @@ from splitband.data import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.linear import Linear
+from splitband.forecasters.network import Network
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
 from splitband.report import tables, words
@@ -203,7 +204,8 @@ def _bands(result: Comparison) -> Section:
     bands, part = result.plan.bands, result.record[: result.plan.train]
     text, choices = [words.of_bands(bands, part)], [bands.choice if bands.cutoff else None]
     for name, fits in result.fits.items():
-        own: Bands | None = getattr(fits[0].fitted, "_trained_in", None)
+        fitted = fits[0].fitted
+        own = fitted._trained_in if isinstance(fitted, Network) else None
         if own is not None and own.cutoff != bands.cutoff:
             text.append(f"{name}: {words.of_bands(own, part)}")
             choices.append(own.choice)
