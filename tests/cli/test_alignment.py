@@ -214,8 +214,8 @@ def late_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("late")
     (folder / "functions.py").write_text(FUNCTIONS)
     write(folder / "record.csv", times(20), y=signal(times(0)))
-    call(f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK} "
-         f"--simulator {folder}/{SLOW}", folder / "model")  # fmt: skip
+    line = f"fit {folder}/record.csv --method filtered-gru --calibrate {QUICK}"
+    call(f"{line} --simulator {folder}/{SLOW}", folder / "model")
     return folder / "model"
 
 

@@ -171,9 +171,8 @@ def test_nothing_of_an_earlier_result_stays_but_what_is_the_users() -> None:
     assert {path.name for path in out.iterdir()} == {*found["files"], "results.json", "model", *own}
     assert not (out / "predictions-test-1.csv").exists()
     call("forecast record.csv --method mean --steps 3", out)
-    assert {path.name for path in out.iterdir()} == {
-        "results.json", "predictions.csv", "forecast.csv", "report.html", "model", *own
-    }  # fmt: skip
+    kept = {"results.json", "predictions.csv", "forecast.csv", "report.html", "model", *own}
+    assert {path.name for path in out.iterdir()} == kept
     assert {name: (out / name).read_text() for name in own} == own
 
 
@@ -261,21 +260,21 @@ def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
 
 
 def test_predictions_of_test_records_and_errors_by_channel_are_written() -> None:
-    call(f"compare record.csv --columns a,b --methods gru,mean --test history.csv "
-         f"--test record.csv {QUICK} --seeds 1 --jobs 1", Path("out"))  # fmt: skip
+    line = "compare record.csv --columns a,b --methods gru,mean --test history.csv"
+    call(f"{line} --test record.csv {QUICK} --seeds 1 --jobs 1", Path("out"))
     found = results(Path("out"))
     for test, file in zip(found["tests"], ("history", "record"), strict=True):
         table = written(Path("out") / test["predictions"])
         measured = written(Path(f"{file}.csv"))
         np.testing.assert_array_equal(table["time"], measured["time"])
+        errors = [c for c in found["table"] if c["heading"] == "test RMSE"]
         for column in test["columns"]:
             np.testing.assert_array_equal(table[column], measured[column])
+            (own,) = (c for c in errors if (c["record"], c["channel"]) == (test["name"], column))
             for method in ("gru", "mean"):
                 predicted = table[f"{column}, {method}, from start"]
                 assert predicted.isna().tolist() == [True] * 10 + [False] * (len(table) - 10)
                 rmse = np.sqrt(np.mean((predicted - table[column])[10:] ** 2))
-                (errors,) = (c for c in found["table"] if c.get("record") == test["name"]
-                             and (c["heading"], c["channel"]) == ("test RMSE", column))  # fmt: skip
-                assert errors["values"][method] == pytest.approx(rmse)
+                assert own["values"][method] == pytest.approx(rmse)
     level = pd.read_csv("out/predictions-test-2.csv")["b, mean, from start"].dropna()
     assert level.to_numpy() == pytest.approx(B.mean())

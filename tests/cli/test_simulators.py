@@ -27,10 +27,8 @@ def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
 @pytest.mark.parametrize("simulator", ["simulated.csv", "periodic"])
 def test_python_takes_what_the_command_line_names(simulator: str) -> None:
     reading, methods = RecordOptions(columns="a", inputs=""), ["filtered-gru", "mean"]
-    asked = Request(
-        "record.csv", reading, SimulatorOrBaseOptions(simulator), methods=",".join(methods),
-        calibrate=simulator != "periodic",
-    )  # fmt: skip
+    how = {"methods": ",".join(methods), "calibrate": simulator != "periodic"}
+    asked = Request("record.csv", reading, SimulatorOrBaseOptions(simulator), **how)
     record = sb.read("record.csv", columns="a")
     found = plan(record, None, methods, simulator=simulator, calibrate=asked.calibrate)
     expected = planned(asked)
@@ -46,8 +44,8 @@ def test_a_named_record_runs_its_own_simulator_for_a_calibration() -> None:
 
 
 def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(tmp_path: Path) -> None:
-    call(f"compare record.csv --columns a --simulator simulated.csv --calibrate {QUICK} --seeds 1 "
-         "--methods residual-gru,simulator,simulator-affine --jobs 1", tmp_path)  # fmt: skip
+    line = f"compare record.csv --columns a --simulator simulated.csv --calibrate {QUICK} --seeds 1"
+    call(f"{line} --methods residual-gru,simulator,simulator-affine --jobs 1", tmp_path)
     found = results(tmp_path)["methods"]
     gain, offset = np.polyfit(SIMULATED[:TRAIN], A[:TRAIN], 1)
     for name, y in (("simulator", SIMULATED), ("simulator-affine", gain * SIMULATED + offset)):
@@ -76,8 +74,8 @@ def test_what_a_simulator_prints_is_not_among_the_results(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "noisy.py").write_text(PRINTING)
-    call(f"spectrum record.csv --columns a --simulator {tmp_path}/noisy.py:simulate --json",
-         tmp_path / "out")  # fmt: skip
+    line = f"spectrum record.csv --columns a --simulator {tmp_path}/noisy.py:simulate --json"
+    call(line, tmp_path / "out")
     found = capfd.readouterr()
     assert json.loads(found.out) == results(tmp_path / "out")
     assert not [word for word in ("imported", "called", "written", "by C") if word not in found.err]
