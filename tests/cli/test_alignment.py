@@ -133,13 +133,6 @@ def test_files_with_and_without_a_time_zone_are_refused(
 # ---------------------------------------------------------------- what is written
 
 
-def test_a_forecast_goes_on_with_the_time_stamps() -> None:
-    write(Path("record.csv"), times(20), y=signal(times(20)))
-    call("forecast record.csv --method persistence --steps 5 --out out")
-    found = pd.read_csv("out/forecast.csv")["time"]
-    np.testing.assert_allclose(found, times(20, samples=SAMPLES + 5)[-5:], rtol=0, atol=1e-9)
-
-
 def test_dates_are_written_as_they_were_read() -> None:
     dates = pd.Timestamp("2024-05-01 10:00") + pd.to_timedelta(np.arange(SAMPLES + 5), unit="s")
     stamps = [f"{date}+02:00" for date in dates]

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import splitband as sb
 from splitband.cli import main
 from splitband.runtime.outputs import LOCK, locked, staged, write_facts
 from tests.cli.support import QUICK, B, assert_fails, call, files, results, written
@@ -64,11 +63,7 @@ def test_a_simulation_never_replaces_a_file_of_its_model(
     [
         ("compare {} --methods mean", "RECORD"),
         ("compare record.csv --methods mean --test {}", "--test"),
-        ("compare record.csv --methods mean --more {}", "--more"),
         ("compare record.csv --methods mean --simulator {}", "--simulator"),
-        ("spectrum {}", "RECORD"),
-        ("fit {} --method mean", "RECORD"),
-        ("forecast {} --method mean --steps 3", "RECORD"),
         ("forecast record.csv --steps 3 --future-inputs {}", "--future-inputs"),
     ],
 )
@@ -141,16 +136,6 @@ def test_a_link_in_place_of_the_lock_is_refused_and_not_followed(exists: bool) -
     assert not exists or target.read_text() == "kept"
 
 
-def test_a_second_name_of_a_file_in_place_of_the_lock_is_not_written_to() -> None:
-    Path("out").mkdir()
-    Path("target").write_text("kept")
-    Path("out", LOCK).hardlink_to("target")
-    with locked("out"):
-        assert Path("target").read_text() == "kept"
-    assert Path("target").read_text() == "kept"
-    assert not Path("out", LOCK).exists()
-
-
 def test_a_folder_of_a_full_disk_can_be_locked() -> None:
     with largest_file(0), locked("out"):
         assert Path("out", LOCK).read_bytes() == b""
@@ -207,26 +192,6 @@ def test_a_result_that_cannot_be_written_leaves_the_earlier_one_and_names_the_fi
     assert f"File too large: out/{name}" in said
     assert said.count("\n") == 1
     assert files(out) == before
-
-
-def test_a_model_is_replaced_with_the_result_that_it_belongs_to(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    out = Path("out")
-    call(MEAN, out)
-    before = files(out)
-
-    def killed(folder: Path, new: Path) -> None:
-        raise KeyboardInterrupt
-
-    other = MEAN.replace("mean", "persistence")
-    with monkeypatch.context() as patch:
-        patch.setattr("splitband.runtime.outputs._replace", killed)
-        assert main([*shlex.split(other), "--out", "out"]) == 130
-    assert files(out) == before
-    call(other, out)
-    assert sb.load(out / "model").name == "persistence"
-    assert len([*(out / "model").iterdir()]) == 2
 
 
 def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(

@@ -1,6 +1,5 @@
 """What `--simulator` takes, files, functions and FMUs, and the methods that it adds."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -52,30 +51,3 @@ def test_the_simulator_rows_are_its_error_raw_and_after_least_squares(tmp_path: 
         assert found[name]["total_rmse"] == [pytest.approx(rms((A - y)[WARMUP:]))]
         assert found[name]["forecast_rmse"] == [pytest.approx(rms((A - y)[TRAIN:]))]
     assert found["residual-gru"]["total_rmse"] != found["residual-gru-calibrated"]["total_rmse"]
-
-
-PRINTING = """
-import ctypes
-import os
-
-print("imported")
-
-
-def simulate(time):
-    print("called")
-    os.write(1, b"written")
-    ctypes.CDLL(None).printf(b"by C code")
-    ctypes.CDLL(None).fflush(None)
-    return time
-"""
-
-
-def test_what_a_simulator_prints_is_not_among_the_results(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "noisy.py").write_text(PRINTING)
-    line = f"spectrum record.csv --columns a --simulator {tmp_path}/noisy.py:simulate --json"
-    call(line, tmp_path / "out")
-    found = capfd.readouterr()
-    assert json.loads(found.out) == results(tmp_path / "out")
-    assert not [word for word in ("imported", "called", "written", "by C") if word not in found.err]

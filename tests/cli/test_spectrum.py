@@ -105,17 +105,6 @@ def test_spectrum_and_compare_choose_the_same_cutoff_with_a_simulator(tmp_path: 
     assert found["choice"] == settings["choice"]
 
 
-def test_small_numbers_are_shown_with_their_digits(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, y in (("record", A), ("simulated", SIMULATED)):
-        table = pd.DataFrame({"time": DT * np.arange(SAMPLES), "a": 1e-7 * y})
-        table.to_csv(tmp_path / f"{name}.csv", index=False)
-    call(f"spectrum {tmp_path}/record.csv --simulator {tmp_path}/simulated.csv", tmp_path / "out")
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"RMSE {1e-7 * rms(A - SIMULATED):.2e}" in said
-
-
 @pytest.mark.usefixtures("public_data")
 def test_spectrum_gives_the_oracle_figures_of_the_papers_drill_string(tmp_path: Path) -> None:
     call("spectrum drill-string --cutoff 1 --order 1", tmp_path)

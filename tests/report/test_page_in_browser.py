@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -159,24 +158,6 @@ def test_a_method_is_switched_off_everywhere(opened: Opened) -> None:
     assert parts.is_visible()
     opened.page.get_by_role("checkbox", name="persistence").uncheck()
     assert not parts.is_visible()
-
-
-def test_the_legend_has_the_methods_that_are_drawn_with_their_fit(opened: Opened) -> None:
-    entries = opened.page.locator("#plot .key [data-method=mean]")
-    box = opened.page.get_by_role("checkbox", name="mean")
-    box.check()
-    assert re.fullmatch(r"mean: -?\d+\.\d %", entries.first.inner_text())
-    box.uncheck()
-    assert not entries.first.is_visible()
-
-
-def test_nothing_is_hidden_beside_the_page(browser: Browser, file: Path) -> None:
-    beyond = "s => [...document.querySelectorAll(s)].some(e => e.scrollWidth > e.clientWidth)"
-    for width, selector in ((1400, ".wide"), (390, "pre")):
-        it = Opened(browser, file, viewport={"width": width, "height": 800})
-        assert it.page.locator(selector).count()
-        assert not it.page.evaluate(beyond, selector)
-        it.context.close()
 
 
 def test_the_table_sorts_by_keyboard(opened: Opened) -> None:
