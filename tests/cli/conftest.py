@@ -30,8 +30,8 @@ def model(workspace: Path) -> Path:
 @pytest.fixture(scope="session")
 def hybrid_model(workspace: Path) -> Path:
     out = workspace / "filtered"
-    call(f"fit {workspace}/record.csv --columns a --method filtered-gru --calibrate {QUICK} "
-         f"--simulator {workspace}/simulated.csv", out)  # fmt: skip
+    line = f"fit {workspace}/record.csv --columns a --method filtered-gru --calibrate {QUICK}"
+    call(f"{line} --simulator {workspace}/simulated.csv", out)
     return out
 
 

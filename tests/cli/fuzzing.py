@@ -247,24 +247,24 @@ _COMMANDS = (
     "{record}",
     "",
 )
-_FLAGS = (
-    "--train", "--warmup", "--window", "--epochs", "--cutoff", "--order", "--downsampling",
-    "--sampling-time", "--steps", "--seeds", "--horizon", "--hidden", "--lr-milestones",
-    "--columns", "--inputs", "--time-column", "--gaps", "--methods", "--method", "--more",
-    "--simulator", "--simulator-timeout", "--recipe", "--history", "--learning-rate",
-    "--seed", "--like", "--nonsense",
-)  # fmt: skip
-_WORDS = (
-    *_NUMBERS, "a", "b", "time", "mask", "refuse", "auto", "default", "gru", "split-gru",
-    "simulator", "record.csv", "record.npz", "model", "absent.csv", "3,2", "1:2", "mean", ".",
-)  # fmt: skip
+_FLAGS = """
+    --train --warmup --window --epochs --cutoff --order --downsampling --sampling-time --steps
+    --seeds --horizon --hidden --lr-milestones --columns --inputs --time-column --gaps --methods
+    --method --more --simulator --simulator-timeout --recipe --history --learning-rate --seed
+    --like --nonsense"""
+_NAMES = """
+    a b time mask refuse auto default gru split-gru simulator record.csv record.npz model
+    absent.csv 3,2 1:2 mean ."""
+_OPTIONS_GIVEN = st.tuples(
+    st.sampled_from(_FLAGS.split()), st.sampled_from([*_NUMBERS, *_NAMES.split()])
+)
 
 
 @given(
     st.sampled_from(_COMMANDS),
     st.sampled_from(("csv", "npz", "parquet", "mat", "dates.csv")),
     _EDITS,
-    st.lists(st.tuples(st.sampled_from(_FLAGS), st.sampled_from(_WORDS)), max_size=3),
+    st.lists(_OPTIONS_GIVEN, max_size=3),
     st.booleans(),
 )
 def command_line(
@@ -304,10 +304,9 @@ def _small_model() -> sb.Forecaster:
 
 
 def _facts() -> dict[str, Any]:
-    return {
-        "method": "gru", "columns": ["a"], "inputs": [], "sampling_time": 0.1,
-        "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
-    }  # fmt: skip
+    facts = {"method": "gru", "columns": ["a"], "inputs": [], "sampling_time": 0.1}
+    setup = {"settings": {"warmup": 5}}
+    return facts | {"setup": setup, "calibration": None, "range": [[-1.0], [1.0]]}
 
 
 TARGETS: dict[str, Callable[[], None]] = {

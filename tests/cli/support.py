@@ -73,16 +73,12 @@ def write_records(folder: Path) -> None:
     worded.loc[9, "a"] = "oops"
     slow = record.iloc[:50].copy()
     slow["time"] *= 2
-    tables = {
-        "record": record, "worded": worded, "untimed": record[["a"]], "simulated": simulated,
-        "simulated_short": simulated.iloc[:190],
-        "simulated_names": simulated.rename(columns={"a": "p", "b": "q"}),
-        "history": record.iloc[:50], "history_slow": slow,
-        "history_renamed": record.iloc[:50].rename(columns={"a": "z"}),
-        "future": record.iloc[50:70][["time", "force"]],
-        "future_bare": record.iloc[50:70][["force"]],
-        "future_short": record.iloc[50:60][["time", "force"]],
-    }  # fmt: skip
+    history, future = record[:50], record[50:70][["time", "force"]]
+    tables = {"record": record, "worded": worded, "untimed": record[["a"]], "simulated": simulated}
+    tables |= {"history": history, "history_renamed": history.rename(columns={"a": "z"})}
+    tables |= {"history_slow": slow, "simulated_short": simulated[:190]}
+    tables |= {"simulated_names": simulated.rename(columns={"a": "p", "b": "q"})}
+    tables |= {"future": future, "future_bare": future[["force"]], "future_short": future[:10]}
     for name, table in tables.items():
         table.to_csv(folder / f"{name}.csv", index=False)
     (folder / "functions.py").write_text(FUNCTIONS)

@@ -17,6 +17,10 @@ from tests.cli.support import (
 
 pytestmark = pytest.mark.usefixtures("inside")
 
+MEAN = "compare record.csv --columns a --methods mean "
+LIKE = "fit record.csv --out m --like driven "
+FORECAST = "forecast record.csv --columns a --out out --steps 5 "
+
 
 def bad(line: str, *says: str) -> Any:
     """A command line that must fail with a line that holds every one of `says`."""
@@ -47,15 +51,13 @@ SETTINGS = [
     bad(SPLIT + "--hidden 0,4", "--hidden must be HIGH,LOW", "from 1", "got 0,4"),
     bad(SPLIT + "--methods ''", "--methods must be", "got ''"),
     bad(SPLIT + "--methods ,", "--methods must be", "got ','"),
-    bad("compare record.csv --columns a --inputs force --methods mean --train 200 --horizon 5",
-        "--horizon must end within the record", "got 5", "splitband forecast"),
-    bad("compare record.csv --columns a --methods mean --train 100 --horizon 50 --refit",
-        "--refit must be left out", "got 50", "splitband fit"),
+    bad(MEAN + "--inputs force --train 200 --horizon 5", "--horizon must", "splitband forecast"),
+    bad(MEAN + "--train 100 --horizon 50 --refit", "--refit must be", "got 50", "splitband fit"),
     bad("spectrum record.csv --columns a --train 0 --out out", "--train must be", "got 0"),
     bad(GRU + "--learning-rate 1e30", "diverged", "learning rate", "1e+30"),
     bad(GRU + "--conditioned", "--conditioned", "split-gru", "filtered-gru", "got gru"),
     bad(GRU + "--calibrate", "--calibrate", "filtered-gru", "got gru"),
-]  # fmt: skip
+]
 
 WORDS = [
     bad(SPLIT + "--train abc", "--train", "a whole number of samples or all", "got abc"),
@@ -64,9 +66,6 @@ WORDS = [
     bad("learn record.csv", "learn"),
     bad("", "command"),
     bad("compare '[/b] :car:.csv'", "[/b] :car:.csv"),
-    bad(f"{GRU} --effort 60s", "--rounds", "--budget"),
-    bad(f"{GRU} --settings x.json", "--like"),
-    bad("benchmark list.csv", "compare", "splitband summary"),
 ]
 
 OUTPUTS = [
@@ -79,19 +78,17 @@ OUTPUTS = [
 SIMULATORS = [
     bad(f"{GRU} --methods filtered-gru", "filtered-gru", "--simulator"),
     bad(SIMULATOR + "nothing.csv", "--simulator", "nothing.csv"),
-    bad(SIMULATOR + "simulated.csv --more record.csv --more-simulator harmonic",
-        "--more-simulator", "got harmonic", "is a baseline"),
+    bad(SIMULATOR + "simulated.csv --more record.csv --more-simulator linear", "is a baseline"),
     bad(f"{GRU} --simulator-start 5", "--simulator must be given"),
     bad(SIMULATOR + "broken.py:good", "broken.py", "SyntaxError"),
     bad(SIMULATOR + "simulated_short.csv", "simulated_short.csv", "0 s to 19.9 s", "0 s to 18.9 s"),
     bad(SIMULATOR + "simulated_names.csv", "--simulator-columns", "1 column", "p, q"),
-    bad(SIMULATOR + "functions.py:raising", "simulator", "200 samples", "RuntimeError",
-        "no convergence after 7 steps"),
+    bad(SIMULATOR + "functions.py:raising", "200 samples", "RuntimeError", "no convergence after"),
     bad(SIMULATOR + "functions.py:hanging --simulator-timeout 0.2", "simulator", "0.2 s"),
     bad(SIMULATOR + "functions.py:good --simulator-timeout -1", "--simulator-timeout"),
     bad(SIMULATOR + "damaged.fmu", "damaged.fmu", "zip"),
     bad(SIMULATOR + "hollow.fmu", "hollow.fmu"),
-]  # fmt: skip
+]
 
 MODELS = [
     bad(f"{FIT} --method simulator", "--simulator", "must be given for simulator"),
@@ -99,14 +96,9 @@ MODELS = [
     bad("fit record.csv --columns a --out out", "--method must be named", "compare", "methods"),
     bad(FIT + "--seed 99999999999999999999", "seed", "9999"),
     bad("fit record.csv --columns a --out out --method gru --device meta", "--device", "meta"),
-    bad("fit record.csv --inputs b --like driven --out m", "is for inputs: force; outputs: a",
-        "outputs: a, the record has inputs: b; outputs: a"),
-    bad("fit record.csv --columns a,b --like driven --out m",
-        "outputs: a, the record has inputs: force; outputs: a, b"),
-    bad("fit history_renamed.csv --like driven --out m", "is for inputs: force; outputs: a",
-        "column 'a' is unknown: the columns are 'time', 'z', 'b', 'force'"),
-    *(bad(f"fit record.csv --like gru --out m {option}", option.split()[0], "left out with --like")
-      for option in ("--learning-rate 0.5", "--recipe constant-rate", "--warmup 7", "--order 2")),
+    bad(LIKE + "--inputs b", "is for inputs: force; outputs: a", "the record has inputs: b;"),
+    bad(LIKE + "--columns a,b", "outputs: a, the record has inputs: force; outputs: a, b"),
+    bad("fit history_renamed.csv --like driven --out m", "is for inputs: force", "'a' is unknown"),
     bad("simulate nothing --history history.csv --steps 5 --out ahead.csv", "nothing"),
     bad(AHEAD + "history_slow.csv", "history_slow.csv", "0.1 s", "0.2 s"),
     bad(AHEAD + "history.csv --steps 0", "--steps"),
@@ -115,11 +107,9 @@ MODELS = [
     bad(AHEAD + "history.csv --future-inputs future.csv", "--future-inputs", "no known inputs"),
     bad("forecast record.csv --columns a --out out", "--steps"),
     bad("forecast record.csv --columns a --out out --steps 5 --method best", "got 'best'"),
-    bad("forecast record.csv --columns a --inputs force --out out --steps 5", "(force)",
-        "--future-inputs FILE"),
-    bad("forecast record.csv --columns a --out out --steps 5 --method linear", "--inputs"),
-    bad("forecast record.csv --columns a --out out --steps 5 --method filtered-gru "
-        "--simulator simulated.csv", "0 s to 20.4 s", "0 s to 19.9 s"),
+    bad(FORECAST + "--inputs force", "(force)", "--future-inputs FILE"),
+    bad(FORECAST + "--method linear", "--inputs"),
+    bad(FORECAST + "--method filtered-gru --simulator simulated.csv", "to 20.4 s", "to 19.9 s"),
     bad("spectrum record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
     bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
@@ -130,7 +120,7 @@ MODELS = [
     bad("export gru 1.c", "path must be named as functions of C are, such as model_1.c"),
     bad("export gru rig.fmu --precision float", "--precision must be double for an FMU"),
     bad("export filtered rig.c", "its time is calibrated", "gain and offset alone"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.usefixtures("model", "hybrid_model", "driven_model")

@@ -46,10 +46,8 @@ def test_compare_writes_every_method_with_one_entry_a_seed(compared: Path) -> No
         for key in ("total_rmse", "forecast_rmse", "seconds"):
             assert [type(value) for value in facts[key]] == [float]
             assert facts[key][0] >= 0
-    assert {*files(compared)} == {
-        "results.json", "predictions.csv", "report.html",
-        *(f"model/{name}" for name in files(compared / "model")),
-    }  # fmt: skip
+    model = {f"model/{name}" for name in files(compared / "model")}
+    assert {*files(compared)} == {"results.json", "predictions.csv", "report.html", *model}
     assert "forecaster.json" in files(compared / "model")
     assert set(found["methods"]["gru"]["final_loss"][0]) == {"network"}
     assert set(found["methods"]["split-gru-hp"]["final_loss"][0]) == {"low band", "high band"}
@@ -57,14 +55,11 @@ def test_compare_writes_every_method_with_one_entry_a_seed(compared: Path) -> No
 
 def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     found = results(compared)
-    assert found["record"] == {
-        "name": "record", "samples": SAMPLES, "sampling_time": pytest.approx(DT),
-        "start": 0.0, "columns": ["a"], "units": [""],
-        "inputs": 0, "gaps": 0, "truth": "measured",
-    }  # fmt: skip
-    settings, choice, training = (
-        found["settings"], found["settings"]["choice"], found["settings"]["settings"]
-    )  # fmt: skip
+    time = {"samples": SAMPLES, "sampling_time": pytest.approx(DT), "start": 0.0, "gaps": 0}
+    channels = {"columns": ["a"], "units": [""], "inputs": 0, "truth": "measured"}
+    assert found["record"] == {"name": "record", **time, **channels}
+    settings = found["settings"]
+    choice, training = settings["choice"], settings["settings"]
     for name in ("cutoff", "order", "downsampling"):
         assert settings[name] == choice[name]
     assert choice["cutoff"] in [c["cutoff"] for c in choice["candidates"]]
@@ -134,8 +129,8 @@ def test_all_samples_train_and_held_out_forecasts_choose(
 
 
 def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
-    call("compare record.csv --columns a --methods persistence --train 120 --horizon 30 "
-         "--warmup 10", tmp_path)  # fmt: skip
+    line = "compare record.csv --columns a --methods persistence --train 120 --horizon 30"
+    call(f"{line} --warmup 10", tmp_path)
     found = results(tmp_path)
     assert found["record"]["samples"] == 150
     facts = found["methods"]["persistence"]
@@ -144,9 +139,11 @@ def test_the_horizon_ends_both_protocols(tmp_path: Path) -> None:
 
 
 def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None:
-    call("compare record.csv --columns a,b --inputs force "
-         f"--methods euler-mlp,split-gru,persistence {QUICK} --seeds 2 --jobs 1 "
-         "--lr-milestones 1:1e-4 --order 2 --cutoff 1", tmp_path)  # fmt: skip
+    line = (
+        "compare record.csv --columns a,b --inputs force --methods euler-mlp,split-gru,persistence"
+    )
+    how = "--seeds 2 --jobs 1 --lr-milestones 1:1e-4 --order 2 --cutoff 1"
+    call(f"{line} {QUICK} {how}", tmp_path)
     found = results(tmp_path)
     assert (found["record"]["columns"], found["record"]["inputs"]) == (["a", "b"], 1)
     assert found["settings"]["settings"]["milestones"] == [[1, 1e-4]]
@@ -163,8 +160,8 @@ def test_compare_takes_several_channels_and_known_inputs(tmp_path: Path) -> None
 def test_the_command_of_the_page_fits_the_recommended_method_again(tmp_path: Path) -> None:
     """With all its options, quoted, and the further records."""
     out = tmp_path / "my results"
-    call(f"compare record.csv --columns a --inputs force --more record.csv "
-         f"--methods gru {QUICK} --seeds 1 --jobs 1", out)  # fmt: skip
+    line = "compare record.csv --columns a --inputs force --more record.csv"
+    call(f"{line} --methods gru {QUICK} --seeds 1 --jobs 1", out)
     page = html.unescape((out / "report.html").read_text(encoding="utf-8"))
     (line,) = set(re.findall(r"splitband (fit (?:[^\n<]*\\\n)*[^\n<]*)", page))
     words = shlex.split(line.replace("\\\n", " "))

@@ -43,11 +43,10 @@ CALIBRATION = "_fitted_base", "applied"
         ("gru", changed("fitted", "record", columns=["a"]), "columns"),
         ("gru", changed("fitted", start={"date": "NaT"}), "damaged"),
         ("filtered", changed(*CALIBRATION, speed=1.0), "damaged"),
-        ("filtered", changed(*CALIBRATION, clock="fast"), "damaged"),
         ("filtered", changed(*CALIBRATION, gain=[1.0, 2.0]), "damaged"),
         ("filtered", changed(*CALIBRATION, clock=math.nan), "damaged"),
     ],
-    ids=["weights", "format", "warm-up", "columns", "start", "unknown", "kind", "size", "nan"],
+    ids=["weights", "format", "warm-up", "columns", "start", "unknown", "size", "nan"],
 )
 def test_a_damaged_model_is_one_line(
     kind: str,

@@ -54,8 +54,8 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     fmu()
     call("spectrum rig.csv --inputs heater,valve --columns level --simulator Plant.fmu", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
-    call("spectrum other.csv --inputs opening --columns level --simulator Plant.fmu "
-         "--simulator-inputs valve --simulator-columns x", tmp_path)  # fmt: skip
+    line = "spectrum other.csv --inputs opening --columns level --simulator Plant.fmu"
+    call(f"{line} --simulator-inputs valve --simulator-columns x", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
     call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
@@ -72,14 +72,12 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
 def test_an_fmu_without_parameters_to_fit_runs_as_it_was_fitted(tmp_path: Path) -> None:
     """In Python it is in a grey box, whose inputs are held and whose values are all given."""
     built(Path("Plant.fmu").resolve(), ["ModelExchange"], inputs=("valve",), output="level")
-    past, ahead = (sb.read(f"{part}.csv", inputs=["valve"], columns=["level"])
-                   for part in ("past", "ahead"))  # fmt: skip
+    files, channels = ("past.csv", "ahead.csv"), {"inputs": ["valve"], "columns": ["level"]}
+    past, ahead = (sb.read(file, **channels) for file in files)
     model = sb.GreyBox(sb.Fmu("Plant.fmu", hold="zoh")).fit(past)
     model.save("model")
-    call(
-        "simulate model --simulator Plant.fmu --future-inputs ahead.csv --steps 40",
-        tmp_path / "sim.csv",
-    )
+    line = "simulate model --simulator Plant.fmu --future-inputs ahead.csv --steps 40"
+    call(line, tmp_path / "sim.csv")
     np.testing.assert_allclose(pd.read_csv(tmp_path / "sim.csv")["level"], ahead.y[:, 0], atol=1e-6)
 
 
@@ -90,16 +88,16 @@ def test_a_plant_compares_and_simulates_without_error(
     """With its training part, beyond it, and on a record that tests it, here with known samples."""
     fmu()
     rig = "--inputs heater,valve --columns level --simulator Plant.fmu"
-    call(f"compare rig.csv {rig} --methods simulator,mean --train {TRAIN} --test rig.csv",
-         tmp_path / "out")  # fmt: skip
+    line = f"compare rig.csv {rig} --methods simulator,mean --train {TRAIN} --test rig.csv"
+    call(line, tmp_path / "out")
     assert "test record rig (2) are training samples" in capsys.readouterr().out
     found = results(tmp_path / "out")["methods"]["simulator"]
     assert max(*found["forecast_rmse"], *found["total_rmse"], *found["test_rmse"][0]) < 1e-6
     call(f"fit past.csv {rig} --method simulator", tmp_path / "model")
-    call(f"simulate {tmp_path / 'model'} --simulator Plant.fmu --future-inputs ahead.csv "
-         f"--steps {SAMPLES - TRAIN}", tmp_path / "ahead-sim.csv")  # fmt: skip
-    call(f"forecast past.csv {rig} --method simulator --future-inputs ahead.csv "
-         f"--steps {SAMPLES - TRAIN}", tmp_path / "forecast")  # fmt: skip
+    line = f"simulate {tmp_path / 'model'} --simulator Plant.fmu --future-inputs ahead.csv"
+    call(f"{line} --steps {SAMPLES - TRAIN}", tmp_path / "ahead-sim.csv")
+    line = f"forecast past.csv {rig} --method simulator --future-inputs ahead.csv"
+    call(f"{line} --steps {SAMPLES - TRAIN}", tmp_path / "forecast")
     for file in ("ahead-sim.csv", "forecast/forecast.csv"):
         said = pd.read_csv(tmp_path / file)["level"]
         np.testing.assert_allclose(said, pd.read_csv("ahead.csv")["level"], atol=1e-6)

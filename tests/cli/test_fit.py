@@ -65,8 +65,8 @@ def test_fit_sees_the_training_samples_only(model: Path, tmp_path: Path) -> None
         tmp_path / "other.csv", index=False
     )
     for name in ("record.csv", str(tmp_path / "other.csv")):
-        call(f"fit {name} --columns a --method split-gru --train 100 {QUICK}",
-             tmp_path / Path(name).stem)  # fmt: skip
+        line = f"fit {name} --columns a --method split-gru --train 100 {QUICK}"
+        call(line, tmp_path / Path(name).stem)
     one, other = (next((tmp_path / name).glob("weights-*")) for name in ("record", "other"))
     assert one.read_bytes() == other.read_bytes()
 
@@ -78,8 +78,8 @@ def test_inputs_that_are_a_matrix_are_known_by_their_columns(tmp_path: Path) -> 
     np.savez(tmp_path / "ahead.npz", u=u[:20], dt=0.1)
     call(f"fit {tmp_path}/rig.npz --inputs u --method linear", tmp_path / "model")
     assert results(tmp_path / "model")["inputs"] == ["u[0]", "u[1]"]
-    call(f"simulate {tmp_path}/model --history {tmp_path}/rig.npz --steps 20 "
-         f"--future-inputs {tmp_path}/ahead.npz", tmp_path / "ahead.csv")  # fmt: skip
+    line = f"simulate {tmp_path}/model --history {tmp_path}/rig.npz --steps 20"
+    call(f"{line} --future-inputs {tmp_path}/ahead.npz", tmp_path / "ahead.csv")
     expected = y[-1] + 0.1 * np.cumsum(u[:20] @ [1.0, -0.5])
     found = pd.read_csv(tmp_path / "ahead.csv")["y"]
     np.testing.assert_allclose(found, expected, atol=0.05)

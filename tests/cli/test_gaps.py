@@ -35,12 +35,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     history = whole.iloc[:60].copy()
     history.loc[52:59, "a"] = NAN
     slow = whole.iloc[:80].assign(time=(2 * DT * np.arange(80)).round(9))
-    tables = {
-        "gappy": gappy.drop(index=range(80, 84)), "whole": whole, "history": history, "slow": slow,
-        "short": whole.iloc[:25], "renamed": whole.rename(columns={"a": "z"}),
-        "ended": gappy.iloc[:166].drop(index=range(80, 84)), "wide": whole.assign(a=10 * A),
-        "named": whole.rename(columns={"a": "y", "b": "z"}), "turned": whole[["time", "b", "a"]],
-    }  # fmt: skip
+    named, turned = whole.rename(columns={"a": "y", "b": "z"}), whole[["time", "b", "a"]]
+    tables = {"whole": whole, "history": history, "slow": slow, "named": named, "turned": turned}
+    tables |= {"short": whole[:25], "renamed": whole.rename(columns={"a": "z"})}
+    tables |= {"gappy": gappy.drop(index=range(80, 84)), "wide": whole.assign(a=10 * A)}
+    tables["ended"] = gappy.iloc[:166].drop(index=range(80, 84))
     for name, table in tables.items():
         table.to_csv(found / f"{name}.csv", index=False)
     return found

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.support import assert_fails, call, results
+from tests.cli.support import call, results
 
 LOGGER = "Logger X1\nRate,100 Hz,1\nDate,Time,force,x\n,,N,mm\n"
 OPTIONS = "--missing Bad,-- --gaps mask"
@@ -32,19 +32,6 @@ def test_the_record_of_a_logger(logger: Path, capsys: pytest.CaptureFixture[str]
     given = "--inputs force --time-column Date,Time --header-row 3 --skip-rows 14"
     call(f"spectrum logger.csv {given} {OPTIONS}", logger / "b")
     assert "110 samples every 1 s" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("spectrum logger.csv --inputs force", "row 50 holds 'Bad' (line 55)"),
-        ("spectrum logger.csv --header-row 300", "header_row is 300, but there are 125 lines"),
-    ],
-)
-def test_errors_name_the_line(
-    logger: Path, line: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert_fails(f"{line} --out {logger}/out", (words,), capsys)
 
 
 def test_a_model_is_used_on_files_of_the_logger(

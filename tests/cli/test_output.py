@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import splitband as sb
 from splitband.cli import main
 from splitband.runtime.outputs import LOCK, locked, staged, write_facts
 from tests.cli.support import QUICK, B, assert_fails, call, files, results, written
@@ -64,11 +63,7 @@ def test_a_simulation_never_replaces_a_file_of_its_model(
     [
         ("compare {} --methods mean", "RECORD"),
         ("compare record.csv --methods mean --test {}", "--test"),
-        ("compare record.csv --methods mean --more {}", "--more"),
         ("compare record.csv --methods mean --simulator {}", "--simulator"),
-        ("spectrum {}", "RECORD"),
-        ("fit {} --method mean", "RECORD"),
-        ("forecast {} --method mean --steps 3", "RECORD"),
         ("forecast record.csv --steps 3 --future-inputs {}", "--future-inputs"),
     ],
 )
@@ -141,16 +136,6 @@ def test_a_link_in_place_of_the_lock_is_refused_and_not_followed(exists: bool) -
     assert not exists or target.read_text() == "kept"
 
 
-def test_a_second_name_of_a_file_in_place_of_the_lock_is_not_written_to() -> None:
-    Path("out").mkdir()
-    Path("target").write_text("kept")
-    Path("out", LOCK).hardlink_to("target")
-    with locked("out"):
-        assert Path("target").read_text() == "kept"
-    assert Path("target").read_text() == "kept"
-    assert not Path("out", LOCK).exists()
-
-
 def test_a_folder_of_a_full_disk_can_be_locked() -> None:
     with largest_file(0), locked("out"):
         assert Path("out", LOCK).read_bytes() == b""
@@ -171,9 +156,8 @@ def test_nothing_of_an_earlier_result_stays_but_what_is_the_users() -> None:
     assert {path.name for path in out.iterdir()} == {*found["files"], "results.json", "model", *own}
     assert not (out / "predictions-test-1.csv").exists()
     call("forecast record.csv --method mean --steps 3", out)
-    assert {path.name for path in out.iterdir()} == {
-        "results.json", "predictions.csv", "forecast.csv", "report.html", "model", *own
-    }  # fmt: skip
+    kept = {"results.json", "predictions.csv", "forecast.csv", "report.html", "model", *own}
+    assert {path.name for path in out.iterdir()} == kept
     assert {name: (out / name).read_text() for name in own} == own
 
 
@@ -210,26 +194,6 @@ def test_a_result_that_cannot_be_written_leaves_the_earlier_one_and_names_the_fi
     assert files(out) == before
 
 
-def test_a_model_is_replaced_with_the_result_that_it_belongs_to(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    out = Path("out")
-    call(MEAN, out)
-    before = files(out)
-
-    def killed(folder: Path, new: Path) -> None:
-        raise KeyboardInterrupt
-
-    other = MEAN.replace("mean", "persistence")
-    with monkeypatch.context() as patch:
-        patch.setattr("splitband.runtime.outputs._replace", killed)
-        assert main([*shlex.split(other), "--out", "out"]) == 130
-    assert files(out) == before
-    call(other, out)
-    assert sb.load(out / "model").name == "persistence"
-    assert len([*(out / "model").iterdir()]) == 2
-
-
 def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -261,21 +225,21 @@ def test_a_result_cut_off_while_it_is_moved_is_gone_and_the_next_one_whole(
 
 
 def test_predictions_of_test_records_and_errors_by_channel_are_written() -> None:
-    call(f"compare record.csv --columns a,b --methods gru,mean --test history.csv "
-         f"--test record.csv {QUICK} --seeds 1 --jobs 1", Path("out"))  # fmt: skip
+    line = "compare record.csv --columns a,b --methods gru,mean --test history.csv"
+    call(f"{line} --test record.csv {QUICK} --seeds 1 --jobs 1", Path("out"))
     found = results(Path("out"))
     for test, file in zip(found["tests"], ("history", "record"), strict=True):
         table = written(Path("out") / test["predictions"])
         measured = written(Path(f"{file}.csv"))
         np.testing.assert_array_equal(table["time"], measured["time"])
+        errors = [c for c in found["table"] if c["heading"] == "test RMSE"]
         for column in test["columns"]:
             np.testing.assert_array_equal(table[column], measured[column])
+            (own,) = (c for c in errors if (c["record"], c["channel"]) == (test["name"], column))
             for method in ("gru", "mean"):
                 predicted = table[f"{column}, {method}, from start"]
                 assert predicted.isna().tolist() == [True] * 10 + [False] * (len(table) - 10)
                 rmse = np.sqrt(np.mean((predicted - table[column])[10:] ** 2))
-                (errors,) = (c for c in found["table"] if c.get("record") == test["name"]
-                             and (c["heading"], c["channel"]) == ("test RMSE", column))  # fmt: skip
-                assert errors["values"][method] == pytest.approx(rmse)
+                assert own["values"][method] == pytest.approx(rmse)
     level = pd.read_csv("out/predictions-test-2.csv")["b, mean, from start"].dropna()
     assert level.to_numpy() == pytest.approx(B.mean())

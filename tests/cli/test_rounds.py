@@ -70,8 +70,8 @@ def test_a_training_like_an_earlier_one_has_its_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     earlier, out = tmp_path / "earlier", tmp_path / "out"
-    call("compare record.csv --columns a --inputs force --methods gru --hidden 5,2 --rounds 1 "
-         "--jobs 1", earlier)  # fmt: skip
+    line = "compare record.csv --columns a --inputs force --methods gru --hidden 5,2 --rounds 1"
+    call(f"{line} --jobs 1", earlier)
     call(f"compare record.csv --like {earlier} --seeds 1 --jobs 1", out)
     found = results(out)
     assert found["search"] == []
@@ -134,10 +134,9 @@ def test_a_summary_has_a_row_for_each_output_and_test_record_of_each_folder(
     call("summary pump arm begun --out all.json --json")
     rows = json.loads(capsys.readouterr().out)
     assert rows == json.loads(Path("all.json").read_text())
-    assert [(row["folder"], row["record"], row["output"]) for row in rows] == [
-        ("pump", "record", ""), ("arm", "history", "a"), ("arm", "history", "b"),
-        ("arm", "record", "a"), ("arm", "record", "b"), ("begun", "", ""),
-    ]  # fmt: skip
+    arm = [("arm", record, output) for record in ("history", "record") for output in "ab"]
+    found = [(row["folder"], row["record"], row["output"]) for row in rows]
+    assert found == [("pump", "record", ""), *arm, ("begun", "", "")]
     for folder, best in (("pump", "harmonic"), ("arm", "mean")):
         for column in results(Path(folder))["table"]:
             for row in rows:

@@ -43,13 +43,13 @@ def test_a_hybrid_model_simulates_on_with_any_simulator(hybrid_model: Path, tmp_
     calibration = Calibration(**facts["calibration"])
     y, y_sim = A[40:50, None], calibration.apply(SIMULATED[:, None], 75, DT)[40:]
     for simulator in ("simulated.csv", "functions.py:good"):
-        call(f"simulate {hybrid_model} --history history.csv --steps 25 --simulator {simulator}",
-             tmp_path / "ahead.csv")  # fmt: skip
+        line = f"simulate {hybrid_model} --history history.csv --steps 25 --simulator {simulator}"
+        call(line, tmp_path / "ahead.csv")
         table = written(tmp_path / "ahead.csv")
         assert table.shape == (25, 2)
         np.testing.assert_allclose(table[["a"]], simulated(loaded, y, 25, y_sim=y_sim), atol=1e-5)
-    call(f"simulate {hybrid_model} --history history.csv --steps 150 --simulator simulated.csv",
-         tmp_path / "all.csv")  # fmt: skip
+    line = f"simulate {hybrid_model} --history history.csv --steps 150 --simulator simulated.csv"
+    call(line, tmp_path / "all.csv")
     assert len(written(tmp_path / "all.csv")) == 150  # as far as the exported trajectory goes
 
 
@@ -61,8 +61,8 @@ def test_future_inputs_drive_a_model_that_has_inputs(driven_model: Path, tmp_pat
         ("strong", tmp_path / "push.csv"),
         ("bare", no_stamps),
     ):
-        call(f"simulate {driven_model} --history history.csv --steps 20 --future-inputs {name}",
-             tmp_path / f"{to}.csv")  # fmt: skip
+        line = f"simulate {driven_model} --history history.csv --steps 20 --future-inputs {name}"
+        call(line, tmp_path / f"{to}.csv")
     plain, strong, bare = (
         written(tmp_path / f"{to}.csv")["a"] for to in ("plain", "strong", "bare")
     )
@@ -92,8 +92,8 @@ def test_forecast_goes_on_from_the_end_of_a_record(
 
 
 def test_forecast_asks_a_simulator_for_what_is_to_come(tmp_path: Path) -> None:
-    call("forecast record.csv --columns a --steps 30 --method simulator-affine "
-         "--simulator functions.py:good", tmp_path)  # fmt: skip
+    line = "forecast record.csv --columns a --steps 30 --method simulator-affine"
+    call(f"{line} --simulator functions.py:good", tmp_path)
     time = DT * np.arange(SAMPLES, SAMPLES + 30)
     good = 0.8 * np.sin(2 * np.pi * 0.3 * time + 0.2) + 0.3
     found = written(tmp_path / "forecast.csv")["a"]

@@ -24,11 +24,9 @@ def write(name: str, seed: int, spoilt: int = 0) -> None:
     turning = scipy.signal.lfilter([0, 0.02], [1, -0.9], rudder)
     speed = scipy.signal.lfilter([0, 0.05], [1, -0.95], pedal) + rng.normal(0, 0.2, N)
     speed[rng.choice(N, spoilt, replace=False)] = 6553.5
-    table = {
-        "time": 0.5 * np.arange(N), "rudder": rudder, "pedal": pedal, "speed": speed,
-        "heading [deg]": (180 + 0.5 * np.cumsum(turning) + rng.normal(0, 0.2, N)) % 360,
-    }  # fmt: skip
-    pd.DataFrame(table).round(2).to_csv(name, index=False)
+    heading = (180 + 0.5 * np.cumsum(turning) + rng.normal(0, 0.2, N)) % 360
+    table = {"time": 0.5 * np.arange(N), "rudder": rudder, "pedal": pedal, "speed": speed}
+    pd.DataFrame(table | {"heading [deg]": heading}).round(2).to_csv(name, index=False)
 
 
 @pytest.fixture
@@ -81,8 +79,8 @@ def test_missing_values_and_periods_lead_to_the_right_model(sea: Path) -> None:
     assert "--unwrap heading" in (sea / "out" / "report.html").read_text()
     # The saved model does with a history what was done with its record.
     pd.read_csv("test.csv")[: N - 100].to_csv("history.csv", index=False)
-    call("simulate out/model --history history.csv --steps 100 --future-inputs test.csv "
-         "--other-run", sea / "ahead.csv")  # fmt: skip
+    line = "simulate out/model --history history.csv --steps 100 --future-inputs test.csv"
+    call(f"{line} --other-run", sea / "ahead.csv")
     found = pd.read_csv("ahead.csv")["heading [deg]"].to_numpy()
     measured = pd.read_csv("test.csv")["heading [deg]"].to_numpy()[-100:]
     assert np.abs((found - measured + 180) % 360 - 180).max() < 5

@@ -17,10 +17,7 @@ from typing import Any
 SAMPLES, AHEAD, TRAIN, STEP = 240, 20, 180, 0.1
 CHANNEL = "φ (°)"  # which the code page of Western Europe cannot hold
 SIMULATOR = "def swing(time):\n    print('a simulator may print')\n    return 0.3 * time\n"
-SHORT = (
-    "--recipe", "constant-rate", "--epochs", "2", "--hidden", "4,3", "--window", "30",
-    "--warmup", "10",
-)  # fmt: skip
+SHORT = "--recipe constant-rate --epochs 2 --hidden 4,3 --window 30 --warmup 10"
 
 
 def force(n: int) -> float:
@@ -44,12 +41,12 @@ def write_files() -> None:
     Path("swing.py").write_text(SIMULATOR, encoding="utf-8")
 
 
-def splitband(*words: str) -> None:
-    """Run a command as the entry point does; it must succeed."""
+def splitband(line: str, *paths: str) -> None:
+    """Run a command as the entry point does; it must succeed. Paths may have blanks."""
     from splitband.cli import main  # noqa: PLC0415  workers, which import this file, do not need it
 
-    sys.argv = ["splitband", *words]
-    assert main() == 0, words
+    sys.argv = ["splitband", *line.split(), *paths]
+    assert main() == 0, line
 
 
 def results(folder: str) -> dict[str, Any]:
@@ -64,27 +61,24 @@ def main_paths() -> None:
     from splitband.comparison import candidates  # noqa: PLC0415
 
     candidates.FIRST_STEPS = candidates.FIRST_ROUND = 3  # a round takes a moment
-    given = ["rig.csv", "--inputs", "force"]
-    splitband("compare", *given, "--train", str(TRAIN), "--methods", "gru,linear",
-              "--hidden", "4,3", "--rounds", "1", "--seeds", "1", "--jobs", "2",
-              "--out", "out")  # fmt: skip
+    given, methods = "rig.csv --inputs force", f"--train {TRAIN} --methods"
+    search = "--hidden 4,3 --rounds 1 --seeds 1 --jobs 2"
+    splitband(f"compare {given} {methods} gru,linear {search} --out out")
     assert {"gru", "linear"} <= {*results("out")["methods"]}
     assert CHANNEL in Path("out/report.html").read_text(encoding="utf-8")
-    splitband("compare", *given, "--train", str(TRAIN), "--methods", "linear",
-              "--out", "out")  # fmt: skip
+    splitband(f"compare {given} {methods} linear --out out")
     assert "gru" not in results("out")["methods"]
     swing = f"{Path('swing.py').resolve()}:swing"  # on Windows C:\...\swing.py:swing
-    splitband("compare", *given, "--train", str(TRAIN), "--methods", "simulator,mean",
-              "--simulator", swing, "--warmup", "10", "--jobs", "1", "--out", "beside")  # fmt: skip
-    splitband("summary", "out", "beside", "--out", "table.csv")
+    beside = f"compare {given} {methods} simulator,mean --warmup 10 --jobs 1 --out beside"
+    splitband(f"{beside} --simulator", swing)
+    splitband("summary out beside --out table.csv")
     assert b"\r" not in Path("table.csv").read_bytes()
-    splitband("forecast", *given, "--method", "linear", "--steps", "5",
-              "--future-inputs", "future.csv", "--out", "ahead")  # fmt: skip
-    splitband("fit", *given, "--method", "gru", *SHORT, "--out", "model")
-    splitband("simulate", "model", "--steps", str(AHEAD), "--future-inputs", "future.csv",
-              "--out", "simulated.csv")  # fmt: skip
-    splitband("export", "model", "model.c")
-    splitband("spectrum", *given, "--out", "spectrum")
+    coming = "--future-inputs future.csv"
+    splitband(f"forecast {given} --method linear --steps 5 {coming} --out ahead")
+    splitband(f"fit {given} --method gru {SHORT} --out model")
+    splitband(f"simulate model --steps {AHEAD} {coming} --out simulated.csv")
+    splitband("export model model.c")
+    splitband(f"spectrum {given} --out spectrum")
     record = sb.read("rig.csv", inputs=["force"])
     inputs = [[force(n)] for n in range(SAMPLES, SAMPLES + AHEAD)]
     model = sb.load("model").predict(AHEAD, u=inputs)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -34,10 +35,9 @@ def desk(tmp_path: Path) -> dict[str, str]:
 
 
 def run(folder: Path, environment: dict[str, str], *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *words], cwd=folder, env=environment, capture_output=True,
-        encoding="cp1252", check=False, timeout=300,
-    )  # fmt: skip
+    how: dict[str, Any] = {"capture_output": True, "encoding": "cp1252", "timeout": 300}
+    command = [sys.executable, *words]
+    return subprocess.run(command, cwd=folder, env=environment, check=False, **how)
 
 
 @linux

@@ -21,28 +21,22 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-ABSENT = {
-    "fcntl", "grp", "posix", "pty", "pwd", "readline", "resource", "syslog", "termios", "tty",
-    "multiprocessing.popen_fork", "multiprocessing.popen_forkserver",
-    "multiprocessing.resource_tracker",  # it can be imported on Windows, and does not start
-}  # fmt: skip
+POSIX = "fcntl grp posix pty pwd readline resource syslog termios tty"
+"""Modules that Windows lacks; those of processes can be imported there, and do not start."""
+PROCESSES = "popen_fork", "popen_forkserver", "resource_tracker"
+ABSENT = {*POSIX.split(), *(f"multiprocessing.{name}" for name in PROCESSES)}
 EXTRAS = "pyarrow", "matplotlib", "fmpy", "onnx", "control", "distributed"
-OF_OS = {
-    "chown", "chroot", "confstr", "ctermid", "fchmod", "fchown", "fork", "forkpty", "getegid",
-    "geteuid", "getgid", "getgroups", "getloadavg", "getpgid", "getpgrp", "getpriority",
-    "getsid", "getuid", "initgroups", "killpg", "lchown", "lockf", "mkfifo", "mknod", "nice",
-    "openpty", "pathconf", "pidfd_open", "posix_fadvise", "posix_fallocate", "posix_spawn",
-    "pread", "pwrite", "register_at_fork", "sched_getaffinity", "sched_setaffinity",
-    "sched_yield", "sendfile", "setegid", "seteuid", "setgid", "setpgid", "setpriority",
-    "setregid", "setreuid", "setsid", "setuid", "statvfs", "sync", "sysconf", "tcgetpgrp",
-    "uname", "wait", "wait3", "wait4", "waitid",
-}  # fmt: skip
-OF_SIGNAL = {
-    "alarm", "getitimer", "pause", "pthread_kill", "pthread_sigmask", "setitimer", "SIG_BLOCK",
-    "SIG_SETMASK", "SIG_UNBLOCK", "SIGALRM", "SIGCHLD", "SIGCONT", "SIGHUP", "SIGKILL",
-    "sigpending", "SIGPIPE", "SIGQUIT", "SIGSTOP", "sigtimedwait", "SIGTSTP", "SIGUSR1",
-    "SIGUSR2", "sigwait",
-}  # fmt: skip
+OF_OS = """
+    chown chroot confstr ctermid fchmod fchown fork forkpty getegid geteuid getgid getgroups
+    getloadavg getpgid getpgrp getpriority getsid getuid initgroups killpg lchown lockf mkfifo
+    mknod nice openpty pathconf pidfd_open posix_fadvise posix_fallocate posix_spawn pread pwrite
+    register_at_fork sched_getaffinity sched_setaffinity sched_yield sendfile setegid seteuid
+    setgid setpgid setpriority setregid setreuid setsid setuid statvfs sync sysconf tcgetpgrp
+    uname wait wait3 wait4 waitid"""
+OF_SIGNAL = """
+    alarm getitimer pause pthread_kill pthread_sigmask setitimer SIG_BLOCK SIG_SETMASK SIG_UNBLOCK
+    SIGALRM SIGCHLD SIGCONT SIGHUP SIGKILL sigpending SIGPIPE SIGQUIT SIGSTOP sigtimedwait SIGTSTP
+    SIGUSR1 SIGUSR2 sigwait"""
 
 
 class Seen(ModuleType):
@@ -85,8 +79,8 @@ def held(path: str | Path) -> bool:
 def pretend() -> None:
     """Begin to pretend, for as long as the process runs."""
     seen = {
-        "os": Seen(os, OF_OS, name="nt", fsync=fsync),
-        "signal": Seen(signal, OF_SIGNAL),
+        "os": Seen(os, OF_OS.split(), name="nt", fsync=fsync),
+        "signal": Seen(signal, OF_SIGNAL.split()),
         "sys": Seen(sys, platform="win32"),
         "ctypes": Seen(ctypes, CDLL=library),
     }

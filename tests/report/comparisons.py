@@ -75,10 +75,9 @@ def everything() -> Comparison:
     plain = record(ny=2, nu=1)
     y = plain.y.copy()
     y[50:60, 0] = np.nan
-    r = Record.with_gaps(
-        y, DT, plain.u, y_sim=0.9 * plain.y, name=NASTY, columns=("angle (rad)", NASTY),
-        inputs=("force",), start=pd.Timestamp("2024-03-01 08:00"),
-    )  # fmt: skip
+    r = Record.with_gaps(y, DT, plain.u, y_sim=0.9 * plain.y, name=NASTY, inputs=("force",))
+    start, columns = pd.Timestamp("2024-03-01 08:00"), ("angle (rad)", NASTY)
+    r = replace(r, start=start, columns=columns)
     test = replace(plain, name="later", columns=r.columns, inputs=r.inputs)
     methods = "mean", "persistence", "seasonal-naive", "simulator"
     return as_if_trained(compared(r, methods, tests=[test]))

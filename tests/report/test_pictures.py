@@ -13,10 +13,8 @@ def test_every_prediction_has_a_panel_with_its_fit() -> None:
     figure = found.plot()
     titles = [ax.get_title(loc="left") for ax in figure.axes if ax.get_title(loc="left")]
     large = [title for title in titles if "\n" not in title]
-    assert [title.split(":")[0] for title in large] == [
-        "simulation after the training part", "simulation after the training part",
-        "simulation of the test record later", "simulation of the test record later",
-    ]  # fmt: skip
+    forecast, test = "simulation after the training part", "simulation of the test record later"
+    assert [title.split(":")[0] for title in large] == [forecast] * 2 + [test] * 2
     shown = found.table["forecast fit %, angle (rad)"][found.recommended]
     assert f"fit {shown:.1f} %, RMSE" in large[0]
     assert len(titles) == 4 + 3 * 2

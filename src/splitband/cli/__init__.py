@@ -47,9 +47,9 @@ class LockedCommand(typer.core.TyperCommand):
         except TyperException as error:
             from splitband.cli.usage import corrected  # noqa: PLC0415  which loads what runs need
 
-            said, _, _ = error.format_message().partition(" (Possible")
-            if any(said.endswith(old) for old in GONE) or not (meant := corrected(ctx, given)):
+            if not (meant := corrected(ctx, given)):
                 raise
+            said, _, _ = error.format_message().partition(" (Possible")
             asked = f"{said.removesuffix('.')}. Did you mean: {', or: '.join(meant)}"
             raise TyperException(asked) from error
 
@@ -135,12 +135,6 @@ def splitband(
     context.with_resource(printing.saying(quiet, json, verbose))
 
 
-GONE = {
-    "--effort": " (it is gone: --rounds N fixes the work, --budget TIME the time)",
-    "--settings": " (it is gone: --like DIR takes the settings of an earlier result or model)",
-    "'benchmark'.": " It is gone: a loop over compare, then splitband summary DIR...",
-}
-"""What to use in place of options and commands of earlier versions."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C: the convention of shells, and what typer returns."""
 
@@ -164,10 +158,6 @@ def main(arguments: Sequence[str] | None = None, began: float | None = None) -> 
         # Without a command typer has printed the help, and its message is empty.
         nothing = f"a command must be given: {' '.join(['splitband', *given])} COMMAND"
         said = error.format_message().strip()
-        without_guess = said.partition(" (Possible")[0]
-        for old, now in GONE.items():
-            if without_guess.endswith(old):
-                return _complain(without_guess + now)
         return _complain((said or nothing) + _value(error, given))
     except EXPECTED as error:
         return _complain(in_words(error))
@@ -194,7 +184,7 @@ def _global_first(arguments: Sequence[str]) -> list[str]:
 
 def _value(error: TyperException, given: Sequence[str]) -> str:
     """Return ", got VALUE" for the option that an error is about; empty if there is none."""
-    names = getattr(getattr(error, "param", None), "opts", [])
+    names = error.param.opts if isinstance(error, typer.BadParameter) and error.param else []
     values = ""
     for word, following in zip(given, [*given[1:], ""], strict=False):
         name, _, value = word.partition("=")

@@ -22,11 +22,7 @@ def check(
     model_dir: options.ModelArgument,
     record: Annotated[
         Path,
-        options.plain(
-            "Measured samples with the columns of the training record, best of another run.",
-            "FILE",
-            False,
-        ),
+        options.plain("Measured samples, columns as in training, best of another run.", "FILE"),
     ],
     simulator: options.SimulatorOptions,
     files: options.FileOptions,
@@ -43,14 +39,14 @@ def check(
     """
     model = load(model_dir)
     past = records.history_of(record, "--record", model, files)
-    model = records.with_simulator(model, model_dir, simulator, past, 0, files.time_column)
+    records.with_simulator(model, simulator, past, files)
     model.to(device)
     with printing.warnings_as_lines():
         found = checks.check(model, past)
         responses = respond_over_range(model)
     facts = command_of(context)
     used = Usage(asked=checking(facts["arguments"]))
-    results.save_check(found, out, model, responses, facts, used)
+    results.save_check(found, model, responses, facts, out, used)
     for line in str(found).splitlines():
         printing.console.print(line)
     for remark in responses[0].remarks if responses else ():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import typer
 
-from splitband.cli import options, printing
+from splitband.cli import INTERRUPTED, options, printing
 from splitband.cli.compare import compared
 from splitband.comparison.methods import Sizes
 from splitband.comparison.plan import plan
@@ -53,6 +53,8 @@ def demo(
     result = compared(context, found, out, jobs)
     if {*METHODS} <= {*result.medians}:  # Ctrl-C may have left some out
         _tell(result)
+    if result.interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 def _tell(result: Comparison) -> None:

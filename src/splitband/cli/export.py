@@ -61,9 +61,7 @@ def export(
     if history is not None:
         past = records.history_of(history, "--history", forecaster, files)
     if simulator.simulator is not None:
-        forecaster = records.with_simulator(
-            forecaster, model_dir, simulator, past, 0, files.time_column
-        )
+        records.with_simulator(forecaster, simulator, past, files)
     output_folder(out.parent, "OUT")
     with printing.warnings_as_lines():
         written = forecaster.export(out, precision, past if history else None, other_run)

@@ -37,28 +37,19 @@ def fit(
     simulator: options.SimulatorOrBaseOptions,
     further: options.FurtherRecords,
     model: options.ModelOptions,
-    out: Annotated[Path, options.plain("Folder for the model.", "MODEL_DIR", False)],
+    out: Annotated[Path, options.plain("Folder for the model.", "MODEL_DIR")],
     method: Annotated[
         str | None,
-        options.plain(
-            "The method to fit, as `compare` recommends one; see `splitband methods`.",
-            None,
-            "that of --like",
-        ),
+        options.plain("The method to fit; see `splitband methods`.", usual="that of --like"),
     ] = None,
     train: Annotated[
-        int | None, options.plain("Samples at the beginning to train on.", None, "all")
+        int | None, options.plain("Samples at the beginning to train on.", usual="all")
     ] = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     intervals: Annotated[
         bool,
-        options.plain(
-            "Also train on three quarters of the record, for the intervals of `simulate --level`.",
-            None,
-            True,
-            "--intervals",
-        ),
+        options.plain("Also train on three quarters of the record, for `simulate --level`."),
     ] = False,
     jobs: options.Jobs = None,
     like: options.Like = None,
@@ -75,8 +66,8 @@ def fit(
             "method must be named: `splitband compare` recommends one, `splitband methods` lists "
             "them, and --like takes that of an earlier result; got none"
         )
-    asked = Request(record, reading, simulator, further, model=model, train=train, methods=method)
-    asked = replace(asked, calibrate=calibrate, conditioned=conditioned, like=like)
+    asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
+    asked = replace(asked, train=train, calibrate=calibrate, conditioned=conditioned)
     plan = planned(asked, fitting=True)
     with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)
@@ -135,10 +126,9 @@ def fit(
 @contextmanager
 def _bar() -> Iterator[Callable[[Progress], None]]:
     """Show the epochs of a training, if standard error is a terminal."""
-    text, left = "[progress.description]{task.description}", TimeRemainingColumn()
-    hidden = printing.console.quiet or not sys.stderr.isatty()
-    columns = text, BarColumn(), TaskProgressColumn(), left
-    bar = BarOfEpochs(*columns, console=Console(stderr=True), transient=True, disable=hidden)
+    shown = "{task.description}", BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    unseen = printing.console.quiet or not sys.stderr.isatty()
+    bar = BarOfEpochs(*shown, console=Console(stderr=True), transient=True, disable=unseen)
     with bar:
         task = bar.add_task("training", total=1.0)
 

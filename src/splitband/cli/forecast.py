@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,10 +22,10 @@ def forecast(
     reading: options.RecordOptions,
     simulator: options.SimulatorOrBaseOptions,
     further: options.FurtherRecords,
-    steps: Annotated[int, options.plain("Samples to forecast.", None, False, min=1)],
+    steps: Annotated[int, options.plain("Samples to forecast.", min=1)],
     method: Annotated[
         str | None,
-        options.plain("One of those that `splitband methods` lists.", None, "the best one"),
+        options.plain("One of those that `splitband methods` lists.", usual="the best one"),
     ] = None,
     seeds: options.Seeds = None,
     jobs: options.Jobs = None,
@@ -47,12 +48,10 @@ def forecast(
     model = options.ModelOptions(
         epochs=epochs, budget=budget, rounds=rounds, seed=seed, device=device
     )
-    plan = planned(
-        Request(record, reading, simulator, further, model=model, train="all", methods=method,
-                seeds=seeds, like=like)
-    )  # fmt: skip
+    asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
+    plan = planned(replace(asked, train="all", seeds=seeds))
     u = records.inputs_ahead(future_inputs, plan.record, steps, reading)
-    y_sim = records.simulator_ahead(record, simulator, plan.record, steps, u, reading.time_column)
+    y_sim = records.simulator_ahead(simulator, plan.record, steps, u, reading)
     result = compared(context, plan, out, jobs, cluster)
     predicted(out / "forecast.csv", record, result.model, steps, u=u, y_sim=y_sim, level=COVERAGE)
     if result.interrupted:

@@ -28,9 +28,7 @@ def methods() -> None:
         listed.update(others)
         fitted = any(isinstance(part, GreyBox) for part in all_parts(method))
         needs = method.needs | ({"simulator", "parameters"} if fitted else set())
-        table.add_row(
-            name, ", ".join(other.removeprefix(name) for other in others), method.in_words(),
-            ", ".join(f"--{each}" for each in sorted(needs)),
-        )  # fmt: skip
+        also = ", ".join(other.removeprefix(name) for other in others)
+        table.add_row(name, also, method.in_words(), ", ".join(f"--{n}" for n in sorted(needs)))
     printing.console.print(table)
     printing.as_json({name: method.in_words() for name, method in NAMES.items()})

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -27,24 +27,21 @@ def panel(title: str | None) -> Callable[..., Any]:
     """Return a function that describes options in one panel of the help.
 
     It takes the help text, the name of the value, the default to show if it differs from the
-    actual one, the names of the option, and further arguments of `typer.Option`.
+    actual one, and further arguments of `typer.Option`.
     """
 
-    def option(
-        does: str, value: str | None = None, usual: str | bool = True, *names: str, **more: Any
-    ) -> Any:
-        return typer.Option(
-            *names, help=does, metavar=value, show_default=usual, rich_help_panel=title, **more
-        )
+    def option(does: str, value: str | None = None, usual: str | bool = True, **more: Any) -> Any:
+        shown: dict[str, Any] = {"metavar": value, "show_default": usual, "rich_help_panel": title}
+        return typer.Option(help=does, **shown, **more)
 
     return option
 
 
 def _fields(title: str) -> Callable[..., Any]:
-    """Return a function that describes fields of a group: the default, then as `panel`."""
+    """Return a function that describes fields of a group, as `panel`, with their default."""
     described = panel(title)
 
-    def option(default: Any, *does: Any, **more: Any) -> Any:
+    def option(*does: Any, default: Any = None, **more: Any) -> Any:
         return field(default=default, metadata={"option": described(*does, **more)})
 
     return option
@@ -77,6 +74,8 @@ def _options(owner: Callable[..., Any]) -> Iterator[inspect.Parameter]:
             yield from _options(hint)
         else:
             hint = Annotated[hint, described[name]] if name in described else hint
+            if get_origin(hint) is Annotated and get_args(hint)[0] is bool:  # without --no-...
+                get_args(hint)[1].param_decls = (f"--{name.replace('_', '-')}",)
             yield parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY)
 
 
@@ -169,6 +168,7 @@ def _training_samples(value: str) -> int | Literal["all"]:
 _hertz = _or_auto(float, "a frequency in Hz")
 _samples = _or_auto(int, "a whole number of samples")
 _record, _simulator = _fields("Record"), _fields("Simulator")
+_TIMES = ", ".join(TIME_NAMES)
 _filter, _training = _fields("Filter"), _fields("Training")
 _FILTER, _TRAINING, _TIME = panel("Filter"), panel("Training"), panel("Time")
 plain = panel(None)
@@ -194,32 +194,29 @@ Train = Annotated[
     Any,  # int, "all" or None
     panel("Record")(
         "Train on the first N samples, or on all: methods are then compared by their held-out "
-        "forecasts alone.", "N|all", "three quarters", parser=_training_samples,
+        "forecasts alone.",
+        "N|all",
+        "three quarters",
+        parser=_training_samples,
     ),
-]  # fmt: skip
+]
 History = Annotated[
     Path | None,
-    plain("Measured samples up to now, with the columns of the training record; the last ones "
-          "warm the model up.", "FILE", "the training record"),
-]  # fmt: skip
+    plain("Measured samples up to now, columns as in training.", "FILE", "the training record"),
+]
 OtherRun = Annotated[
     bool,
-    plain("The history is of another run: its time stamps are not compared with those of the "
-          "training record. Refused where a forecast depends on them.", None, True, "--other-run"),
-]  # fmt: skip
+    plain("The history is of another run: compare no time stamps with the training record's."),
+]
 FutureInputs = Annotated[
     Path | None,
     panel("Record")(
         "Planned inputs of the samples to predict, found by their time stamps; without any in both "
         "files, its first row follows the last sample.",
         "FILE",
-        False,
     ),
 ]
-Calibrate = Annotated[
-    bool,
-    panel("Simulator")("Fit its gain, offset, delay and clock first.", None, True, "--calibrate"),
-]
+Calibrate = Annotated[bool, panel("Simulator")("Fit its gain, offset, delay and clock first.")]
 Cutoff = Annotated[
     float | None,
     _FILTER("Cut-off between the two bands; auto chooses it.", "HZ|auto", "auto", parser=_hertz),
@@ -227,44 +224,33 @@ Cutoff = Annotated[
 Order = Annotated[
     int | None, _FILTER("Order of each Butterworth filter.", "N", "1 or 2, with the cut-off")
 ]
-Conditioned = Annotated[
-    bool, _FILTER("Give networks the slow band as an input.", None, True, "--conditioned")
-]
+Conditioned = Annotated[bool, _FILTER("Give networks the slow band as an input.")]
 Epochs = Annotated[int | None, _TRAINING("Passes over all windows.", "N", "about 1,000 steps")]
 Out = Annotated[Path, plain("Folder for results and page.", "DIR")]
 Methods = Annotated[
     str | None,
     plain("Methods, separated by commas; see splitband methods.", "NAMES", "what suits the record"),
 ]
-Seeds = Annotated[
-    int | None,
-    _TRAINING(
-        "Trainings of each network, whose median is used; in a search, N at most, and N of the "
-        "best network alone.", "N", "1 to 8", min=1,
-    ),
-]  # fmt: skip
+_SEEDS = "Trainings of each network (in a search: of the best one), for their median."
+Seeds = Annotated[int | None, _TRAINING(_SEEDS, "N", "1 to 8", min=1)]
 Like = Annotated[
     Path | None,
-    _TRAINING("Train as the model of an earlier run was, with its settings alone.", "DIR", False),
+    _TRAINING("Train as the model of an earlier run was, with its settings alone.", "DIR"),
 ]
 Device = Annotated[str, _TRAINING("Train networks on cpu, cuda, cuda:1, ...", "NAME")]
 Budget = Annotated[str | None, _TIME("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]
 Rounds = Annotated[
     int | None,
-    _TIME("Rounds of the search, in place of a time: the same in every run.", "N", False, min=1),
+    _TIME("Rounds of the search, in place of a time: the same in every run.", "N", min=1),
 ]
 Seed = Annotated[int, _TIME("Of all random numbers.", "N", min=0)]
 Jobs = Annotated[int | None, _TIME("Trainings at once, one on each core.", "N", "all cores", min=1)]
 Cluster = Annotated[
-    str | None, _TIME("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS", False)
+    str | None, _TIME("Dask scheduler whose workers train: tcp://...:8786.", "ADDRESS")
 ]
 SkipDone = Annotated[
-    bool,
-    plain(
-        "Leave --out alone if it has a finished comparison, of whatever record and options.",
-        None, True, "--skip-done",
-    ),
-]  # fmt: skip
+    bool, plain("Leave --out alone if it has a finished comparison, of any record and options.")
+]
 
 
 @dataclass(frozen=True)
@@ -272,17 +258,17 @@ class FileOptions:
     """Say how files of samples are read."""
 
     time_column: str | None = _record(
-        None,
-        "Column of time stamps, seconds or dates; or a date and a time of the day, DATE,TIME.",
-        "NAME", ", ".join(TIME_NAMES),
-    )  # fmt: skip
-    gaps: Gaps = _record("refuse", "Refuse missing values and rows, or mask them.")
-    missing: str | None = _record(
-        None, "Words or numbers that stand for a missing value: Bad,-9999.", "WORDS", False
+        "Column of time stamps, seconds or dates; or of dates and of times: DATE,TIME.",
+        "NAME",
+        _TIMES,
     )
-    skip_rows: int = _record(0, "Lines at the top of a text file to leave out.", "N", False, min=0)
+    gaps: Gaps = _record("Refuse missing values and rows, or mask them.", default="refuse")
+    missing: str | None = _record("Words or numbers for a missing value: Bad,-9999.", "WORDS")
+    skip_rows: int = _record(
+        "Lines at the top of a text file to leave out.", "N", False, default=0, min=0
+    )
     header_row: int | None = _record(
-        None, "Line of a text file with the names, from 1; 0: none.", "N", "found", min=0
+        "Line of a text file with the names, from 1; 0: none.", "N", "found", min=0
     )
 
 
@@ -291,33 +277,28 @@ class RecordOptions(FileOptions):
     """Say how records are read, and what they hold."""
 
     columns: str | None = _record(
-        None, "Measured columns, by name, or by position from 0 in a file without names.",
-        "NAMES", "all numeric",
-    )  # fmt: skip
-    inputs: str | None = _record(None, "Known inputs: forces, set-points.", "NAMES", False)
+        "Measured columns, by name; without names by position from 0.", "NAMES", "all numeric"
+    )
+    inputs: str | None = _record("Known inputs: forces, set-points.", "NAMES")
     unwrap: list[str] | None = _record(
-        None, "Let an angle or a counter go on where it jumps by its period; may be repeated.",
-        "NAME[=PERIOD]", "as it jumps",
-    )  # fmt: skip
+        "Let an angle or a counter go on where it jumps; repeatable.",
+        "NAME[=PERIOD]",
+        "as it jumps",
+    )
     clip_outliers: str | None = _record(
-        None, "Limit these outputs to five robust deviations from their medians.", "NAMES", False
+        "Limit these outputs to five robust deviations from their medians.", "NAMES"
     )
     sampling_time: float | None = _record(
-        None, "Time between samples, without a time column or with one that can mean two things.",
-        "SECONDS", False,
-    )  # fmt: skip
+        "Time between samples, if the time column is missing or can mean two things.", "SECONDS"
+    )
 
 
 @dataclass(frozen=True)
 class FurtherRecords:
     """Name other records of the same system, to train on."""
 
-    more: list[str] | None = _record(
-        None, "Train on this record too; may be repeated.", "FILE", False
-    )
-    more_simulator: list[str] | None = _simulator(
-        None, "Simulator of each --more, in order.", "FILE", False
-    )
+    more: list[str] | None = _record("Train on this record too; may be repeated.", "FILE")
+    more_simulator: list[str] | None = _simulator("Simulator of each --more, in order.", "FILE")
 
 
 @dataclass(frozen=True)
@@ -326,14 +307,10 @@ class TestRecords:
 
     __test__ = False  # for pytest: not a test class
 
-    test: list[str] | None = _record(
-        None, "Validate on this record; may be repeated.", "FILE", False
-    )
-    test_simulator: list[str] | None = _simulator(
-        None, "Simulator of each --test, in order.", "FILE", False
-    )
+    test: list[str] | None = _record("Validate on this record; may be repeated.", "FILE")
+    test_simulator: list[str] | None = _simulator("Simulator of each --test, in order.", "FILE")
     initial: int | None = _record(
-        None, "Measured samples at the beginning of a test record.", "N", "the warm-up", min=1
+        "Measured samples at the beginning of a test record.", "N", "the warm-up", min=1
     )
 
 
@@ -341,58 +318,52 @@ _SIMULATOR = (
     "A simulator: an exported trajectory, an .fmu, FILE.py:FUNCTION of time in s or of (time, u), "
     f"or one of {', '.join(SIMULATORS)}. It is driven by the record's inputs."
 )
+_OR_BASE = f"{_SIMULATOR} Or linear, periodic, harmonic: a fitted model."
 
 
 @dataclass(frozen=True)
 class SimulatorOptions:
     """Name the simulator of the record, and say how it is run."""
 
-    simulator: str | None = _simulator(None, _SIMULATOR, "FILE|NAME", "a named record's own")
+    simulator: str | None = _simulator(_SIMULATOR, "FILE|NAME", "a named record's own")
     simulator_columns: str | None = _simulator(
-        None, "Its columns or outputs that match --columns.", "NAMES", "of the same names"
+        "Its columns or outputs that match --columns.", "NAMES", "of the same names"
     )
     simulator_inputs: str | None = _simulator(
-        None,
         "Variables of an FMU that take --inputs, in their order, none for one that it does not "
         'take (a,,c); the others keep their start values, with "" all of them.',
-        "NAMES", "of the same names",
-    )  # fmt: skip
+        "NAMES",
+        "of the same names",
+    )
     simulator_start: str | None = _simulator(
-        None, "Its time in s at the record's first sample, or `record` for its time stamp there.",
-        "SECONDS|record", "0",
-    )  # fmt: skip
+        "Its time in s at the record's first sample; record: its stamp.", "SECONDS|record", "0"
+    )
     simulator_step: float | None = _simulator(
-        None, "Communication step of an FMU for co-simulation, which divides the sampling time.",
-        "SECONDS", "the step that it declares",
-    )  # fmt: skip
+        "Step of a co-simulation FMU, which divides the sampling time.", "SECONDS", "as it declares"
+    )
     simulator_hold: Hold | None = _simulator(
-        None,
         "How inputs of an equation, or of an FMU for model exchange, run between samples: held "
         "(zero-order hold), as by a D/A converter, or interpolated.",
         "zoh|linear",
         "linear",
     )
     simulator_timeout: float = _simulator(
-        600.0, "Give up on a simulator after this time.", "SECONDS", min=0.0
+        "Give up on a simulator after this time.", "SECONDS", default=600.0, min=0.0
     )
     parameters: str | None = _simulator(
-        None,
         "Fit the simulator's parameters in these ranges, or set them. The simulator is an "
         "FMU, FILE.py:RHS with a function of (t, x, u, p), whose states begin at x0_1, x0_2, "
         "... and of which the first ones are measured, FILE.py:FUNCTION of (time, u, p), or an "
         "sb.Ode of a file, which may have its ranges itself.",
-        "k=0.1:10,c=0.05", False,
-    )  # fmt: skip
+        "k=0.1:10,c=0.05",
+    )
 
 
 @dataclass(frozen=True)
 class SimulatorOrBaseOptions(SimulatorOptions):
     """Name a simulator, or a model that is fitted to the record in its place."""
 
-    simulator: str | None = _simulator(
-        None, f"{_SIMULATOR} Or linear, periodic, harmonic: a fitted model.", "FILE|NAME",
-        "a named record's own",
-    )  # fmt: skip
+    simulator: str | None = _simulator(_OR_BASE, "FILE|NAME", "a named record's own")
 
 
 @dataclass(frozen=True)
@@ -402,26 +373,20 @@ class ModelOptions:
     cutoff: Cutoff = None
     order: Order = None
     downsampling: int | None = _filter(
-        None, "Keep every K-th sample of the low band.", "K", "as the low band allows"
+        "Keep every K-th sample of the low band.", "K", "as the low band allows"
     )
     warmup: int | None = _training(
-        None, "Measured samples that start a simulation.", "R|auto", "auto, up to 50",
-        parser=_samples,
-    )  # fmt: skip
+        "Measured samples that start a simulation.", "R|auto", "auto, up to 50", parser=_samples
+    )
     window: int | None = _training(
-        None, "Samples in a training window, warm-up included.", "N", "150 to 400"
+        "Samples in a training window, warm-up included.", "N", "150 to 400"
     )
     epochs: Epochs = None
-    recipe: Recipe = _training("default", "Training settings where none are given.")
-    learning_rate: float | None = _training(None, "Highest learning rate of Adam.", "RATE", "1e-2")
-    lr_milestones: str | None = _training(
-        None, "Later rates by epoch: 20:1e-4,500:1e-5.", "LIST", False
-    )
+    recipe: Recipe = _training("Training settings where none are given.", default="default")
+    learning_rate: float | None = _training("Highest learning rate of Adam.", "RATE", "1e-2")
+    lr_milestones: str | None = _training("Later rates by epoch: 20:1e-4,500:1e-5.", "LIST")
     hidden: str | None = _training(
-        None,
-        "Hidden units of the fast and the slow network; one GRU has their sum.",
-        "HIGH,LOW",
-        "32,16",
+        "Hidden units of fast and slow network; one GRU has their sum.", "HIGH,LOW", "32,16"
     )
     budget: Budget = None
     rounds: Rounds = None

@@ -10,13 +10,7 @@ from typing import Any
 
 from splitband.forecasters import saving
 from splitband.runtime.errors import InputError
-from splitband.runtime.outputs import (
-    DESCRIPTION,
-    FACTS,
-    MODEL_FOLDER,
-    belongs_to_result,
-    locked,
-)
+from splitband.runtime.outputs import DESCRIPTION, FACTS, MODEL_FOLDER, belongs_to_result, locked
 
 TO_A_FILE = ("simulate", "export", "summary")
 """Commands that write a file; all others with --out write a folder."""

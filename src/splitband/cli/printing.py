@@ -14,6 +14,7 @@ from typing import Any, TextIO
 
 from rich.console import Console
 
+from splitband.data.alignment import log
 from splitband.data.signals import ReadingWarning
 from splitband.metrics import ExtrapolationWarning
 from splitband.report.page import NAME as PAGE
@@ -21,7 +22,6 @@ from splitband.report.page.parts import Usage
 from splitband.report.table import Table
 from splitband.runtime.files import to_json
 from splitband.runtime.outputs import FACTS
-from splitband.simulators.open_simulator import log
 
 console = Console(
     soft_wrap=not sys.stdout.isatty(),

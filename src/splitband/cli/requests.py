@@ -39,10 +39,7 @@ class Request:
     calibrate: options.Calibrate = False
     conditioned: options.Conditioned = False
     refit: Annotated[
-        bool,
-        options.plain(
-            "Fit the recommended method to the whole record for OUT/model.", None, True, "--refit"
-        ),
+        bool, options.plain("Fit the recommended method to the whole record for OUT/model.")
     ] = False
     like: options.Like = None
 

@@ -22,7 +22,7 @@ from splitband.simulators.open_simulator import trajectory
 
 @options.with_groups
 def simulate(
-    out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv", False)],
+    out: Annotated[Path, options.plain("Where to write the samples.", "FILE.csv")],
     simulator: options.SimulatorOptions,
     files: options.RecordOptions,
     model_dir: Annotated[
@@ -33,16 +33,13 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    steps: Annotated[
-        int | None, options.plain("Samples to simulate after them.", None, False, min=1)
-    ] = None,
+    steps: Annotated[int | None, options.plain("Samples to simulate after them.", min=1)] = None,
     record: Annotated[
         str | None,
         options.plain(
             "Run --simulator beside this record, in place of a model. What was written is then "
             "given as --simulator FILE.csv, so that a slow simulator runs once.",
             "RECORD",
-            False,
         ),
     ] = None,
     history: options.History = None,
@@ -52,9 +49,7 @@ def simulate(
         float | None,
         options.plain(
             "Also write the interval that should hold this share of the samples, 0 to 1. The model "
-            "must have been saved with intervals (fit --intervals, compare).",
-            None,
-            False,
+            "must have been saved with intervals (fit --intervals, compare)."
         ),
     ] = None,
     device: options.Device = "cpu",
@@ -92,9 +87,7 @@ def simulate(
         past = records.history_of(history, "--history", forecaster, files)
     since = 0 if history else forecaster.require_fitted().begin + trained
     u = records.inputs_ahead(future_inputs, past, steps, files, since)
-    forecaster = records.with_simulator(
-        forecaster, model_dir, simulator, past, steps, files.time_column
-    )
+    records.with_simulator(forecaster, simulator, past, files, steps)
     fitted = forecaster.require_fitted()
     by_time = forecaster.anchored or simulator.simulator is not None
     if history and by_time and not other_run and (begins := fitted.beginning(past)):

@@ -38,11 +38,7 @@ def spectrum(
     simulator: options.SimulatorOptions,
     train: Annotated[
         int | None,
-        options.plain(
-            "Use the first N samples only.",
-            None,
-            "all; the cut-off is chosen on three quarters of a file, as in compare",
-        ),
+        options.plain("Use the first N samples only.", usual="all; cut-off: three quarters"),
     ] = None,
     out: options.Out = Path("spectrum"),
     cutoff: options.Cutoff = None,

@@ -29,10 +29,8 @@ _SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "para
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
 REPLACED_BY_LIKE = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
 """Options that --like replaces."""
-_FIT = [
-    *RecordOptions.__annotations__, "gaps", *_FILES, *_SIMULATOR, "parameters",
-    *FurtherRecords.__annotations__, *REPLACED_BY_LIKE, "like", "seed", "device",
-]  # fmt: skip
+_RECORDS = [*RecordOptions.__annotations__, "gaps", *_FILES, *FurtherRecords.__annotations__]
+_FIT = [*_RECORDS, *_SIMULATOR, "parameters", *REPLACED_BY_LIKE, "like", "seed", "device"]
 _BLANK = "simulator_inputs", "time_column"
 """Options of which an empty text says something: none of them."""
 _DEFAULTS = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
@@ -40,8 +38,8 @@ WIDTH = 80
 """Characters in a line of a command."""
 NEAR = 0.8
 """Least similarity of an unknown option and one that it may mean, 0 to 1 (difflib). By eye."""
-_OF_RECORDS = "record", "history", "future_inputs", "test", "more"
-"""Options that take the file of a record."""
+_OF_RECORDS = "history", "future_inputs", "test", "more"
+"""Options that take the file of a record; --record does, too, unless it is in place of a model."""
 STEPS = 100
 """Samples ahead in the examples."""
 
@@ -65,41 +63,33 @@ def corrected(context: typer.Context, given: Sequence[str]) -> list[str]:
     params, words = context.command.params, [*given]
     options = {name: p for p in params if p.param_type_name == "option" for name in p.opts}
     places = [f"--{p.name}".replace("_", "-") for p in params if p not in options.values()]
-    parsed = _parsed(context, words)
-    while isinstance(parsed, TyperException):
-        name = getattr(parsed, "option_name", "")
-        meant = get_close_matches(name, options, 1, NEAR)
-        at = next((i for i, word in enumerate(words) if word.partition("=")[0] == name), None)
-        if name in options or at is None or not (meant or name in places):
+    for at, word in enumerate(words):
+        name = word.partition("=")[0]
+        if name in options or not word.startswith("--"):
+            continue
+        meant, value = get_close_matches(name, options, 1, NEAR), word.removeprefix(name)
+        if not (meant or name in places):
             return []
-        value = words[at].removeprefix(name)
         words[at : at + 1] = [*filter(None, [value[1:]])] if name in places else [meant[0] + value]
-        parsed = _parsed(context, words)
-    values, extra = parsed
+    try:
+        values, extra, _ = context.command.make_parser(context).parse_args([*words])
+    except TyperException:
+        return []
     missing = [p for p in params if p.required and values.get(p.name) is None]
     if len(extra) > 1 or not (extra or words != given):
         return []
     found: list[list[str]] = [] if missing else [words]
     if extra:
         del words[len(words) - 1 - words[::-1].index(extra[0])]
-        of_records = {name: p for name, p in options.items() if p.name in _OF_RECORDS}
-        found = [
-            [*words, name, *extra]
-            for name, p in of_records.items()
-            if missing in ([], [p]) and (p.multiple or values.get(p.name) is None)
-        ]
+        free = [p for p in params if p.multiple or values.get(p.name) is None]
+        takes = {
+            p.name for p in free if p.name in _OF_RECORDS or (p.required and p.name == "record")
+        }
+        names = [n for n, p in options.items() if p.name in takes and missing in ([], [p])]
+        found = [[*words, name, *extra] for name in names]
     if extra and not (missing or Path(extra[0]).exists()):
         return []
     return [" ".join([context.command_path, *map(quoted, each)]) for each in found]
-
-
-def _parsed(context: typer.Context, words: list[str]) -> Any:
-    """Return the values of options and arguments and what is left over, or why there are none."""
-    try:
-        values, extra, _ = context.command.make_parser(context).parse_args([*words])
-    except TyperException as error:
-        return error
-    return values, extra
 
 
 def usage(

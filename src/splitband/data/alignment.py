@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,10 +11,12 @@ import scipy
 
 from splitband.data.preparation import signals_of
 from splitband.data.record import Record
-from splitband.data.timing import Grid, same_sampling, seconds_between
+from splitband.data.timing import Grid, near_sampling, same_sampling, seconds_between
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
+log = logging.getLogger("splitband")
+"""Says how signals were put together; the command line prints it."""
 NEAR = 0.01
 """Share of a step within which times count as equal, as stamps may be rounded. Rounding."""
 
@@ -91,6 +94,18 @@ def resampled(record: Record, sampling_time: float) -> Record:
     for name, signal in signals_of(record).items():
         changed[name] = interpolated(signal, rows, name != "u")
     return replace(record, **changed)
+
+
+def sampled_like(record: Record, sampling_time: float, name: str) -> Record:
+    """Return a record resampled to a sampling time that differs from its own by 1 % at most.
+
+    It is unchanged if they differ by more, or if both grids end within half a sample.
+    """
+    own = record.sampling_time
+    if not near_sampling(own, sampling_time) or same_sampling(own, sampling_time, len(record)):
+        return record
+    log.info("%s: sampled every %.7g s, interpolated to every %.7g s", name, own, sampling_time)
+    return resampled(record, sampling_time)
 
 
 def interpolated(values: Array, rows: Array, smooth: bool = True) -> Array:

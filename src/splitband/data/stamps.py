@@ -191,14 +191,18 @@ def _of_numbers(what: str, name: str, values: Array, grain: float) -> list[Readi
     return [Reading("seconds", values * scale, grain * scale), *others]
 
 
+_READ_AS_SECONDS = 3, 4, 6, 12
+"""Steps in minutes that are not taken for fractions of a day: a day has 480, 360, 240 or 120 of
+them, so that loggers at as many Hz write the same numbers, in seconds."""
+
+
 def _beside_seconds(values: Array, grain: float, dated: bool) -> Iterator[Reading]:
     """Yield what numbers without a unit may mean other than seconds."""
     step, exact = float(np.median(np.diff(values))), last_place(values) > 1e-5
     common = _steps_in_days(values)
-    # Steps of 3, 4, 6 and 12 minutes are those of 480, 360, 240 and 120 Hz; to five places, 0.86 s
-    # of a day, others are those of 24, 48, 72, 96 and 144 Hz.
+    # Rounded to five decimals, a common step of a day may be that of 24, 48, 72, 96 or 144 Hz.
     fine = last_place(values) < 0.9e-5
-    if common and fine and 0 <= values[0] < 1 and round(1440 * step) not in (3, 4, 6, 12):
+    if common and fine and 0 <= values[0] < 1 and round(1440 * step) not in _READ_AS_SECONDS:
         yield Reading("fractions of a day", values * _DAY, last_place(values) * _DAY)
     for words, unit in _FINER.items():
         since = values * unit

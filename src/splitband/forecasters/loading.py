@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from splitband.data import Record
+from splitband.data.alignment import log
 from splitband.forecasters import (  # noqa: F401  what can be loaded is defined there
     baselines,
     ensemble,
@@ -19,7 +23,8 @@ from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.simulators import Simulator
-from splitband.simulators.base import matched
+from splitband.simulators.base import Recorded, matched
+from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
 
 
 def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
@@ -57,6 +62,38 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     if simulator is not None:
         _give(loaded, simulator)
     return loaded
+
+
+def give_simulator(
+    forecaster: Forecaster, name: str, past: Record, steps: int = 0, **how: Any
+) -> None:
+    """Open the simulator that a text stands for, and set it as that of a loaded forecaster.
+
+    `how` holds arguments of `open_simulator`; what is not given of them is as it was saved. Output
+    that was exported without time stamps begins with `past`, after which `steps` are predicted.
+
+    Raises ValueError as `open_simulator` and `load`, and for parameters that are not fitted.
+    """
+    used, runs = forecaster.parameters.get("used"), ".py:" in name or name[-4:].lower() == ".fmu"
+    for saved in filter(None, map(description_of, simulations(forecaster)) if runs else ()):
+        own = {"hold": saved.hold, "start": saved.start or None, "step": saved.step}
+        how |= {option: value for option, value in own.items() if how.get(option) is None}
+    if used is not None:
+        if not runs:
+            raise InputError(
+                f"simulator must be the FILE.py:FUNCTION or .fmu that {forecaster.name} was fitted "
+                f"with, got {name}"
+            )
+        how["parameters"] = how.get("parameters") or used
+    found = open_simulator(name, past, **how)
+    if used is None:
+        check_runs_as_it_is("simulator", name, found)
+        found = matched(found, past.columns, past.inputs)
+    if isinstance(found, Recorded):
+        found = replace(found, start=past.start) if found.start is None else found
+        if note := found.note(past.grid.after(steps)):
+            log.info("%s: %s", name, note)
+    _give(forecaster, found)
 
 
 def _of_result(folder: Path) -> Path:

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from splitband.data import Grid, Record, check_alike
+from splitband.data import Grid, Record, aligned, check_alike
+from splitband.data.alignment import log, reach
 from splitband.data.preparation import Preparation, seconds
 from splitband.data.signals import same_names, signal_of
 from splitband.data.timing import same_sampling, stamps_at, zones_differ
@@ -100,6 +101,43 @@ def continued(name: str, past: Array, given: npt.ArrayLike | None, steps: int) -
             "first"
         )
     return np.concatenate([past, values])
+
+
+def inputs_after(
+    past: Record, coming: Record, steps: int, name: str, stamped: bool = True
+) -> Array:
+    """Return the inputs after a record, `(steps or more, nu)`: the outputs of the `coming` record.
+
+    They are aligned by the time stamps of both records. Without any, or if they are not to count
+    (`stamped`), the first coming sample follows the last one of the past.
+
+    Raises
+    ------
+    ValueError
+        If only one of both has time stamps, and for inputs that do not cover the steps.
+    """
+    ahead = past.grid.after(steps)
+    ahead = ahead if stamped else replace(ahead, start=None)
+    if (coming.start is None) != (ahead.start is None):
+        lacks = "the planned inputs" if coming.start is None else "these samples"
+        raise InputError(
+            f"{name} and the samples before it must both have time stamps, or neither: {lacks} "
+            "have none, so that the first planned row may belong to the first of these samples or "
+            "follow the last; with time_column='' (--time-column '') no stamps count, and it "
+            "follows the last"
+        )
+    # Linear interpolation, as inputs may jump.
+    u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
+    if u.note:
+        log.info("%s: %s", name, u.note)
+    if (more := reach(coming.grid, ahead)) > steps:  # for a simulator whose output is late
+        ahead = replace(ahead, samples=more)
+        u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
+    assert past.u is not None
+    whole = continued(name, past.u, u.values, steps)
+    for step in past.prepared:
+        whole = step.transform("u", whole, seconds(past)[0] + ahead.step * np.arange(len(whole)))
+    return whole[len(past) :]
 
 
 def median_components(

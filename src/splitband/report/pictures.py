@@ -57,8 +57,8 @@ def rollouts(comparison: Comparison) -> Figure:
     across = -(-len(others) // below) if below else 0  # rows of the same length
     large, small = 2.6 * record.ny * len(shown), 1.5 * below
     figure = Figure(figsize=(12, large + small + 1.2), layout="constrained")
-    parts = figure.subfigures(1 + bool(below), 1, squeeze=False,
-                              height_ratios=[large, small][: 1 + bool(below)])[:, 0]  # fmt: skip
+    ratios = [large, small] if below else [large]
+    parts = figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0]
     grid = parts[0].subplots(record.ny * len(shown), 1, squeeze=False)[:, 0]
     for ax, (each, channel) in zip(grid, product(shown, range(record.ny)), strict=True):
         _draw(ax, each, channel, best, PALETTE[0])

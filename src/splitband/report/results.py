@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
@@ -34,6 +34,7 @@ from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
 from splitband.runtime.outputs import MODEL_FOLDER, TEST_PREDICTIONS, staged, write_facts
 
+Facts = dict[str, Any]
 MOST_ROWS = 100_000
 """Samples of a record up to which all of them have rows. Bounds the time of writing."""
 
@@ -114,7 +115,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
             "truth": "measured" if record.y_true is None else "noise-free",
         },
-        **({"tests": _test_facts(comparison)} if comparison.tests else {}),
+        **({"tests": [*_test_facts(comparison)]} if comparison.tests else {}),
         "settings": comparison.plan.as_json(),
         "warnings": comparison.warnings,
         "interrupted": comparison.interrupted,
@@ -169,9 +170,13 @@ def write_csv(path: Path, table: pd.DataFrame) -> None:
 
 
 def save_check(
-    check: ModelCheck, folder: Path, model: Forecaster, responses: Sequence[Responses],
-    facts: dict[str, Any], usage: Usage,
-) -> None:  # fmt: skip
+    check: ModelCheck,
+    model: Forecaster,
+    responses: Sequence[Responses],
+    facts: Facts,
+    folder: Path,
+    used: Usage,
+) -> None:
     """Write results.json, in which `facts` come first, and the page of a check of a model."""
     page = _page()
     facts = facts | check.as_json() | {"kind": model.in_words()}
@@ -184,29 +189,25 @@ def save_check(
         at = dict(zip(each.inputs, map(float, each.at), strict=True))
         facts.setdefault("static_gains", []).append({"inputs": at, "gain": gains})
     with staged(folder) as new:
-        page.write(page.pages.of_check(check, model, responses, usage), new / PAGE)
+        page.write(page.pages.of_check(check, model, responses, used), new / PAGE)
         write_facts(new, facts | {"environment": environment()})
 
 
 def save_spectrum(
-    record: Record, bands: Bands, tables: Sequence[Table], facts: dict[str, Any], folder: Path,
-    usage: Usage,
-) -> None:  # fmt: skip
+    shown: Record, bands: Bands, tables: Sequence[Table], facts: Facts, folder: Path, used: Usage
+) -> None:
     """Write results.json, of these facts, and the page of a spectrum in place of earlier ones."""
     page = _page()
     with staged(folder) as new:
-        page.write(page.pages.of_spectrum(record, bands, tables, facts, usage), new / PAGE)
+        page.write(page.pages.of_spectrum(shown, bands, tables, facts, used), new / PAGE)
         write_facts(new, facts)
 
 
-def _test_facts(comparison: Comparison) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": test.name, "samples": len(test), "start": as_json(test.start),
-            "columns": list(test.columns), "predictions": TEST_PREDICTIONS.format(i + 1),
-        }
-        for i, test in enumerate(comparison.tests)
-    ]  # fmt: skip
+def _test_facts(comparison: Comparison) -> Iterator[dict[str, Any]]:
+    for i, test in enumerate(comparison.tests, 1):
+        facts = {"name": test.name, "samples": len(test), "start": as_json(test.start)}
+        own = {"columns": list(test.columns), "predictions": TEST_PREDICTIONS.format(i)}
+        yield facts | own
 
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:

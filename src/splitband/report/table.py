@@ -46,10 +46,9 @@ class _Form(NamedTuple):
     narrow: int = 0  # where long words are broken: the width of outputs; 0 elsewhere
 
 
-_BESIDE, _BELOW, _SHORT, _PLAIN = (
-    _Form("beside", 1000), _Form("below", 40), _Form("", 24, 20), _Form("", 1000)
-)  # fmt: skip
-"""The last one is for rows that have no words beside their names. Layout."""
+_BESIDE, _BELOW, _SHORT = _Form("beside", 1000), _Form("below", 40), _Form("", 24, 20)
+_PLAIN = _Form("", 1000)
+"""For rows that have no words beside their names. Layout."""
 
 
 @dataclass(frozen=True)
@@ -196,10 +195,9 @@ class Table:
     ) -> rich.table.Table:
         """Return the table of the columns of some headings, by channel."""
         several = any(column.channel for column in self.columns)
-        table = rich.table.Table(
-            title=self.title or None, title_justify="left", title_style="bold", box=box,
-            padding=(0, 1 if box else 2, 0, 1 if box else 0),
-        )  # fmt: skip
+        padding = (0, 1, 0, 1) if box else (0, 2, 0, 0)
+        table = rich.table.Table(box=box, padding=padding, title_justify="left", title_style="bold")
+        table.title = self.title or None
         beside = form.names == "beside"
         for heading in (self.head, *["name"] * beside, *[self.lines] * several):
             table.add_column(heading, no_wrap=True)
@@ -228,11 +226,9 @@ class Table:
         best = name == self.recommended
         label = self.words(name) if form.names else self.label(name)
         first, rest = ("* " if best else "  ", "  ") if self.recommended else ("", "")
-        lines = textwrap.wrap(
-            label, form.width, initial_indent=first, subsequent_indent=rest,
-            break_long_words=bool(form.narrow), break_on_hyphens=False,
-        )  # fmt: skip
-        found = [Text(line, "bold" if best else "") for line in lines]
+        wrapper = textwrap.TextWrapper(form.width, first, rest, break_on_hyphens=False)
+        wrapper.break_long_words = bool(form.narrow)
+        found = [Text(line, "bold" if best else "") for line in wrapper.wrap(label)]
         below = form.names == "below" and label != name
         return [*found, Text(rest + name, "dim")] if below else found
 

@@ -172,12 +172,12 @@ def _columns(heading: str, numbers: Numbers) -> list[Column]:
     def of(i: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         return {name: float(of_method[i]) for name, of_method in numbers.items()}
 
-    channels = enumerate(zip(record.columns, record.units, strict=True))
-    return [
-        Column(heading, unit, of(i, values), name if record.ny > 1 else "", test, of(i, spreads),
-               unit != "share", measure, note, {n: m[i] for n, m in marks.items() if m[i]})
-        for i, (name, measure) in channels
-    ]  # fmt: skip
+    found = []
+    for i, (name, measure) in enumerate(zip(record.columns, record.units, strict=True)):
+        channel, beside = name if record.ny > 1 else "", {n: m[i] for n, m in marks.items() if m[i]}
+        said = of(i, values), channel, test, of(i, spreads), unit != "share", measure, note, beside
+        found.append(Column(heading, unit, *said))
+    return found
 
 
 def _errors(
@@ -233,48 +233,42 @@ class Quantity(NamedTuple):
 
 
 _FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
+_OF_TEST = f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as its mean"
+_AHEAD = (
+    f"{_FIT} samples after the training part, which are simulated where inputs are known and "
+    "forecast where there are none: 100 is perfect, 0 is as good as their mean"
+)
+_INSIDE = (
+    "share of the measured samples after the training part in the interval; "
+    f"{percent(COVERAGE)} is ideal; narrow or wide: by more than chance"
+)
+_HELD_OUT = "error on the last quarter of the training samples, by models trained on the rest"
+_RMSE = "root mean squared error of the"
+_START = "of the simulation from the first samples to the end of the record"
+_MEDIAN_OF = "how many the median is of; after ±: the standard deviation of their errors"
+_TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
+_STARTS = partial(_errors, "start")
 COLUMNS = {
-    "test fit %": Quantity(
-        "percent", f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as the "
-        "mean of the record", partial(_errors, "test", fit_percent),
-    ),
-    "forecast fit %": Quantity(
-        "percent", f"{_FIT} samples after the training part, which are simulated where inputs are "
-        "known and forecast where there are none: 100 is perfect, 0 is as good as their mean",
-        partial(_errors, "forecast", fit_percent),
-    ),
-    "score": Quantity(
-        "deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else [],
-    ),
-    "in interval": Quantity(
-        "share", "share of the measured samples after the training part in the interval; "
-        f"{percent(COVERAGE)} is ideal; narrow or wide: by more than chance", _intervals,
-    ),
+    "test fit %": Quantity("percent", _OF_TEST, partial(_TESTS, fit_percent)),
+    "forecast fit %": Quantity("percent", _AHEAD, partial(_FORECASTS, fit_percent)),
+    "score": Quantity("deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else []),
+    "in interval": Quantity("share", _INSIDE, _intervals),
     "test RMSE": Quantity(
-        "record", "root mean squared error of the simulation of this test record",
-        partial(_errors, "test", channel_rmse),
+        "record", f"{_RMSE} simulation of this test record", partial(_TESTS, channel_rmse)
     ),
     "forecast RMSE": Quantity(
-        "record", "root mean squared error of the samples after the training part",
-        partial(_errors, "forecast", channel_rmse),
+        "record", f"{_RMSE} samples after the training part", partial(_FORECASTS, channel_rmse)
     ),
     "held-out RMSE": Quantity(
-        "record", "error on the last quarter of the training samples, by models trained on the "
-        "rest", lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else [],
+        "record", _HELD_OUT, lambda c: [_held_out(c.trial, c.record, c.fits)] if c.trial else []
     ),
-    "RMSE from the start": Quantity(
-        "record", "of the simulation from the first samples to the end of the record",
-        partial(_errors, "start", channel_rmse),
-    ),
+    "RMSE from the start": Quantity("record", _START, partial(_STARTS, channel_rmse)),
     "fit % from the start": Quantity(
-        "percent", "of the same simulation", partial(_errors, "start", fit_percent)
+        "percent", "of the same simulation", partial(_STARTS, fit_percent)
     ),
     "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
-    "trainings": Quantity(
-        "count", "how many the median is of; after ±: the standard deviation of their errors",
-        _trainings,
-    ),
-}  # fmt: skip
+    "trainings": Quantity("count", _MEDIAN_OF, _trainings),
+}
 """The columns of comparisons by heading; a narrow terminal leaves out the last ones."""
 
 
@@ -288,11 +282,10 @@ def of_gains(found: Sequence[Responses]) -> list[Table]:
         for i, u in enumerate(first.inputs)
         for j, y in enumerate(first.columns)
     }
-    listed = [
-        Column(f"at {r.place}", "record", {n: float(r.y[-1][at]) for n, at in pairs.items()},
-               ranked=False)
-        for r in sorted(found, key=lambda r: 0.5 if r.share is None else r.share)
-    ]  # fmt: skip
+    listed = []
+    for each in sorted(found, key=lambda each: 0.5 if each.share is None else each.share):
+        gains = {name: float(each.y[-1][at]) for name, at in pairs.items()}
+        listed.append(Column(f"at {each.place}", "record", gains, ranked=False))
     title = (
         f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled)"
     )

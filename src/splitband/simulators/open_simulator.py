@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from splitband.data import Grid, Record, read
+from splitband.data.alignment import log
 from splitband.data.reading import ColumnError
 from splitband.data.timing import in_words
 from splitband.runtime.arrays import Array
@@ -33,9 +33,6 @@ from splitband.simulators.isolation import Isolated, adjustable_from, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.parameters import Adjustable, Parameters
 from splitband.simulators.user_code import check_open, count_arguments, outline
-
-log = logging.getLogger("splitband")
-"""Says what was put together and how; the command line prints it."""
 
 
 def open_simulator(  # noqa: PLR0913
@@ -134,6 +131,16 @@ def open_simulator(  # noqa: PLR0913
 def is_fitted(simulator: Any) -> bool:
     """Return whether a simulator has parameters to fit or, as an `Ode`, needs inputs."""
     return isinstance(simulator, Adjustable) and simulator.adjustable
+
+
+def check_runs_as_it_is(option: str, given: str | None, simulator: Any) -> None:
+    """Raise ValueError for the name of a baseline, and for parameters that have to be fitted."""
+    if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):
+        why = "is a baseline" if isinstance(simulator, str) else "has parameters to fit"
+        raise InputError(
+            f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {given}, "
+            f"which {why}"
+        )
 
 
 def _takes_inputs(file: str, name: str, record: Record) -> bool:

@@ -12,8 +12,7 @@ def template(name: str) -> Any:
     """Return a template of this folder."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  where it is shown
 
-    environment = Environment(
-        loader=PackageLoader("splitband.report.page", ""), autoescape=True,
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+    loader = PackageLoader("splitband.report.page", "")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
     return environment.get_template(name)

@@ -49,11 +49,9 @@ MAX_ROUNDING = 1e-4
 plot. Otherwise the curve stays double."""
 TOLD = 8
 """Curves of a chart, and points of a short curve, that are told in words, at most. Layout."""
-DATES: dict[str, Any] = {
-    "milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S",
-    "minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b",
-    "months": "%b %Y", "years": "%Y",
-}  # fmt: skip
+_UP_TO_MINUTES = {"milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S"}
+_UP_TO_DAYS = {"minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b"}
+DATES: dict[str, Any] = _UP_TO_MINUTES | _UP_TO_DAYS | {"months": "%b %Y", "years": "%Y"}
 _DASHES = "dashed", "dotted", "dashdot"
 MANY = 200
 """Range of an axis of angular frequencies from which on it has one number a decade. Layout."""
@@ -178,9 +176,16 @@ class Chart:
     """
 
     def __init__(  # noqa: PLR0913
-        self, axis: Axis, label: str, limits: tuple[float, float], caption: str,
-        height: int = TALL, log: bool = False, small: bool = False, methods: Sequence[str] = (),
-    ) -> None:  # fmt: skip
+        self,
+        axis: Axis,
+        label: str,
+        limits: tuple[float, float],
+        caption: str,
+        height: int = TALL,
+        log: bool = False,
+        small: bool = False,
+        methods: Sequence[str] = (),
+    ) -> None:
         self.axis, self.label, self.limits, self.log = axis, label, limits, log
         self.caption, self.small, self.methods = caption, small, methods
         self.data = ColumnDataSource({X: axis.drawn})
@@ -188,19 +193,19 @@ class Chart:
         self._said: dict[str, str] = {}
         box = "xbox_zoom" if log else "box_zoom"
         shown = self.figure = figure(
-            width=WIDTH, height=height, sizing_mode="stretch_width", toolbar_inner=True,
-            tools=f"xpan,xwheel_zoom,{box},reset,save", active_drag=box, active_scroll=None,
-            min_border_left=LEFT, background_fill_color=None, border_fill_color=None,
             x_range=axis.shown,
             y_range=Range1d(start=limits[0], end=limits[1]),
             x_axis_type="datetime" if axis.dates else "log" if axis.log else "auto",
             y_axis_type="log" if log else "auto",
-        )  # fmt: skip
+            tools=f"xpan,xwheel_zoom,{box},reset,save",
+            active_drag=box,
+            active_scroll=None,
+        )
+        shown.update(width=WIDTH, height=height, sizing_mode="stretch_width", toolbar_inner=True)
+        shown.update(min_border_left=LEFT, background_fill_color=None, border_fill_color=None)
         tips = [("", "$name"), (axis.label, "$x{%F %T}" if axis.dates else f"$x{{{axis.digits}}}")]
-        hover = HoverTool(
-            tooltips=[*tips, ("", "$y")], line_policy="nearest", visible=False,
-            formatters={"$x": "datetime"} if axis.dates else {},
-        )  # fmt: skip
+        hover = HoverTool(tooltips=[*tips, ("", "$y")], line_policy="nearest", visible=False)
+        hover.formatters = {"$x": "datetime"} if axis.dates else {}
         shown.add_tools(hover)
         shown.toolbar.update(logo=None, autohide=True)
         shown.lod_threshold = None
@@ -271,9 +276,7 @@ class Chart:
         ticks = [m * 10.0**d for d in decades for m in ((1, 2, 5) if few else (1,))]
         at: Any = {w / (2 * math.pi): f"{w:g}" for w in ticks if first <= w <= last}
         ticker: Any = FixedTicker(ticks=[*at], minor_ticks=[])
-        above = LogAxis(
-            ticker=ticker, major_label_overrides=at, axis_label=PlainText(text="rad/s")
-        )  # fmt: skip
+        above = LogAxis(ticker=ticker, axis_label=PlainText(text="rad/s"), major_label_overrides=at)
         self.figure.add_layout(above, "above")
 
     def stems(self, y: Array, name: str, tags: Sequence[str]) -> None:
@@ -294,11 +297,11 @@ class Chart:
 
         These would take most of the time to make a page.
         """
-        renderer = GlyphRenderer(
-            data_source=self.data, glyph=glyph, name=name, tags=[*tags],
-            visible="hidden" not in tags,
-            selection_glyph=None, nonselection_glyph=None, muted_glyph=None,
-        )  # fmt: skip
+        none: dict[str, Any] = dict.fromkeys(
+            ("selection_glyph", "nonselection_glyph", "muted_glyph")
+        )
+        renderer = GlyphRenderer(data_source=self.data, glyph=glyph, name=name, **none)
+        renderer.update(tags=[*tags], visible="hidden" not in tags)
         self.figure.renderers.append(renderer)
 
     def mark(

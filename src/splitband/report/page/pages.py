@@ -18,6 +18,7 @@ from splitband.data import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.linear import Linear
+from splitband.forecasters.network import Network
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
 from splitband.report import tables, words
@@ -39,35 +40,33 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     """Return the page of a comparison: the answer, its plot, the other methods, then details."""
     record, trial, best = result.record, result.require_trial(), result.recommended
     listed = tables.of_comparison(result)
+    answer = f"Recommended: {titled(best, listed.label(best))}"
     called = {name: listed.label(name) for name in ordered(trial, result.fits)}
     leaving = {name for name in called if name != best and tables.leaving_range(result, name)}
     styles = method_styles(called, best, {*listed.minor, *leaving})
     every = [each for each in predicted(result) if each.predictions]
     first = [each for each in every if each.protocol == every[0].protocol]
     shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
+    curves = [plot for each in shown for plot in (*each.outputs(), *each.inputs())]
+    left, errors = [p for s in shown for p in s.residuals()], [p for s in shown for p in s.errors()]
+    said = (*result.warnings, *words.warnings(result), *words.of_gaps(record))
+    warned = [*map(words.sentence, said)]
+    why = " ".join(words.why(trial, result.plan.train, listed.labels))
+    headline = [(of, "\n".join(said)) for of, said in words.headline(result)]
     sections = [
-        Section(
-            "answer", f"Recommended: {titled(best, listed.label(best))}", words.afterwards(result),
-            [words.sentence(w) for w in
-             (*result.warnings, *words.warnings(result), *words.of_gaps(record))],
-            facts=[(of, "\n".join(said)) for of, said in words.headline(result)],
-        ),
-        Section("plot", "Measured and predicted", [what_was_known(result)],
-                plots=[plot for each in shown for plot in (*each.outputs(), *each.inputs())]),
-        Section("methods", "All methods",
-                [" ".join(words.why(trial, result.plan.train, listed.labels))], tables=[listed]),
-        _residuals([*words.verdicts(result)], result.residual_tests, "Residuals",
-                   [p for s in shown for p in s.residuals()]),
+        Section("answer", answer, words.afterwards(result), warned, facts=headline),
+        Section("plot", "Measured and predicted", [what_was_known(result)], plots=curves),
+        Section("methods", "All methods", [why], tables=[listed]),
+        _residuals([*words.verdicts(result)], result.residual_tests, "Residuals", left),
         *_responses(result, styles),
         *_next_steps(used),
         *map(_of_linear, _linear_of(result)),
-        Section("errors", "Error over horizon", [_HORIZON],
-                plots=[p for s in shown for p in s.errors()], folded=True),
+        Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
         *_further([p for p in every if p not in first or p.protocol == "start"], styles),
         _bands(result),
         *_trained(result, styles),
         _settings(_flat(_shared(result)), used),
-    ]  # fmt: skip
+    ]
     title, at, train = record.name or "a record", shown[0].axis.values, result.plan.train
     views = {"Whole record": (at[0], at[-1])}
     if first[0].protocol != "test" and train < len(at):
@@ -134,11 +133,8 @@ def _responses_of(
         "Change of the output for a step of 1, from small steps of one input at a time around the "
         f"mean of the training inputs, {most[0].operating_point}"
     )
-    text += (
-        "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
-        if bode
-        else ". Gain and phase: splitband check."
-    )
+    slope = "; gain and phase are the Fourier transform of its slope. The upper axis is in rad/s."
+    text += slope if bode else ". Gain and phase: splitband check."
     if len(most) > 1:
         text += (
             f" Dashed and dotted: all inputs at {percent(SHARE)} and {percent(1 - SHARE)} of their "
@@ -148,9 +144,7 @@ def _responses_of(
     remarks = dict.fromkeys(said for of in found.values() for said in of[0].remarks)
     drawn = plots.responses(found, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section(
-        "responses", title, [said, text, *remarks], tables=tables.of_gains(most), plots=drawn
-    )
+    return Section("responses", title, [said, text, *remarks], (), tables.of_gains(most), drawn)
 
 
 def _linear_of(result: Comparison) -> list[Linear]:
@@ -175,10 +169,8 @@ def _of_linear(fitted: Linear) -> Section:
     pairs = product(enumerate(record.inputs), enumerate(record.columns))
     zeros = [(f"zeros, {u} to {y}", _roots(fitted.zeros(j, i))) for (i, u), (j, y) in pairs]
     poles = [tables.of_poles(fitted)] if model.order else []
-    return Section(
-        "linear", "Linear model: poles, zeros, order, gain", text, tables=poles,
-        plots=[*over_order, *gains], facts=zeros, folded=True,
-    )  # fmt: skip
+    drawn, title = [*over_order, *gains], "Linear model: poles, zeros, order, gain"
+    return Section("linear", title, text, (), poles, drawn, facts=zeros, folded=True)
 
 
 def _roots(roots: npt.NDArray[np.complex128]) -> str:
@@ -197,9 +189,7 @@ def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[S
         name = "forecast" if ahead else "runs"
         sections.append(Section(name, title, plots=drawn.outputs(), folded=True))
         if parts := [] if ahead else drawn.components():
-            names = ", ".join(
-                styles[name].label for name, y in each.predictions.items() if y.components
-            )
+            names = ", ".join(styles[n].label for n, y in each.predictions.items() if y.components)
             text = (
                 "A model's output is the sum of these parts. All curves are without their means. "
                 f"Switch on a method to see its parts: {names}."
@@ -214,7 +204,8 @@ def _bands(result: Comparison) -> Section:
     bands, part = result.plan.bands, result.record[: result.plan.train]
     text, choices = [words.of_bands(bands, part)], [bands.choice if bands.cutoff else None]
     for name, fits in result.fits.items():
-        own: Bands | None = getattr(fits[0].fitted, "_trained_in", None)
+        fitted = fits[0].fitted
+        own = fitted._trained_in if isinstance(fitted, Network) else None
         if own is not None and own.cutoff != bands.cutoff:
             text.append(f"{name}: {words.of_bands(own, part)}")
             choices.append(own.choice)
@@ -269,19 +260,17 @@ def of_check(
     shown = Predicted("start", "simulation", record, {name: result.simulation})
     styles = {name: Method(name, label=model.in_words() or name)}
     drawn = plots.OverTime(shown, styles)
-    facts = [
-        (
-            column,
-            "\n".join(f"fit {tenths(of[i])} %, {horizon}" for horizon, of in result.fits.items()),
-        )
-        for i, column in enumerate(record.columns)
-    ]
-    said = [test.finding() for test in result.tests]
+    facts = []
+    for i, column in enumerate(record.columns):
+        fits = [f"fit {tenths(of[i])} %, {horizon}" for horizon, of in result.fits.items()]
+        facts.append((column, "\n".join(fits)))
+    said, title = [test.finding() for test in result.tests], "Is the model good? Residual tests"
+    answer = f"{result.outcome.capitalize()}: {result.title or name}"
+    curves = [*drawn.outputs(), *drawn.inputs()]
     sections = [
-        Section("answer", f"{result.outcome.capitalize()}: {result.title or name}",
-                result.in_words(), facts=facts, plots=[*drawn.outputs(), *drawn.inputs()]),
-        _residuals(said, result.tests, "Is the model good? Residual tests", []),
-    ]  # fmt: skip
+        Section("answer", answer, result.in_words(), plots=curves, facts=facts),
+        _residuals(said, result.tests, title, []),
+    ]
     if responses:
         sections.append(_responses_of({name: responses}, styles))
     if isinstance(model, Linear):
