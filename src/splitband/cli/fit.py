@@ -111,7 +111,7 @@ def fit(
     for note in dict.fromkeys((*plan.warnings, *report.notes, *doubts, *late)):
         if note not in plan.warnings:
             printing.warn(note)
-        described = described.replace(f"; {note}", "")  # it is said once
+        described = described.replace(f"; {note}", "")  # a note is printed once
     said = f"{titled(forecaster.name, forecaster.in_words())}, {described}: fitted to "
     said += f"{len(fitted.record)} samples in {report.seconds:.1f} s"
     if error is not None:
