@@ -72,8 +72,8 @@ def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
 def test_an_fmu_without_parameters_to_fit_runs_as_it_was_fitted(tmp_path: Path) -> None:
     """In Python it is in a grey box, whose inputs are held and whose values are all given."""
     built(Path("Plant.fmu").resolve(), ["ModelExchange"], inputs=("valve",), output="level")
-    files, channels = ("past.csv", "ahead.csv"), {"inputs": ["valve"], "columns": ["level"]}
-    past, ahead = (sb.read(file, **channels) for file in files)
+    files = "past.csv", "ahead.csv"
+    past, ahead = (sb.read(file, inputs=["valve"], columns=["level"]) for file in files)
     model = sb.GreyBox(sb.Fmu("Plant.fmu", hold="zoh")).fit(past)
     model.save("model")
     line = "simulate model --simulator Plant.fmu --future-inputs ahead.csv --steps 40"

@@ -1,5 +1,6 @@
 """What `--simulator` takes, files, functions and FMUs, and the methods that it adds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
 @pytest.mark.parametrize("simulator", ["simulated.csv", "periodic"])
 def test_python_takes_what_the_command_line_names(simulator: str) -> None:
     reading, methods = RecordOptions(columns="a", inputs=""), ["filtered-gru", "mean"]
-    how = {"methods": ",".join(methods), "calibrate": simulator != "periodic"}
-    asked = Request("record.csv", reading, SimulatorOrBaseOptions(simulator), **how)
+    asked = Request("record.csv", reading, SimulatorOrBaseOptions(simulator))
+    asked = replace(asked, methods=",".join(methods), calibrate=simulator != "periodic")
     record = sb.read("record.csv", columns="a")
     found = plan(record, None, methods, simulator=simulator, calibrate=asked.calibrate)
     expected = planned(asked)

@@ -82,7 +82,7 @@ class Display:
                 self._written = True
                 facts = self._facts | {"unfinished": state.doing}
                 results.save(state.comparison(), self._out, facts)
-                if (cores := state.clock.cores) > 1:  # that trained meanwhile; at the end none does
+                if (cores := state.clock.cores) > 1:  # workers trained meanwhile, unlike later
                     state.clock.writing *= cores / (cores + 1)
             else:
                 results.save_unfinished(state, self._out, self._facts)

@@ -56,7 +56,7 @@ def save(
         tables = {TEST_PREDICTIONS.format(i + 1): [every[i]] for i in range(tests)}
         for name, shown in {**tables, "predictions.csv": every[tests:]}.items():
             write_csv(new / name, samples(shown, comparison.recommended))
-        # Of a long record it takes longest, and longer with the methods that are still to come.
+        # Tables of a long record take longest, and longer once the other methods have results.
         coming = len(comparison.plan.methods) - len(comparison.require_trial().failed)
         more = (now() - began) * max(coming / len(comparison.fits) - 1, 0)
         page = _page()

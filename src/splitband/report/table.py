@@ -149,7 +149,7 @@ class Table:
         return self.labels.get(row, row)
 
     def words(self, row: str) -> str:
-        """Return the same where the name of the row stands beside or below."""
+        """Return a row in words, without the short name, which stands beside or below them."""
         return self.label(row).removesuffix(f" ({row})")
 
     def fitting(
