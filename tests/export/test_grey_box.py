@@ -242,8 +242,10 @@ def test_flags_jumps_and_multiples_are_those_of_numpy(observe: Any, tmp_path: Pa
     ],
 )
 def test_what_cannot_be_written_is_told_with_its_line(
-    expression: Any, message: str, tmp_path: Path
+    expression: Any, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("splitband.kernels.ode.WORTH_COMPILING", 10**9)  # that takes longer
+
     def rhs(t: float, x: Any, u: Any, p: Any) -> list[Any]:
         return [p.k * (u[0] - 0.1 * np.real(expression(x[0])) - x[0])]
 
