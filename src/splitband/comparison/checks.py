@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +12,6 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.training.settings import default_warmup
-
-if TYPE_CHECKING:
-    pass
 
 LARGEST_SEED = 2**32 - 1
 """Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
