@@ -144,6 +144,17 @@ def test_an_integrator_does_not_hide_a_lag_in_a_long_record() -> None:
     np.testing.assert_allclose(np.sort(found.poles().real), [0.95, 1.0], atol=2e-3)
 
 
+def test_two_integrators_are_found_in_a_long_record_where_a_free_fit_misses_both() -> None:
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], (1201, 2)).repeat(50, axis=0)[:60_000]
+    y = scipy.signal.lfilter([0, 0.02], [1, -1], u, axis=0)
+    found = identified([(y + 0.02 * y.std(axis=0) * rng.standard_normal(y.shape), u)])
+    assert (found.order, found.integrators) == (2, 2)
+    other = rng.choice([-1.0, 1.0], (40, 2)).repeat(50, axis=0)
+    truth = scipy.signal.lfilter([0, 0.02], [1, -1], other, axis=0)
+    assert fit_on(found, other, np.asarray(truth)).min() > 99
+
+
 def test_an_unknown_constant_flow_into_a_tank_is_estimated() -> None:
     u = inputs()
     level = np.cumsum(0.1 * u[:, 0] - 0.05)[:, None]
