@@ -98,7 +98,9 @@ def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
 
 def _call(value: object) -> str:
     kind: Any = type(value)
-    package = "sb." if getattr(splitband, kind.__name__, None) is kind else ""
+    places = {"sb.": splitband, "sb.networks.": splitband.networks}
+    own = (at for at, place in places.items() if getattr(place, kind.__name__, None) is kind)
+    package = next(own, "")
     try:
         given = options(value)
     except TypeError:
