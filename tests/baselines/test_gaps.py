@@ -57,8 +57,8 @@ def test_what_has_no_noise_is_found_around_long_gaps(fit: Callable[[Array], ByTi
     y = 0.3 + np.sin(2 * np.pi * n / 50 + 1) + 0.4 * np.cos(4 * np.pi * n / 50)
     y = np.stack([y, 1e3 * y[::-1]], axis=1)
     seen = holed(holed(y[:600], slice(150, 230), slice(560, None)), slice(0, 60), channel=1)
-    np.testing.assert_allclose(fit(seen).predict(600, 300) / [1, 1e3], y[600:] / [1, 1e3],
-                               atol=1e-5)  # fmt: skip
+    found = fit(seen).predict(600, 300)
+    np.testing.assert_allclose(found / [1, 1e3], y[600:] / [1, 1e3], atol=1e-5)
 
 
 def test_what_is_missing_of_the_last_period_is_taken_from_the_one_before() -> None:

@@ -90,14 +90,6 @@ def test_gaps_that_leave_no_window_whole_cost_no_accuracy() -> None:
     assert fit_on(identified([(seen, u)]), u[::-1], oscillators(u[::-1])).min() > 99
 
 
-def test_the_poles_are_those_of_the_system() -> None:
-    a = polynomial([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j)])
-    u = inputs()
-    y = scipy.signal.lfilter([0.5, -0.2], a, u[:, 0])[:, None] + 3
-    poles = identified([(y[:TRAIN], u[:TRAIN])]).poles()
-    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(np.roots(a)), atol=1e-6)
-
-
 def test_the_order_of_a_short_record_is_chosen() -> None:
     u = np.random.default_rng(0).standard_normal((62, 1))
     y = scipy.signal.lfilter(
@@ -145,6 +137,17 @@ def test_an_integrator_does_not_hide_a_lag_in_a_long_record() -> None:
     np.testing.assert_allclose(np.sort(found.poles().real), [0.95, 1.0], atol=2e-3)
 
 
+def test_two_integrators_are_found_in_a_long_record_where_a_free_fit_misses_both() -> None:
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], (1201, 2)).repeat(50, axis=0)[:60_000]
+    y = scipy.signal.lfilter([0, 0.02], [1, -1], u, axis=0)
+    found = identified([(y + 0.02 * y.std(axis=0) * rng.standard_normal(y.shape), u)])
+    assert (found.order, found.integrators) == (2, 2)
+    other = rng.choice([-1.0, 1.0], (40, 2)).repeat(50, axis=0)
+    truth = scipy.signal.lfilter([0, 0.02], [1, -1], other, axis=0)
+    assert fit_on(found, other, np.asarray(truth)).min() > 99
+
+
 def test_an_unknown_constant_flow_into_a_tank_is_estimated() -> None:
     u = inputs()
     level = np.cumsum(0.1 * u[:, 0] - 0.05)[:, None]
@@ -163,7 +166,7 @@ def test_more_samples_help_although_the_input_rests_in_them() -> None:
     assert fit_on(found, other, np.asarray(truth)).min() > 99
 
 
-@pytest.mark.parametrize("delay", [4, 250, 1000])
+@pytest.mark.parametrize("delay", [4, 1000])
 def test_a_delay_of_any_length_is_found(delay: int) -> None:
     rng = np.random.default_rng(0)
     u = rng.choice([-1.0, 1.0], 200).repeat(20)
@@ -247,12 +250,11 @@ def test_errors_of_a_nonlinear_system_are_not_taken_for_a_controller() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_sensors_of_the_output_are_not_taken_for_a_controller(seed: int) -> None:
-    rng, time = np.random.default_rng(seed), 0.02 * np.arange(3000)
-    angle = sum(
-        rng.normal(0, 6) / (1 + 0.3 * k)
-        * np.sin(2 * np.pi * (0.03 * (k + 1) * rng.uniform(0.6, 1.4) * time + rng.uniform(0, 1)))
-        for k in range(25)
-    )  # fmt: skip
+    rng, time, angle = np.random.default_rng(seed), 0.02 * np.arange(3000), np.zeros(3000)
+    for k in range(25):
+        size = rng.normal(0, 6) / (1 + 0.3 * k)
+        turns = 0.03 * (k + 1) * rng.uniform(0.6, 1.4) * time + rng.uniform(0, 1)
+        angle += size * np.sin(2 * np.pi * turns)
     u = angle[:, None] + 3 * rng.standard_normal((3000, 1))
     y = angle[:, None] + 0.05 * rng.standard_normal((3000, 1))
     found = identified([(y[:2250], u[:2250])])
@@ -388,18 +390,6 @@ def test_after_the_deadline_no_work_grows_with_the_record_but_a_simulation() -> 
     assert late.require_fitted().report.cut
     assert samples < 20 * 20_000
     assert fit_on(late.model, u[:2000], oscillators(u[:2000])).min() > 99
-
-
-def test_after_the_deadline_it_is_the_model_of_the_subspace_and_says_that_it_was_cut() -> None:
-    """Two masses on springs, of which nothing is refined."""
-    u = inputs()
-    record = sb.Record(oscillators(u), 0.2, u=u)
-    with within(Deadline.after(-1.0)):
-        late = sb.Linear().fit(record[:TRAIN])
-    assert late.require_fitted().report.cut
-    ahead = late.predict(len(u) - TRAIN, u=u[TRAIN:]).y
-    assert np.min(sb.fit_percent(record.y[TRAIN:], np.asarray(ahead))) > 95
-    assert not sb.Linear().fit(record).require_fitted().report.cut
 
 
 def test_the_response_of_outputs_with_different_delays_is_that_at_its_angles() -> None:

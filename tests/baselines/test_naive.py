@@ -74,14 +74,6 @@ def strongest(model: SinusoidRegression, count: int) -> tuple[Array, Array]:
     return found[order], sizes[order]
 
 
-def true_form_fit(y: Array, frequencies: Array) -> tuple[Array, Array]:
-    """Least squares at known frequencies: coefficients and residual."""
-    angles = 2 * np.pi * np.outer(np.arange(len(y)), frequencies)
-    basis = np.hstack([np.ones((len(y), 1)), np.cos(angles), np.sin(angles)])
-    coefficients = np.linalg.lstsq(basis, y, rcond=None)[0]
-    return coefficients, y - basis @ coefficients
-
-
 def test_persistence_holds_the_last_measured_sample_of_each_channel() -> None:
     y = np.array([[1.0, 2.0], [3.0, -1.0], [4.0, np.nan]])
     found = Persistence().extrapolate(ForecastContext(y, 4))
@@ -242,47 +234,12 @@ def test_sinusoids_in_noise_are_counted(count: int) -> None:
     assert found.count(count) >= draws - 1
 
 
-def test_a_sinusoid_weaker_than_the_noise_is_still_found() -> None:
-    weak = 0.6 * np.cos(2 * np.pi * 0.123 * np.arange(250))[:, None]
-    model = harmonic(weak + noise(250, 1))
-    assert abs(model.channels[0].frequencies - 0.123).min() < 0.001
-
-
 def test_harmonic_regression_does_not_depend_on_unit_and_offset() -> None:
     y = Tones(2, 250, 3)(0, 250) + 0.2 * noise(250, 1)
     expected = harmonic(y).predict(250, 250)
     for unit, offset in ((1e-12, 0.0), (1.0, 1e6)):
         found = harmonic(unit * y + offset).predict(250, 250)
         np.testing.assert_allclose((found - offset) / unit, expected, atol=1e-5, rtol=0)
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_the_seasonal_lag_does_not_depend_on_unit_and_offset(unit: float) -> None:
-    y = repeated(one_period("overtones", 37), 0, 140) + 0.1 * noise(140, 1)
-    assert LastPeriod.fit(unit * (y + 1e7)).lag == LastPeriod.fit(y).lag == 37
-
-
-def test_channels_are_fitted_by_themselves() -> None:
-    y = np.hstack([Tones(1, 200, 0)(0, 200), Tones(3, 200, 1)(0, 200)]) + 0.1 * noise(200, 2)
-    together = harmonic(y)
-    assert [len(modes.frequencies) for modes in together.channels] == [1, 3]
-    assert str(together).startswith("1 sinusoid, a constant; 3 sinusoids, a ")
-    for channel in range(2):
-        alone = harmonic(y[:, [channel]])
-        np.testing.assert_array_equal(
-            together.predict(150, 100)[:, channel], alone.predict(150, 100)[:, 0]
-        )
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_free_frequencies_fit_no_worse_than_the_true_ones(seed: int) -> None:
-    y = double_mass_spring(TRAINING, seed=seed).y
-    model = harmonic(y)
-    residual = y - model.predict(0, TRAINING)
-    oracle = true_form_fit(y[:, 0], SPRING_FREQUENCIES)[1]
-    assert np.sum(residual**2) <= np.sum(oracle**2)
-    at_found = true_form_fit(y[:, 0], model.channels[0].frequencies)
-    np.testing.assert_allclose(model.channels[0].coefficients, at_found[0], atol=1e-9)
 
 
 def test_frequencies_in_noise_reach_the_cramer_rao_bound() -> None:

@@ -81,14 +81,6 @@ def test_the_frequency_response_of_an_integrator_rises_towards_low_frequencies()
     np.testing.assert_allclose(gains[:, 0, 0], 0.1 * z / ((z - 1) * (z - 0.5)), rtol=1e-3)
 
 
-def test_the_zeros_are_those_of_the_transfer_function(linear: sb.Linear) -> None:
-    zeros = linear.zeros(0, 0)
-    system: Any = linear.transfer_function(0, 0)
-    for zero in zeros:
-        assert abs(system.zeros - zero).min() < 1e-6 * max(abs(zero), 1.0)
-    assert abs(zeros + 0.4).min() < 0.02
-
-
 def driven(linear: sb.Linear, seed: int) -> tuple[Any, Any]:
     """Inputs beside the operating point, and what the model says from rest there."""
     u0, y0 = linear.operating_point()

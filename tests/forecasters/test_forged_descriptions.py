@@ -26,10 +26,8 @@ MADE: dict[str, Any] = {
     "ensemble": lambda: sb.Ensemble(sb.Single(sb.GRU(2), SHORT), 2),
     "residual": lambda: sb.Residual(sb.Periodic(), sb.GRU(2), settings=SHORT),
 }
-SIZES = {
-    "hidden_size", "state_size", "recognition_size", "ny", "nu", "warmup", "window", "epochs",
-    "batch_size", "order", "downsampling", "count", "begin", "samples",
-}  # fmt: skip
+SIZES = {"hidden_size", "state_size", "recognition_size", "ny", "nu", "warmup", "window"}
+SIZES |= {"epochs", "batch_size", "order", "downsampling", "count", "begin", "samples"}
 """Keys of numbers that something is built from."""
 
 

@@ -104,10 +104,12 @@ def test_its_repr_and_its_clone_make_the_same_forecaster(name: str) -> None:
         (Mine(np.float64(0.5), (sb.Mean(),)), "Mine(0.5, parts=(sb.Mean(),))"),
         (Forgetful(1.0), "Forgetful(...)"),
         (sb.Single(OwnCell(6)), "sb.Single(OwnCell(6))"),  # type: ignore[arg-type]
-        (sb.Residual(sb.Function(rig), sb.GRU(4)),
-         "sb.Residual(sb.Simulation(sb.Function(rig)), sb.GRU(4))"),
+        (
+            sb.Residual(sb.Function(rig), sb.GRU(4)),
+            "sb.Residual(sb.Simulation(sb.Function(rig)), sb.GRU(4))",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_differs_from_the_defaults_is_written(value: object, expected: str) -> None:
     assert repr(value) == expected
 
@@ -187,11 +189,13 @@ class NonLinear(sb.Forecaster):
         (sb.Residual(sb.Single(sb.GRU(4)), sb.GRU(4)), "residual-gru-gru"),
         (sb.Residual(NonLinear(), sb.GRU(4)), "residual-nonlinear-gru"),
         (sb.Filtered(sb.Linear(), sb.GRU(4)), "filtered-linear-gru"),
-        (sb.Filtered(sb.Calibrated(), sb.GRU(4), conditioned=True),
-         "filtered-gru-calibrated-conditioned"),
+        (
+            sb.Filtered(sb.Calibrated(), sb.GRU(4), conditioned=True),
+            "filtered-gru-calibrated-conditioned",
+        ),
         (sb.Ensemble(sb.Single(sb.StateSpace(3, 4))), "state-space"),
     ],
-)  # fmt: skip
+)
 def test_a_hybrid_is_called_by_its_base_and_says_whether_it_is_a_simulator(
     model: sb.Forecaster, name: str
 ) -> None:

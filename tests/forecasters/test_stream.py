@@ -1,5 +1,7 @@
 """A stream says what `predict` says, from any origin."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -54,9 +56,7 @@ def test_a_stream_says_what_predict_says(name: str) -> None:
     for end in (205, 230):  # within a warm-up after the gap, and after one
         for n in range(200 if end == 205 else 205, end):
             stream.observe(y[n], **at(n))
-        gaps = sb.Record.with_gaps(y[:end], 0.1, u=None if record.u is None else record.u[:end],
-                                   y_sim=None if record.y_sim is None else record.y_sim[:end],
-                                   columns=record.columns, inputs=record.inputs)  # fmt: skip
+        gaps = replace(record[:end], measured=~np.isnan(y[:end]))
         what_if = stream.copy()
         found = np.stack([what_if.step(**at(n)) for n in range(end, end + 15)])
         assert np.abs(found - forecast(forecaster, gaps, record, 15)).max() < 1e-9 * scale

@@ -256,8 +256,10 @@ def blocks_of(  # noqa: PLR0913
         integrators -= 2
     while integrators > 0 and (real or pairs):
         i = real.pop(0) if real else pairs.pop(0)
-        if poles[i].imag:  # a pair becomes an integrator and another real pole
-            found.append(((poles[i].real, 0.0), vectors[:, [i]].imag, False))
+        if poles[i].imag:  # a pair becomes an integrator and another real pole, or two integrators
+            two = integrators > 1
+            found.append(((1.0 if two else poles[i].real, 0.0), vectors[:, [i]].imag, two))
+            integrators -= two
         found.append(((1.0, 0.0), vectors[:, [i]].real, True))
         integrators -= 1
     twos = [*([i] for i in pairs), *(real[i : i + 2] for i in range(0, len(real) - 1, 2))]

@@ -166,7 +166,7 @@ class OrderSearch:
         if self.integrators:
             return self._with_integrators(order, self.integrators)
         iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 4
-        return self._refined(self._start(order), self.runs, iterations)
+        return self._refined(self.start_of(order), self.runs, iterations)
 
     def _refined(
         self, begin: Solution | None, runs: Sequence[Signals], iterations: int, integrators: int = 0
@@ -193,13 +193,13 @@ class OrderSearch:
             at = linear_solution(blocks, fitted)
             whole = OrderSearch(runs, self.direct, self.integrators, chosen.order)
             if not blocks.constant:
-                at = min(at, whole._start(chosen.order) or at, key=lambda at: at.cost)
+                at = min(at, whole.start_of(chosen.order) or at, key=lambda at: at.cost)
             at = refined(at, fitted, ITERATIONS // 2, whole.limit)
             if not blocks.constant or self.integrators is not None:
                 return at
             free = whole.of_order(chosen.order)
             found = OrderCandidate(at, held_out(at, fitted), chosen.integrators)
-            if free and not (found.as_good_as(free) and whole._lasts(chosen.order, free)):
+            if free and not (found.as_good_as(free) and whole.lasts(found, free)):
                 return free.solution
         return at
 
@@ -263,15 +263,18 @@ class OrderSearch:
                     smaller = more
         good = [c for c in found if c.as_good_as(least)]
         chosen = min(good, key=lambda c: (c.order, -c.integrators))
-        return free if chosen.integrators == 1 and not self._lasts(chosen.order, free) else chosen
+        return chosen if self.lasts(chosen, free) else free
 
-    def _lasts(self, order: int, free: OrderCandidate) -> bool:
+    def lasts(self, chosen: OrderCandidate, free: OrderCandidate) -> bool:
         """Return whether the record tells that the slowest pole hardly decays over its length.
 
         Where the upper limit of its decay is more than `_DECAYED`, what looks like an integrator
-        may be a nonlinearity or chance, and would drift in a longer simulation.
+        may be a nonlinearity or chance, and would drift in a longer simulation. Several integrators
+        are judged by the held-out error alone: a free fit often misses them all.
         """
-        same = free if free.order == order else None if current().over else self.of_order(order)
+        if chosen.integrators != 1 or current().over:
+            return True
+        same = free if free.order == chosen.order else self.of_order(chosen.order)
         if same is None:
             return True
         longest = max(run.u.shape[1] for run in self.runs)
@@ -296,7 +299,7 @@ class OrderSearch:
         shown = self.shown
         others = (n for n in _ORDERS if n <= self.most and (n <= 8 or n >= _NEAR * shown))
         for order in dict.fromkeys([*([shown] if 0 < shown <= self.most else []), *others]):
-            if (start := self._start(order)) is None:
+            if (start := self.start_of(order)) is None:
                 return
             scale = np.maximum(start.scale, _NEGLIGIBLE)
             parameters = order * (ny + len(self.direct))
@@ -307,7 +310,7 @@ class OrderSearch:
             if current().over or (misses >= _MISSES and order >= shown):
                 return
 
-    def _start(self, order: int) -> Solution | None:
+    def start_of(self, order: int) -> Solution | None:
         """Return the best model with the poles of a subspace, made stable, by least squares."""
         if order not in self._starts:
             starts = (
