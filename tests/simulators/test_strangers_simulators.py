@@ -163,6 +163,23 @@ def test_the_remedies_work() -> None:
                                np.sin(TIME + 7))  # fmt: skip
 
 
+class Timed(Tolerant):
+    """Say when it begins, and what it is called."""
+
+    start, name = 7, "rig"
+
+    def simulate(self, time: Array) -> Array:  # type: ignore[override]
+        return np.sin(time)
+
+
+def test_an_object_of_ones_own_says_when_it_begins_and_what_it_is_called() -> None:
+    np.testing.assert_allclose(simulated(Timed(), DATED), np.sin(TIME + 7)[:, None])
+    with pytest.raises(ValueError, match="simulator rig must return"):
+        simulated(Timed(), record(np.column_stack([WAVE, STEPS]), None))
+    with pytest.raises(ValueError, match=r"must have a method simulate.*got function.*sb.Function"):
+        sb.Simulation(named)  # type: ignore[arg-type]
+
+
 @compiled
 def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

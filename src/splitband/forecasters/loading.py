@@ -19,7 +19,7 @@ from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.simulators import Simulator
-from splitband.simulators.base import matched
+from splitband.simulators.base import KnownSimulator, as_known, matched
 
 
 def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
@@ -55,7 +55,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     """
     loaded = read(_of_result(Path(folder)))
     if simulator is not None:
-        _give(loaded, simulator)
+        _give(loaded, as_known(simulator))
     return loaded
 
 
@@ -72,7 +72,7 @@ def _of_result(folder: Path) -> Path:
     return inner
 
 
-def _give(forecaster: Forecaster, simulator: Simulator) -> None:
+def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
     """Set the simulator of a forecaster, with a warning if it differs from the saved one.
 
     Raises ValueError if it begins at another time.

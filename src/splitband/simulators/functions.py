@@ -49,12 +49,12 @@ class UserCode(Adjustable):
         """Return the user's functions, or None, each with the names of its arguments."""
 
     @property
-    def code(self) -> list[Any]:
+    def code(self) -> list[Any]:  # type: ignore[override]
         """Return the user's functions."""
         return [function for function, _ in self._functions]
 
     @property
-    def driven(self) -> bool:
+    def driven(self) -> bool:  # type: ignore[override]
         """Return whether it takes a record's inputs."""
         return any(count_arguments(each) > names.index("u") for each, names in self._functions)
 

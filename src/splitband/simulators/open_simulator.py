@@ -16,14 +16,13 @@ from splitband.data.reading import ColumnError
 from splitband.data.timing import in_words
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (
-    Absent,
     Hold,
     Recorded,
     Simulator,
     SimulatorTimeoutError,
     Start,
+    as_known,
     check_start,
-    is_driven,
     matched,
     origin,
     run,
@@ -205,26 +204,25 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if longer else least
     grid, u = Grid(record.start, record.sampling_time, samples), record.u
-    name = getattr(simulator, "name", "") or type(simulator).__name__
-    if isinstance(simulator, Recorded):
-        samples = min(samples, max(least, simulator.reach(grid)))
-    else:
-        simulator = matched(simulator, record.columns, record.inputs)
-        u = u if is_driven(simulator) else None
+    known = as_known(simulator)
+    samples = min(samples, max(least, known.reach(grid)))
+    if not known.own_times:
+        known = matched(known, record.columns, record.inputs)
+        u = u if known.driven else None
         if u is not None:
             u = u if record.u_beyond is None else np.vstack([u, record.u_beyond])
             samples = min(samples, len(u))
-        begin = origin(simulator, record.start)
+        begin = origin(known, record.start)
         if record.start:
-            at = in_words(record.start)
-            log.info("%s runs from %g s on, at the record's first sample, %s", name, begin, at)
+            said = known.name, begin, in_words(record.start)
+            log.info("%s runs from %g s on, at the record's first sample, %s", *said)
 
     def output(samples: int) -> Any:
-        if not isinstance(simulator, Recorded):
-            return run(simulator, samples, grid.step, record.ny, None, grid.start, u)
-        found = simulator.on(replace(grid, samples=samples))
+        if not isinstance(known, Recorded):
+            return run(known, samples, grid.step, record.ny, None, grid.start, u)
+        found = known.on(replace(grid, samples=samples))
         if found.note:
-            log.info("%s: %s", name, found.note)
+            log.info("%s: %s", known.name, found.note)
         return found.values
 
     try:
@@ -236,8 +234,7 @@ def simulated(record: Record, simulator: Simulator, ahead: int = 0, longer: bool
     for step in record.prepared:
         y_sim = step.beside(record.y, y_sim)
     rest = y_sim[len(record) :]
-    said = Absent.of(simulator)
-    beyond = rest if len(rest) else None
+    beyond, said = rest if len(rest) else None, known.description()
     return replace(record, y_sim=y_sim[: len(record)], beyond=beyond, simulator=said)
 
 
@@ -252,7 +249,7 @@ def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
     ValueError
         As `simulators.run`, and for `steps` of a simulator that the record's inputs drive.
     """
-    if steps and is_driven(matched(simulator, record.columns, record.inputs)):
+    if steps and matched(simulator, record.columns, record.inputs).driven:
         raise InputError(
             "steps (--steps) must be left out for a simulator that the record's inputs drive, as "
             f"they end with it; got {steps}"

@@ -345,9 +345,7 @@ class Adjusted:
     @property
     def _given(self) -> Any:
         """Return the simulator; raises ValueError if a saved model has not been given it."""
-        if not hasattr(self.simulator, "respond"):
-            self.simulator.simulate(None)
-        return self.simulator
+        return self.simulator.require()
 
     def _finite(self, y: Array, time: Array) -> Array:
         """Return the channels; raises ValueError for values that are not finite."""
