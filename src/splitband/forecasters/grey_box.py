@@ -400,8 +400,8 @@ class GreyBox(Forecaster):
         chosen, length = window, SHORTEST
         while length <= min(window or samples, origins[0]):
             try:
-                found = error([self._ahead(experiment.part(0, b), a, length)
-                               for a, b in zip(origins, ends, strict=True)])  # fmt: skip
+                parts = ((experiment.part(0, b), a) for a, b in zip(origins, ends, strict=True))
+                found = error([self._ahead(part, a, length) for part, a in parts])
             except ValueError:
                 found = np.inf
             if found < best:

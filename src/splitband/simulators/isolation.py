@@ -247,8 +247,8 @@ def _defined(file: str, name: str, content: bytes) -> Any:
 def _initial(given: Mapping[str, Any]) -> list[float]:
     """Return the initial states named by the parameters; states between them begin at 0."""
     told = Parameters(dict(given)).middle()
-    numbers = [int(n[len(INITIAL) :]) for n in told if n[len(INITIAL) :].isdigit()
-               and n.startswith(INITIAL)]  # fmt: skip
+    ends = [name.removeprefix(INITIAL) for name in told if name.startswith(INITIAL)]
+    numbers = [int(end) for end in ends if end.isdigit()]
     if not numbers:
         raise InputError(
             "parameters must say how many states the differential equation has, and where they "

@@ -122,11 +122,9 @@ def open_simulator(  # noqa: PLR0913
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
-    made = Isolated(
-        file, function or None, () if function else tuple(columns), timeout,
-        None if inputs is None else tuple(inputs), driven,
-        begin if function else begin or 0.0, hold, step,
-    )  # fmt: skip
+    outputs, own = () if function else tuple(columns), None if inputs is None else tuple(inputs)
+    rest = driven, begin if function else begin or 0.0, hold, step
+    made = Isolated(file, function or None, outputs, timeout, own, *rest)
     # Not before it is matched does an FMU say whether inputs drive it.
     return made.matched(record.columns, record.inputs)
 

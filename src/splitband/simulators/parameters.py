@@ -284,8 +284,8 @@ class Estimate:
     def __str__(self) -> str:
         """Return each value with its standard error, the doubt and the remarks."""
         remarks = [*filter(None, [self.doubt]), *self.remarks]
-        said = [f"{name} = {_rounded(value, self.errors[name])}"
-                for name, value in self.values.items()]  # fmt: skip
+        pairs = self.values.items()
+        said = [f"{name} = {_rounded(value, self.errors[name])}" for name, value in pairs]
         return "; ".join([", ".join(said), *remarks] if said else remarks)
 
     def as_json(self) -> dict[str, Any]:
