@@ -169,7 +169,7 @@ def lorenz(t: float, x: Any, u: Any, p: Any) -> list[float]:
 
 def test_a_chaotic_system_is_fitted_in_windows() -> None:
     time = 0.02 * np.arange(400)
-    begin, how = [1.0, 1.0, 20.0], {"rtol": 1e-10, "atol": 1e-10}
+    begin, how = [1.0, 1.0, 20.0], dict[str, Any](rtol=1e-10, atol=1e-10)
 
     def exactly(t: float, x: Array) -> list[float]:
         return lorenz(t, x, None, SimpleNamespace(rho=28.0, beta=8 / 3))

@@ -129,7 +129,7 @@ class KnownSimulator:
 
     def output(self, grid: Grid, record: Record, u: Array | None) -> Array:
         """Return the output at these times, `(samples, ny)`, in the channels of a record."""
-        simulator = matched(self, record.columns, record.inputs)
+        simulator = matched(self.require(), record.columns, record.inputs)
         return run(simulator, grid.samples, grid.step, record.ny, None, grid.start, u)
 
 
@@ -459,10 +459,6 @@ class Absent(KnownSimulator):
             f"simulator must be given: this model was saved with the simulator {self}; pass it: "
             f"sb.load(folder, simulator={how})"
         )
-
-    def output(self, grid: Grid, record: Record, u: Array | None) -> NoReturn:
-        """Raise ValueError, see `require`."""
-        self.require()
 
     def difference(self, given: KnownSimulator) -> str:
         """Return a sentence if `given` is not the described simulator, else an empty string.
