@@ -176,6 +176,17 @@ def test_a_nonlinear_model_is_linearised_at_its_operating_point() -> None:
         sb.step_responses(model, 5, at=9.0)
 
 
+@pytest.mark.parametrize("kind", [sb.Simulation, sb.GreyBox])
+def test_a_driven_simulator_responds_differently_over_the_range(kind: Any) -> None:
+    """Its static gain for small steps is the derivative of u cubed."""
+    u = np.linspace(0, 4, 200)
+    ode = sb.Ode(lambda t, x, u: [9 * (u[0] ** 3 - x[0])], [0.0])
+    y: Any = sb.Simulation(ode).fit(sb.Record(u, DT, u=u)).on(sb.Record(u, DT, u=u)).y_sim
+    model = kind(ode).fit(sb.Record(y, DT, u=u))
+    found = [each.y[-1, 0, 0] for each in respond_over_range(model)]
+    np.testing.assert_allclose(found, 3 * np.array([2.0, 0.4, 3.6]) ** 2, atol=0.05)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -75,9 +75,8 @@ def test_a_wrong_model_goes_on_from_what_was_measured_last() -> None:
     time = DT * np.arange(400)
     y = 3 * np.exp(-0.05 * time) * np.cos(2 * time)
     record = sb.Record(y + np.random.default_rng(0).normal(0, 0.005, 400), DT)
-    simulator = sb.Ode(without_friction, [3.0, 0.0], parameters={"k": (1.0, 10.0)},
-                       tolerances=(1e-5, 1e-5))  # fmt: skip
-    model = sb.GreyBox(simulator, starts=2).fit(record[:300])
+    how: Any = {"parameters": {"k": (1.0, 10.0)}, "tolerances": (1e-5, 1e-5)}
+    model = sb.GreyBox(sb.Ode(without_friction, [3.0, 0.0], **how), starts=2).fit(record[:300])
     assert 0 < model.memory < 100
     assert sb.nrmse(y[300:310, None], model.predict(10).y) < 0.1
 

@@ -56,8 +56,8 @@ def test_an_fmu_is_opened_only_where_it_is_given(
         model.save(tmp_path / "model")
         opened.clear()
         loaded = sb.load(tmp_path / "model")
-        with pytest.raises(ValueError, match=r'saved with the simulator rig\.fmu; pass it: '
-                           r'sb\.load\(folder, simulator=sb\.Fmu\("rig\.fmu"\)\)'):  # fmt: skip
+        remedy = r'simulator rig\.fmu; pass it: sb\.load\(folder, simulator=sb\.Fmu\("rig\.fmu"\)\)'
+        with pytest.raises(ValueError, match=remedy):
             loaded.predict(STEPS)
         assert not opened
         with warnings.catch_warnings():
@@ -147,10 +147,8 @@ def forged(van_der_pol_fmu: Path, tmp_path: Path) -> Path:
     sb.Simulation(sb.Function(sine)).fit(RECORD).save(folder)
     shutil.copy(van_der_pol_fmu, folder / "evil.fmu")
     fmu = {"class": "Absent", "fields": {"kind": "Fmu", "file": "evil.fmu", "fingerprint": None}}
-    facts = {
-        "method": "simulator", "columns": ["y[0]"], "inputs": [], "sampling_time": DT,
-        "setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]],
-    }  # fmt: skip
+    facts = {"method": "simulator", "columns": ["y[0]"], "inputs": [], "sampling_time": DT}
+    facts |= {"setup": {"settings": {"warmup": 5}}, "calibration": None, "range": [[-1.0], [1.0]]}
     edit(
         folder,
         lambda d: (d.update(facts), d["forecaster"]["fields"].update(simulator=fmu)),

@@ -251,20 +251,6 @@ def test_a_simulator_is_calibrated_by_the_measured_samples_alone(terms: list[Ter
         np.testing.assert_allclose(given, expected, rtol=1e-9)
 
 
-def test_delay_and_clock_are_found_around_gaps() -> None:
-    def signal(time: Array) -> Array:
-        return np.sin(2 * np.pi * time / 83) + 0.5 * np.sin(2 * np.pi * time / 31 + 1)
-
-    n: Array = np.arange(1000, dtype=np.float64)
-    y_sim = signal(n)[:, None]
-    y = 2 * signal(1.01 * n[:600] - 7.3)[:, None] + 0.5
-    found = calibrate(y_sim, holed(y, slice(100, 180), slice(400, 450)), DT)
-    assert found.gain == pytest.approx((2.0,), rel=1e-3)
-    assert found.offset == pytest.approx((0.5,), abs=1e-3)
-    assert found.delay == pytest.approx(7.3 * DT, rel=1e-2)
-    assert found.clock == pytest.approx(1.01, rel=1e-4)
-
-
 @pytest.mark.parametrize("rows", [slice(790, None), slice(20, None), slice(980)])
 def test_a_channel_that_is_hardly_measured_does_not_spoil_the_calibration(rows: slice) -> None:
     time = np.arange(1000)
@@ -290,11 +276,6 @@ def test_a_calibrated_ramp_is_a_ramp_that_stands_still_at_the_simulations_ends(
     time = np.clip(clock * DT * np.arange(SAMPLES) - delay, 0, DT * (SAMPLES - 1))
     expected = np.stack([2 * time + 1, -1.5 * time - 4], axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-def test_a_calibration_without_terms_returns_the_simulator() -> None:
-    y_sim = simulation(ny=2)
-    np.testing.assert_array_equal(Calibration().apply(y_sim, SAMPLES, DT), y_sim[:SAMPLES])
 
 
 @pytest.mark.parametrize(

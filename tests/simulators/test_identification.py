@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -168,14 +169,16 @@ def lorenz(t: float, x: Any, u: Any, p: Any) -> list[float]:
 
 def test_a_chaotic_system_is_fitted_in_windows() -> None:
     time = 0.02 * np.arange(400)
-    exact = scipy.integrate.solve_ivp(
-        lambda t, x: [10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]],
-        (0, time[-1]), [1.0, 1.0, 20.0], "DOP853", time, rtol=1e-10, atol=1e-10,
-    ).y  # fmt: skip
+    begin, how = [1.0, 1.0, 20.0], dict[str, Any](rtol=1e-10, atol=1e-10)
+
+    def exactly(t: float, x: Array) -> list[float]:
+        return lorenz(t, x, None, SimpleNamespace(rho=28.0, beta=8 / 3))
+
+    exact = scipy.integrate.solve_ivp(exactly, (0, time[-1]), begin, "DOP853", time, **how).y
     noise = np.random.default_rng(0).normal(0, 0.1, (400, 2))
     record = sb.Record(exact[:2].T + noise, 0.02)
-    simulator = sb.Ode(lorenz, [1.0, 1.0, 20.0], lambda x: x[:, :2], tolerances=(1e-6, 1e-6),
-                       parameters={"rho": (10.0, 50.0), "beta": (0.5, 10.0)})  # fmt: skip
+    ranges: Any = {"rho": (10.0, 50.0), "beta": (0.5, 10.0)}
+    simulator = sb.Ode(lorenz, begin, lambda x: x[:, :2], ranges, tolerances=(1e-6, 1e-6))
     found = identify(simulator, record, effort=Effort(starts=2))
     assert found.values == pytest.approx({"rho": 28.0, "beta": 8 / 3}, rel=0.01)
 

@@ -44,24 +44,18 @@ def simulated(simulator: Any, of: sb.Record) -> Array:
 BOTH = np.column_stack([WAVE, STEPS])
 # How the FMU is compiled, names and values of the record's inputs, and the answer.
 Row = tuple[dict[str, Any], tuple[str, ...], Array, Array]
+PLANT: dict[str, Any] = {"inputs": ("b", "a"), "slope": "r[U] - r[X] - 2 * r[V]"}
+THREE = np.column_stack([WAVE, TIME, STEPS])
+POWER: dict[str, Any] = {"inputs": ("u", "v"), "out": "r[U] * r[V]", "mode": 1}
+ZONE: dict[str, Any] = {"out": "r[U] > 5 ? r[U] - 5 : 0", "mode": 1}
+PUSHES = 9 * STEPS * LATE
+FAST: dict[str, Any] = {"slope": "500 * (r[U] - r[X])", "mode": 1}
 RIGHT: dict[str, Row] = {
-    "units, and an input that it does not take": (
-        {"inputs": ("b", "a"), "slope": "r[U] - r[X] - 2 * r[V]"}, ("a [K]", "z", "b [W]"),
-        np.column_stack([WAVE, TIME, STEPS]), lag(STEPS - 2 * WAVE),
-    ),
-    "a power computed in the step, at rest at the start": (
-        {"inputs": ("u", "v"), "out": "r[U] * r[V]", "mode": 1}, ("u", "v"), BOTH * LATE[:, None],
-        WAVE * STEPS * LATE,
-    ),
-    "a dead zone computed in the step": (
-        {"out": "r[U] > 5 ? r[U] - 5 : 0", "mode": 1}, ("u",), (9 * STEPS * LATE)[:, None],
-        np.maximum(9 * STEPS * LATE - 5, 0),
-    ),
-    "a state far faster than the sampling": (
-        {"slope": "500 * (r[U] - r[X])", "mode": 1}, ("u",), STEPS[:, None],
-        np.append(0.0, STEPS[:-1]),
-    ),
-}  # fmt: skip
+    "units, order, one too many": (PLANT, ("a [K]", "z", "b [W]"), THREE, lag(STEPS - 2 * WAVE)),
+    "a power in the step": (POWER, ("u", "v"), BOTH * LATE[:, None], WAVE * STEPS * LATE),
+    "a dead zone in the step": (ZONE, ("u",), PUSHES[:, None], np.maximum(PUSHES - 5, 0)),
+    "a fast state": (FAST, ("u",), STEPS[:, None], np.append(0.0, STEPS[:-1])),
+}
 
 
 @compiled
@@ -93,8 +87,8 @@ def test_a_feedthrough_that_would_come_late_is_refused(
 
 @compiled
 def test_a_gain_computed_in_the_step_is_found_from_0_on(tmp_path: Path) -> None:
-    fmu = sb.Fmu(built(tmp_path / "rig.fmu", out="r[K] * r[U]", mode=1),
-                 parameters={"k": (-3.0, 3.0)})  # fmt: skip
+    path = built(tmp_path / "rig.fmu", out="r[K] * r[U]", mode=1)
+    fmu = sb.Fmu(path, parameters={"k": (-3.0, 3.0)})
     model = sb.GreyBox(fmu, starts=1).fit(record(2 * STEPS, STEPS))
     assert model.parameters["used"]["k"] == pytest.approx(2.0)
 
@@ -131,20 +125,30 @@ def named(time: Array, u: Array | None = None) -> Array:
 DRIVEN = record(lag(STEPS), STEPS)
 ALONE = record(lag(STEPS), None)
 DATED = record(np.sin(TIME), None, start=pd.Timestamp("2024-01-01 00:00:07"))
+NAMED = record(lag(STEPS), STEPS, inputs=("u0",))
+
+
+def summed(time: Array, u: Array) -> Array:
+    return np.asarray(u.sum(axis=1))
+
+
+def by_parameter() -> sb.Ode:
+    return sb.Ode(lambda t, x, p: [-p[0] * x[0]], [1.0], parameters={"k": (0.1, 5)})
+
+
+def by_clock() -> sb.Function:
+    return sb.Function(np.sin, start="record")
+
+
 REFUSED: dict[str, tuple[Callable[[], Any], sb.Record, str]] = {
     "inputs by another name": (lambda: sb.Function(optional), DRIVEN, "inputs=None.*call it u"),
     "inputs by keyword": (lambda: sb.Function(keyword), DRIVEN, "u=None.*without a [*] before"),
     "any number of arguments": (Tolerant, DRIVEN, r"[*]args is the record's inputs.*call it u"),
-    "an input's name for a constant": (
-        lambda: sb.Function(drag), record(lag(STEPS), STEPS, inputs=("u0",)), "u0=1.0 is the",
-    ),
-    "no inputs": (lambda: sb.Function(lambda time, u: u.sum(axis=1)), ALONE, "record has none"),
-    "parameters in the inputs' place": (
-        lambda: sb.Ode(lambda t, x, p: [-p[0] * x[0]], [1.0], parameters={"k": (0.1, 5)}),
-        DRIVEN, r"\(t, x, u, p\).*got \(t, x, p\)",
-    ),
-    "a clock of dates": (lambda: sb.Function(np.sin, start="record"), DATED, "shows dates"),
-}  # fmt: skip
+    "an input's name for a constant": (lambda: sb.Function(drag), NAMED, "u0=1.0 is the"),
+    "no inputs": (lambda: sb.Function(summed), ALONE, "record has none"),
+    "parameters for inputs": (by_parameter, DRIVEN, r"\(t, x, u, p\).*got \(t, x, p\)"),
+    "a clock of dates": (by_clock, DATED, "shows dates"),
+}
 
 
 @pytest.mark.parametrize("what", REFUSED)
@@ -159,8 +163,25 @@ def test_the_remedies_work() -> None:
     np.testing.assert_allclose(simulated(sb.Function(named), DRIVEN), DRIVEN.y)
     np.testing.assert_allclose(simulated(Told(), DRIVEN), DRIVEN.y)
     np.testing.assert_array_equal(simulated(Tolerant(), ALONE), 0 * ALONE.y)
-    np.testing.assert_allclose(simulated(sb.Function(np.sin, start=7), DATED)[:, 0],
-                               np.sin(TIME + 7))  # fmt: skip
+    sine = simulated(sb.Function(np.sin, start=7), DATED)
+    np.testing.assert_allclose(sine[:, 0], np.sin(TIME + 7))
+
+
+class Timed(Tolerant):
+    """Say when it begins, and what it is called."""
+
+    start, name = 7, "rig"
+
+    def simulate(self, time: Array) -> Array:  # type: ignore[override]
+        return np.sin(time)
+
+
+def test_an_object_of_ones_own_says_when_it_begins_and_what_it_is_called() -> None:
+    np.testing.assert_allclose(simulated(Timed(), DATED), np.sin(TIME + 7)[:, None])
+    with pytest.raises(ValueError, match="simulator rig must return"):
+        simulated(Timed(), record(np.column_stack([WAVE, STEPS]), None))
+    with pytest.raises(ValueError, match=r"must have a method simulate.*got function.*sb.Function"):
+        sb.Simulation(named)  # type: ignore[arg-type]
 
 
 @compiled
@@ -169,15 +190,14 @@ def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     built(Path("Plant.fmu").resolve(), inputs=("a",), output="y")
-    Path("sim.py").write_text("def f(time, inputs=None): return 0 * time\n"
-                              "def rhs(t, x, u): return [u[0] - x[0]]\n")  # fmt: skip
+    code = "def f(time, inputs=None): return 0 * time\ndef rhs(t, x, u): return [u[0] - x[0]]"
+    Path("sim.py").write_text(code)
     frame = pd.DataFrame({"time": TIME, "w": WAVE, "v": STEPS, "y": lag(STEPS)})
     frame.to_csv("rig.csv", index=False)
     line = shlex.split("spectrum rig.csv --inputs w,v --columns y --out out --simulator")
     assert main([*line, "Plant.fmu", "--simulator-inputs", ",a"]) == 0
-    for simulator, message in (("sim.py:f", "call it u"),
-                               ("sim.py:rhs", "(t, x, u, p)"),
-                               ("Plant.fmu", "w, v, in their order")):  # fmt: skip
+    says = {"sim.py:f": "call it u", "sim.py:rhs": "(t, x, u, p)", "Plant.fmu": "w, v, in their or"}
+    for simulator, message in says.items():
         capsys.readouterr()
         assert main([*line, simulator]) != 0
         assert message in " ".join(capsys.readouterr().err.split())

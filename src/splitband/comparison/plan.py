@@ -25,7 +25,7 @@ from splitband.forecasters.network import Network, with_defaults
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
-from splitband.simulators.base import is_driven, matched
+from splitband.simulators.base import matched
 from splitband.simulators.identification import check_runs
 from splitband.simulators.open_simulator import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
@@ -286,7 +286,7 @@ def _driven(further: Record, simulator: Simulator) -> Record:
     if further.y_sim is not None:
         return further
     running: Any = matched(simulator, further.columns, further.inputs)
-    return simulated(further, running, longer=True) if is_driven(running) else further
+    return simulated(further, running, longer=True) if running.driven else further
 
 
 def _settings(

@@ -47,6 +47,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import UNKNOWN, WithRepr, options
 from splitband.runtime.threads import one_thread
+from splitband.simulators.base import KnownSimulator
 from splitband.simulators.calibration import Calibration
 from splitband.training import Progress, TrainingSettings
 
@@ -586,8 +587,10 @@ def fitted_like(
 
 def same(one: Any, other: Any) -> bool:
     """Return whether two options are known to be the same; simulators are so as objects alone."""
-    if one is other or type(one) is not type(other) or hasattr(one, "simulate"):
+    if one is other or type(one) is not type(other):
         return one is other
+    if isinstance(one, KnownSimulator):
+        return bool(one == other)
     if isinstance(one, Forecaster):
         ours, theirs = one.get_params(), other.get_params()
         return all(same(option, theirs[name]) for name, option in ours.items())

@@ -98,19 +98,18 @@ class GreyBox(Forecaster):
         if self.adjusted is None:
             return {}
         found = {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
-        hold = getattr(self.simulator, "hold", None)
-        return found if self.u is None or hold is None else {**found, "hold": hold}
+        hold = None if self.u is None or self.simulator is None else self.simulator.hold
+        return found if hold is None else {**found, "hold": hold}
 
     def check(self, *records: Record) -> None:
         """Raise ValueError for unsuitable records, and where it has no simulator."""
         super().check(*records)
-        if self.simulator is None:
+        if not isinstance(self.simulator, Adjustable | Absent):
             raise InputError(
                 f"{self.name} needs a simulator with parameters to fit (--simulator and "
-                "--parameters)"
+                "--parameters), such as sb.Ode, sb.Function and sb.Fmu"
             )
-        if isinstance(self.simulator, Absent):
-            self.simulator.simulate(None)  # raises the error that asks for it
+        self.simulator.require()
         check_level(records[0], self.name)
         check_runs(self.simulator, records[0])
 
@@ -119,7 +118,7 @@ class GreyBox(Forecaster):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved, with a description in place of the simulator."""
-        described = None if self.simulator is None else Absent.of(self.simulator, fitted=True)
+        described = None if self.simulator is None else self.simulator.description(fitted=True)
         return {**super().to_dict(), "simulator": described}
 
     def in_words(self) -> str:
@@ -127,9 +126,8 @@ class GreyBox(Forecaster):
 
         What was fitted may run on a simulator that is opened with the fitted values.
         """
-        known = getattr(self.simulator, "known", None)
-        free = True if known is None else known.free
-        fitted = free if self.adjusted is None else self.estimate.values
+        given = isinstance(self.simulator, Adjustable) and not self.simulator.known.free
+        fitted = not given if self.adjusted is None else self.estimate.values
         return "simulator with fitted parameters" if fitted else "simulator as given"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
@@ -181,7 +179,7 @@ class GreyBox(Forecaster):
         if outside:
             ny = self.require_fitted().record.ny
             return part_of_given_output(np.ones(ny), np.zeros(ny), self.trajectory)
-        if not getattr(self.simulator, "advances", False):
+        if not self.simulator.advances:
             raise NotSteppedError(
                 f"{self.name} has a simulator that cannot go on from a given state"
             )
@@ -293,11 +291,10 @@ class GreyBox(Forecaster):
 
     def _as_program(self) -> Recursion:
         record = self.require_fitted().record
-        if isinstance(self.simulator, Absent):
-            self.simulator.simulate(None)  # raises the error that asks for it
+        simulator = self.simulator.require()
         if not self.writable:
-            method = getattr(self.simulator, "method", None)
-            why = f"with the method {method} " if method else ""
+            ode = isinstance(simulator, Ode)
+            why = f"with the method {simulator.method} " if ode else ""
             raise NotSteppedError(
                 f"{self.name} cannot be exported: its simulator {why}cannot be written as equal "
                 "steps of RK45; export a hybrid on it, which takes its output as y_sim"
@@ -405,8 +402,8 @@ class GreyBox(Forecaster):
         chosen, length = window, SHORTEST
         while length <= min(window or samples, origins[0]):
             try:
-                found = error([self._ahead(experiment.part(0, b), a, length)
-                               for a, b in zip(origins, ends, strict=True)])  # fmt: skip
+                parts = ((experiment.part(0, b), a) for a, b in zip(origins, ends, strict=True))
+                found = error([self._ahead(part, a, length) for part, a in parts])
             except ValueError:
                 found = np.inf
             if found < best:

@@ -17,6 +17,7 @@ from splitband.forecasters.simulation import Calibrated, Simulation, SimulatorFo
 from splitband.networks.cell import Template, as_template, label_of, words_of
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
+from splitband.simulators.base import as_known
 from splitband.training import TrainingSettings
 
 if TYPE_CHECKING:
@@ -142,8 +143,8 @@ class Split(Network):
 def as_slow_part(base: Forecaster | Simulator | None) -> Forecaster:
     """Return the forecaster of the slow component; raises ValueError without a `trajectory`."""
     if not isinstance(base, Forecaster):
-        adjustable: Any = base if getattr(base, "adjustable", False) else None
-        return Simulation(base) if adjustable is None else GreyBox(adjustable)
+        known = None if base is None else as_known(base)
+        return GreyBox(known) if known is not None and known.adjustable else Simulation(known)
     if type(base).trajectory is Forecaster.trajectory:
         raise InputError(
             "base must say something about the whole record (have a `trajectory`), as a simulator "

@@ -23,7 +23,7 @@ from splitband.forecasters.simulation import description_of, simulations
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.simulators import Simulator
-from splitband.simulators.base import Recorded, matched
+from splitband.simulators.base import KnownSimulator, Recorded, as_known, matched
 from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
 
 
@@ -60,7 +60,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     """
     loaded = read(_of_result(Path(folder)))
     if simulator is not None:
-        _give(loaded, simulator)
+        _give(loaded, as_known(simulator))
     return loaded
 
 
@@ -109,7 +109,7 @@ def _of_result(folder: Path) -> Path:
     return inner
 
 
-def _give(forecaster: Forecaster, simulator: Simulator) -> None:
+def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
     """Set the simulator of a forecaster, with a warning if it differs from the saved one.
 
     Raises ValueError if it begins at another time.

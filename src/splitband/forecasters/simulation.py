@@ -9,7 +9,7 @@ from typing import Any, Self, final
 
 import numpy as np
 
-from splitband.data import Aligned, Grid, Record, check_alike
+from splitband.data import Grid, Record, check_alike
 from splitband.data.timing import stamp_after
 from splitband.filters import ComplementaryPair
 from splitband.forecasters.base import Forecaster, with_parts_changed
@@ -19,8 +19,8 @@ from splitband.forecasters.stepping import NotSteppedError, Part, State
 from splitband.models.labels import SIMULATOR
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.simulators import Simulator, run
-from splitband.simulators.base import Absent, is_driven, matched
+from splitband.simulators import Simulator
+from splitband.simulators.base import Absent, KnownSimulator, as_known
 from splitband.simulators.calibration import Calibration, Term, calibrate, samples_needed
 
 MAX_SIMULATED_SAMPLES = 10**8
@@ -34,27 +34,30 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Runs:
+class Runs(KnownSimulator):
     """Hold a simulator's runs, computed once for all processes.
 
-    `runs`: grid, inputs that drove it, if any, and output `(time, ny)` of each; `driven`: whether
-    it takes inputs; `ran`: the `id` of the simulator, see `with_simulators_of`.
+    Attributes
+    ----------
+    runs : Grid, inputs that drove it, if any, and output `(time, ny)` of each run.
+    place : Place of the simulator among those of its method, see `simulators_of`.
+    driven : Whether the simulator takes inputs.
     """
 
     runs: Sequence[tuple[Grid, Array | None, Array]]
-    driven: bool
-    ran: int
+    place: int
+    driven: bool = False
 
-    def reach(self, grid: Grid, u: Array | None = None) -> int:
-        """Return the number of samples that are available from the start of the grid on."""
-        return len(self._beginning(grid, u))
+    def reach(self, grid: Grid) -> int:
+        """Return how many samples are available from the start of the grid on, without inputs."""
+        return len(self._beginning(grid, None))
 
-    def on(self, grid: Grid, u: Array | None = None) -> Aligned:
+    def output(self, grid: Grid, record: Record, u: Array | None) -> Array:
         """Return the output at these times; raises ValueError where it is not available."""
         y = self._beginning(grid, u)
         if len(y) < grid.samples:
             raise InputError(f"the simulator has not been run for {grid}")
-        return Aligned(y[: grid.samples], "")
+        return y[: grid.samples]
 
     def _beginning(self, grid: Grid, u: Array | None) -> Array:
         """Return the longest output from the start of the grid on, with the same inputs."""
@@ -73,36 +76,51 @@ def _same_inputs(by: Array | None, u: Array | None) -> bool:
     return by is u if by is None or u is None else np.array_equal(by[: len(u)], u[: len(by)])
 
 
+def simulators_of(method: Forecaster) -> list[KnownSimulator]:
+    """Return the simulators of a method, each once, in the order of its parts."""
+    found = (part.simulator for part in simulations(method) if part.simulator is not None)
+    return [*dict.fromkeys(found)]
+
+
 def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
     """Give a trained copy of a method its simulators again.
 
-    They replace what they were run for and, in a copy that was loaded, what describes them.
+    They replace their `Runs` and, in a copy that was loaded, the descriptions.
     """
-    own = [part.simulator for part in simulations(method) if part.simulator is not None]
-    by_id = {id(simulator): simulator for simulator in own}
+    own = simulators_of(method)
     for part in simulations(model):
-        if isinstance(part.simulator, Absent) and own:
+        if isinstance(part.simulator, Runs):
+            part.simulator = own[part.simulator.place]
+        elif isinstance(part.simulator, Absent) and own:
             part.simulator = own[0]
-        part.simulator = by_id.get(getattr(part.simulator, "ran", 0), part.simulator)
 
 
-def with_simulators_run(method: Forecaster, *records: Record, ran: dict[Any, _Runs]) -> Forecaster:
-    """Return a method whose simulators have been run, see `SimulatorForecaster._simulated`.
+def with_simulators_run(method: Forecaster, *records: Record, ran: dict[Any, Runs]) -> Forecaster:
+    """Return a method whose simulators have been run, see `SimulatorForecaster.spans`.
 
-    What `ran` for another method is not run again; what runs is added.
+    A run that another method has made is in `ran`, and not made again; new runs are added.
     """
+    own = simulators_of(method)
 
     def changed(part: Forecaster) -> Forecaster:
-        if not isinstance(part, SimulatorForecaster):
+        if not isinstance(part, SimulatorForecaster) or part.simulator is None:
             return part
-        return part._simulated(*records, ran=ran)
+        if part.simulator.own_times:
+            return part
+        spans = part.spans(*records)
+        key = part.simulator, *((each, grid.samples) for grid, each, _ in spans)
+        if key not in ran:
+            runs = [(grid, u, part.simulator.output(grid, each, u)) for grid, each, u in spans]
+            ran[key] = Runs(runs, 0, part.simulator.driven)
+        found = replace(ran[key], place=own.index(part.simulator))
+        return part.clone().set_params(simulator=found)
 
     return with_parts_changed(method, changed)
 
 
 def simulations(value: Any) -> Iterator[Any]:
     """Yield the parts of a forecaster that have a simulator."""
-    if hasattr(value, "simulator"):
+    if isinstance(value, Forecaster) and "simulator" in vars(value):
         yield value
     elif isinstance(value, Forecaster | list):
         for part in value if isinstance(value, list) else vars(value).values():
@@ -123,17 +141,21 @@ class SimulatorForecaster(Forecaster):
     `simulator`: what to run; by default the record contains its output (`y_sim`).
     """
 
-    affine = True
     applied = Calibration()
     """The calibration of the output."""
     slow_label = SIMULATOR
     forgets = True
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
-        self.simulator: Any = simulator
+        self.simulator: Any = None if simulator is None else as_known(simulator)
         self._name = name
         self.u: Array | None = None
         """Inputs of the training record, which drive the simulator before a history."""
+
+    @property
+    def affine(self) -> bool:  # type: ignore[override]
+        """Return whether predictions do not depend on the inputs."""
+        return not self._driven
 
     @property
     def needs(self) -> frozenset[str]:
@@ -156,10 +178,8 @@ class SimulatorForecaster(Forecaster):
         for other in records[1:]:
             check_alike(other, records[0], other.name or "another record")
 
-    def _simulated(self, *records: Record, ran: dict[Any, _Runs]) -> Self:
-        """Return it with its simulator's output over these records, computed once."""
-        if self.simulator is None or hasattr(self.simulator, "reach"):
-            return self
+    def spans(self, *records: Record) -> list[tuple[Grid, Record, Array | None]]:
+        """Return the runs of its simulator that cover records: times, record and inputs of each."""
         longest: dict[Any, tuple[Grid, Record, Array | None]] = {}
         for each in records:
             needed = self._needed(len(each), max(len(records[0]), len(each)))
@@ -168,18 +188,13 @@ class SimulatorForecaster(Forecaster):
             key = each.start, each.sampling_time, None if u is None else u.tobytes()
             if key not in longest or longest[key][0].samples < needed:
                 longest[key] = Grid(each.start, each.sampling_time, needed), each, u
-        spans = [(id(each), grid.samples) for grid, each, _ in longest.values()]
-        own = id(self.simulator), *spans
-        if own not in ran:
-            runs = [(grid, u, self._run(grid, each, u)) for grid, each, u in longest.values()]
-            ran[own] = _Runs(runs, self._driven, id(self.simulator))
-        return self.clone().set_params(simulator=ran[own])
+        return [*longest.values()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is saved; a simulator that is not recorded output becomes a description."""
         said = super().to_dict()
         if self.simulator is not None and not self._at_own_times:
-            said["simulator"] = Absent.of(self.simulator)
+            said["simulator"] = self.simulator.description()
         return said
 
     @classmethod
@@ -214,7 +229,7 @@ class SimulatorForecaster(Forecaster):
                 f"{-begin * record.sampling_time:.7g} s earlier"
             )
         if self._at_own_times:
-            return self._recorded(self._in_columns(record), known, begin)
+            return self._recorded(self.simulator.in_columns(record.columns), known, begin)
         y_sim, begin_sim = known.y_sim, begin
         if self.simulator is not None:
             last = self.applied.positions(samples, record.sampling_time, begin)[-1]
@@ -231,7 +246,7 @@ class SimulatorForecaster(Forecaster):
                 times, needed = replace(times, start=earlier), samples
             u = self._driving_until(known, begin)
             needed = needed if u is None else min(needed, len(u))
-            y_sim = self._run(replace(times, samples=needed), record, u)
+            y_sim = self.simulator.output(replace(times, samples=needed), record, u)
         if y_sim is None:
             raise InputError(f"{self.name} needs a simulator's output (y_sim)")
         return self.applied.apply(y_sim, samples, record.sampling_time, begin, begin_sim)
@@ -239,7 +254,7 @@ class SimulatorForecaster(Forecaster):
     @property
     def _driven(self) -> bool:
         """Return whether its own simulator takes the inputs of records."""
-        return self.simulator is not None and is_driven(self.simulator)
+        return self.simulator is not None and self.simulator.driven
 
     def _driving(self, record: Record) -> Array | None:
         """Return the known inputs of a record, if they drive it."""
@@ -267,7 +282,7 @@ class SimulatorForecaster(Forecaster):
     @property
     def _at_own_times(self) -> bool:
         """Return whether the simulator is recorded output, which is interpolated."""
-        return getattr(self.simulator, "own_times", False)
+        return self.simulator is not None and self.simulator.own_times
 
     def _recorded(self, simulator: Any, known: ForecastContext, begin: float) -> Array:
         """Return the trajectory from recorded output, see `trajectory`; its end is held (`doubts`).
@@ -339,34 +354,17 @@ class SimulatorForecaster(Forecaster):
         """Return the output over a record, and beyond it as far as it is known or needed."""
         if self.simulator is not None:
             samples, u = self._needed(len(record), len(record)), self._driving(record)
-            if u is not None:
-                samples = min(samples, len(u))
-            elif hasattr(self.simulator, "reach"):
-                samples = min(samples, max(len(record), self.simulator.reach(record.grid)))
-            return self._run(replace(record.grid, samples=samples), record, u)
+            grid = replace(record.grid, samples=samples)
+            most = max(len(record), self.simulator.reach(grid)) if u is None else len(u)
+            grid = replace(grid, samples=min(samples, most))
+            return np.asarray(self.simulator.output(grid, record, u))
         if record.y_sim is None:
             raise InputError(f"{self.name} needs a simulator, the record has none")
         return record.y_sim
 
-    def _in_columns(self, record: Record) -> Any:
-        """Return its recorded output with the channels of a record."""
-        named = getattr(self.simulator, "in_columns", None)
-        return self.simulator if named is None else named(record.columns)
-
     def _needed(self, samples: int, train: int) -> int:
         """Return how many samples its own simulator must run for to cover `samples`."""
         return samples
-
-    def _run(self, grid: Grid, record: Record, u: Array | None) -> Array:
-        """Return the simulator's own output at these times, in the channels of a record."""
-        if hasattr(self.simulator, "ran"):
-            return np.asarray(self.simulator.on(grid, u).values)
-        if hasattr(self.simulator, "on"):
-            return np.asarray(self._in_columns(record).on(grid).values)
-        if isinstance(self.simulator, Absent):
-            self.simulator.simulate(None)
-        simulator = matched(self.simulator, record.columns, record.inputs)
-        return run(simulator, grid.samples, grid.step, record.ny, start=grid.start, u=u)
 
 
 def check_level(record: Record, name: str) -> None:

@@ -10,10 +10,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import PurePath
-from typing import Any, ClassVar, Literal, NoReturn, Protocol, TypeVar
+from pathlib import Path, PurePath
+from typing import Any, Literal, NoReturn, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +24,7 @@ from splitband.data.signals import as_float
 from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.files import sha256_of
 from splitband.runtime.options import WithRepr, saved
 from splitband.simulators.user_code import check_open, count_arguments
 
@@ -32,7 +32,6 @@ Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
 Hold = Literal["zoh", "linear"]
 """How inputs run from one sample to the next: held (zero-order hold), or along a straight line."""
-Any_simulator = TypeVar("Any_simulator")
 
 
 class SimulatorError(RuntimeError):
@@ -44,20 +43,12 @@ class SimulatorTimeoutError(TimeoutError):
 
 
 class Simulator(Protocol):
-    """Define what `run` calls on a simulator: `simulate(time)` or `simulate(time, u)`.
+    """Define what a user brings: an object with `simulate(time)` or `simulate(time, u)`.
 
-    Nothing else is needed. Of a simulator with some of these attributes more is known:
-
-    - `name`, for messages; `start`, see `simulate`; `path`, of the file that a saved model names.
-    - `driven`: whether it takes the record's inputs, if the arguments of `simulate` do not tell;
-      `needs_inputs`: whether it cannot run without; `matched(columns, inputs)`: the simulator for a
-      record with these names; `code`: functions whose open arguments might be meant for inputs.
-    - `fingerprint()`: a text by which a saved model knows its simulator again, such as the SHA-256
-      of an FMU with the variables that are used. Values of parameters are no part of it.
-    - `own_times`: whether its output has times of its own, and is interpolated to the record's.
-    - `adjustable`, with `known`: whether it has parameters to fit, and their ranges (see
-      `splitband.simulators.parameters`).
-    - `advances`: whether it can be stepped from any state.
+    Nothing else is needed. Three attributes are read where the object has them: `name`, for
+    messages; `start`, see `simulate`; `driven`, whether it takes the record's inputs, where the
+    arguments of `simulate` do not say so. Everything else is known of simulators of this package
+    alone, see `KnownSimulator`.
     """
 
     @property
@@ -68,6 +59,131 @@ class Simulator(Protocol):
         begins at 0 at the record's first sample, where the initial state is that of the simulator,
         or at its attribute `start`: a number, or "record" for the record's time stamp.
         """
+
+
+class KnownSimulator:
+    """Define the protocol of simulators inside the package, with its defaults.
+
+    An object of a user's becomes one where it comes in, see `as_known`.
+
+    Attributes
+    ----------
+    start : See `Simulator`; None for a simulator that does not say.
+    hold : How inputs run between samples, see `Ode`; None for a simulator that does not say.
+    step : Communication step in s that was chosen for an FMU.
+    driven : Whether it takes the record's inputs.
+    code : Functions of a simulator whose open arguments might be meant for inputs.
+    own_times : Whether its output has times of its own, and is interpolated to the record's.
+    adjustable : Whether it has parameters or needs inputs, and so a `GreyBox` to run it.
+    advances : Whether it can be stepped from any state.
+    """
+
+    simulate: Any
+    start: Any = None
+    hold: Any = None
+    step: float | None = None
+    driven = False
+    code: Sequence[Any] = ()
+    own_times = False
+    adjustable = False
+    advances = False
+
+    @property
+    def name(self) -> str:
+        """Return the name in messages."""
+        return type(self).__name__
+
+    @property
+    def needs_inputs(self) -> bool:
+        """Return whether it cannot run without inputs."""
+        return self.driven
+
+    def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
+        """Return the simulator for records with these channels and inputs, see `Fmu.matched`."""
+        return self
+
+    def require(self) -> Self:
+        """Return the simulator; raises ValueError for a description, which cannot run."""
+        return self
+
+    def facts(self, fitted: bool) -> tuple[str, str, str | None]:
+        """Return the kind, file and fingerprint of its description, see `Absent`."""
+        return type(self).__name__, "", None
+
+    def description(self, fitted: bool = False) -> Absent:
+        """Return the description of the simulator; `fitted`: whether its parameters were."""
+        start = None if self.own_times else self.start or 0.0
+        return Absent(
+            *self.facts(fitted), fitted, start, self.hold if self.driven else None, self.step
+        )
+
+    def reach(self, grid: Grid) -> int:
+        """Return how many samples of the grid it covers: all, as it can run for as long."""
+        return grid.samples
+
+    def at(self, grid: Grid, time: Array, u: Array | None) -> npt.ArrayLike:
+        """Return the output at the times of a grid, which are `time` in s on its own clock."""
+        given = [] if u is None else [np.resize(u, (len(time), u.shape[1]))]
+        found: npt.ArrayLike = self.simulate(time, *given)
+        return found
+
+    def output(self, grid: Grid, record: Record, u: Array | None) -> Array:
+        """Return the output at these times, `(samples, ny)`, in the channels of a record."""
+        simulator = matched(self.require(), record.columns, record.inputs)
+        return run(simulator, grid.samples, grid.step, record.ny, None, grid.start, u)
+
+
+class Given(KnownSimulator):
+    """Hold a simulator of a user's own; it equals another one that holds the same object."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        if not callable(simulate := getattr(simulator, "simulate", None)):
+            raise InputError(
+                "simulator must have a method simulate(time) or simulate(time, u), got "
+                f"{type(simulator).__name__}; for a function f there is sb.Function(f)"
+            )
+        self.start = check_start(getattr(simulator, "start", None))
+        self._name = getattr(simulator, "name", "") or type(simulator).__name__
+        driven = getattr(simulator, "driven", None)
+        self.driven = count_arguments(simulate) > 1 if driven is None else bool(driven)
+        self.code = (simulate,) if driven is None else ()
+
+    @property
+    def name(self) -> str:
+        """Return its own name, or that of its class."""
+        return self._name
+
+    @property
+    def simulate(self) -> Callable[..., npt.ArrayLike]:
+        """Return the method of the user's object."""
+        return self.simulator.simulate
+
+    def facts(self, fitted: bool) -> tuple[str, str, str | None]:
+        """Return the class of the user's object."""
+        return type(self.simulator).__name__, "", None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Given) and self.simulator is other.simulator
+
+    def __hash__(self) -> int:
+        return object.__hash__(self.simulator)
+
+
+def fingerprint(path: str | Path, used: str) -> str | None:
+    """Return the SHA-256 of a file and what is used of it; None where the file is gone."""
+    try:
+        return f"{sha256_of(path)} {used}"
+    except OSError:
+        return None
+
+
+def as_known(simulator: Any) -> Any:
+    """Return a simulator of this package as it is, and an object of a user's as a `Given`.
+
+    Raises ValueError for an object that has no `simulate`.
+    """
+    return simulator if isinstance(simulator, KnownSimulator) else Given(simulator)
 
 
 def check_start(start: Any) -> Any:
@@ -86,47 +202,36 @@ def check_hold(hold: Any) -> Any:
     return hold
 
 
-def is_driven(simulator: Any) -> bool:
-    """Return whether a simulator takes a record's inputs: its own word, or `simulate(time, u)`."""
-    driven = getattr(simulator, "driven", None)
-    return count_arguments(simulator.simulate) > 1 if driven is None else bool(driven)
-
-
-def matched(
-    simulator: Any_simulator, columns: Sequence[str], inputs: Sequence[str]
-) -> Any_simulator:
+def matched(simulator: Any, columns: Sequence[str], inputs: Sequence[str]) -> Any:
     """Return the simulator for records with these channels and inputs, see `Fmu.matched`.
 
     Raises ValueError for one that needs inputs, which the records do not have, and for one that may
     be meant to take those that they have.
     """
-    match = getattr(simulator, "matched", None)
-    found: Any_simulator = simulator if match is None else match(columns, inputs)
-    driven, name = is_driven(found), getattr(found, "name", "") or type(found).__name__
-    if not inputs and getattr(found, "needs_inputs", driven):
+    found = as_known(simulator).matched(columns, inputs)
+    if not inputs and found.needs_inputs:
         raise InputError(
-            f"simulator {name} takes inputs, of which the record has none: name them (--inputs), "
-            "or leave the argument out"
+            f"simulator {found.name} takes inputs, of which the record has none: name them "
+            "(--inputs), or leave the argument out"
         )
-    if inputs and not driven:
-        check_undriven(found, name, inputs)
+    if inputs and not found.driven:
+        check_undriven(found, found.name, inputs)
     return found
 
 
-def check_undriven(simulator: Any, name: str, inputs: Sequence[str] = ()) -> None:
+def check_undriven(simulator: KnownSimulator, name: str, inputs: Sequence[str] = ()) -> None:
     """Raise ValueError for a simulator that is not driven, but may be meant to take the inputs."""
-    own = [] if hasattr(simulator, "driven") else [getattr(simulator, "simulate", None)]
-    for function in getattr(simulator, "code", own):
+    for function in simulator.code:
         check_open(function, name, inputs)
 
 
-def origin(simulator: Any, stamp: Stamp | None) -> float:
+def origin(simulator: KnownSimulator, stamp: Stamp | None) -> float:
     """Return the time in s at which a simulator runs at a record's first sample.
 
     Raises ValueError where that can be two things: for a function of time alone that does not say
     whether it means the record's clock.
     """
-    start, begin = check_start(getattr(simulator, "start", None)), seconds_of(stamp)
+    start, begin = simulator.start, seconds_of(stamp)
     if start == "record":
         if stamp is not None and not isinstance(stamp, float):
             raise InputError(
@@ -134,7 +239,7 @@ def origin(simulator: Any, stamp: Stamp | None) -> float:
                 f"whose clock shows dates: it begins at {in_words(stamp)}"
             )
         return begin
-    if start is None and begin and not is_driven(simulator):
+    if start is None and begin and not simulator.driven:
         assert stamp is not None
         raise InputError(
             f'start must be given (--simulator-start) for a function of time: "record" if it means '
@@ -177,18 +282,14 @@ def run(  # noqa: PLR0913
         If the simulator raises, exceeds its timeout, or returns a wrong shape or values that are
         not finite. The message names the simulator.
     """
-    name = name or getattr(simulator, "name", "") or type(simulator).__name__
-    begin = 0.0 if isinstance(simulator, Recorded) else origin(simulator, start)
-    u = _driving(name, simulator, u, samples)
+    known = as_known(simulator)
+    name = name or known.name
+    begin = 0.0 if known.own_times else origin(known, start)
+    u = _driving(name, known, u, samples)
     # A grid has two points at least, from which a simulator can derive the step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
     try:
-        if isinstance(simulator, Recorded):  # `time` holds seconds, and its stamps may be dates
-            returned = np.asarray(simulator.on(Grid(start, sampling_time, len(time))).values)
-        elif u is None:
-            returned = np.asarray(simulator.simulate(time))
-        else:
-            returned = np.asarray(simulator.simulate(time, np.resize(u, (len(time), u.shape[1]))))
+        returned = np.asarray(known.at(Grid(start, sampling_time, len(time)), time, u))
         if np.iscomplexobj(returned):
             raise TypeError("its values must be real")
         y = np.asarray(returned, float)
@@ -212,9 +313,9 @@ def run(  # noqa: PLR0913
     return y
 
 
-def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> Array | None:
+def _driving(name: str, simulator: KnownSimulator, u: Array | None, samples: int) -> Array | None:
     """Return the inputs of a run, `(samples, nu)`; None for a simulator that takes none."""
-    if not is_driven(simulator):
+    if not simulator.driven:
         if u is not None:
             check_undriven(simulator, name)
         return None
@@ -232,7 +333,7 @@ def _driving(name: str, simulator: Simulator, u: Array | None, samples: int) -> 
 
 @saved
 @dataclass(frozen=True, eq=False, repr=False)
-class Recorded(WithRepr):
+class Recorded(WithRepr, KnownSimulator):
     """Hold the exported output of a simulator, at its own times.
 
     Attributes
@@ -249,8 +350,7 @@ class Recorded(WithRepr):
     start: Stamp | None = None
     name: str = "the exported trajectory"
     columns: tuple[str, ...] = ()
-    own_times: ClassVar[bool] = True
-    """Marks a simulator with its own sampling times, which is interpolated to those of a record."""
+    own_times = True
 
     @classmethod
     def of(cls, trajectory: Record) -> Recorded:
@@ -294,6 +394,14 @@ class Recorded(WithRepr):
         step = float(time[1] - time[0]) if len(time) > 1 else self.sampling_time
         return self.on(Grid(float(time[0]), step, len(time))).values
 
+    def at(self, grid: Grid, time: Array, u: Array | None) -> npt.ArrayLike:
+        """Return the simulation at the times of a grid, whose stamps may be dates."""
+        return self.on(grid).values
+
+    def output(self, grid: Grid, record: Record, u: Array | None) -> Array:
+        """Return the simulation at these times, in the channels of a record."""
+        return np.asarray(self.in_columns(record.columns).on(grid).values)
+
     @property
     def _grid(self) -> Grid:
         return Grid(self.start, self.sampling_time, len(np.asarray(self.y)))
@@ -301,14 +409,14 @@ class Recorded(WithRepr):
 
 @saved
 @dataclass(frozen=True)
-class Absent:
+class Absent(KnownSimulator):
     """Describe a simulator in words, without opening or running anything.
 
     Attributes
     ----------
     kind, file : Names of its class and of its file, without the folder; empty without a file.
-    fingerprint : Result of the simulator's `fingerprint()`, with the values of its parameters
-        unless they are fitted, by which a different simulator is detected; None without one.
+    fingerprint : Text by which a different simulator is detected: SHA-256 of an FMU, the variables
+        that are used, and the values of its parameters unless they are fitted; None without one.
     fitted : Whether its parameters were fitted; other parameter values are then no difference.
     start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
         has time stamps of its own.
@@ -339,25 +447,11 @@ class Absent:
             raise InputError(f"step must be a number of seconds, got {str(self.step)[:60]!r}")
         vars(self)["start"] = check_start(self.start)
 
-    @classmethod
-    def of(cls, simulator: Any, fitted: bool = False) -> Absent:
-        """Return the description of a simulator; a description is returned unchanged."""
-        if isinstance(simulator, cls):
-            return simulator
-        file = PurePath(str(getattr(simulator, "path", ""))).name
-        said = None
-        with suppress(OSError):  # its file may be gone by now
-            said = getattr(simulator, "fingerprint", lambda: None)()
-        if said is not None and not fitted:
-            said = f"{said} {getattr(simulator, 'known', '')}".strip()
-        own = getattr(simulator, "own_times", False)
-        start = None if own else getattr(simulator, "start", None) or 0.0
-        hold = getattr(simulator, "hold", None) if getattr(simulator, "driven", False) else None
-        kind = getattr(simulator, "kind", type(simulator).__name__)
-        step = getattr(simulator, "step", None) if kind == "Fmu" else None
-        return cls(kind, file, said and str(said), fitted, start, hold, step)
+    def description(self, fitted: bool = False) -> Absent:
+        """Return the description itself."""
+        return self
 
-    def simulate(self, time: object) -> NoReturn:
+    def require(self) -> NoReturn:
         """Raise ValueError; the message says which simulator to pass, and how."""
         ours = "sb." if self.kind in dir(splitband) else ""
         how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
@@ -366,13 +460,13 @@ class Absent:
             f"sb.load(folder, simulator={how})"
         )
 
-    def difference(self, given: Any) -> str:
+    def difference(self, given: KnownSimulator) -> str:
         """Return a sentence if `given` is not the described simulator, else an empty string.
 
         Simulators without a fingerprint are not compared. Raises ValueError for one that begins at
         another time, or whose inputs run otherwise between samples.
         """
-        other = Absent.of(given, self.fitted)
+        other = given.description(self.fitted)
         if self.start is not None and other.start is not None and self.start != other.start:
             raise InputError(
                 f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import scipy
@@ -132,9 +132,9 @@ class Calibration:
 
     def __str__(self) -> str:
         """Return the calibrated terms, with units."""
-        scales = {"gain": self.gain, "offset": self.offset}
-        parts = [f"{name} {', '.join(f'{each:.3g}' for each in values)}"
-                 for name, values in scales.items() if values]  # fmt: skip
+        scales = ("gain", self.gain), ("offset", self.offset)
+        texts = [(name, ", ".join(f"{x:.3g}" for x in values)) for name, values in scales]
+        parts = [f"{name} {text}" for name, text in texts if text]
         parts += [f"delay {self.delay:.4g} s"] if self.delay else []
         parts += [f"clock {self.clock:.5g}"] if self.clock != 1 else []
         return "; ".join(parts) or "unmodified"
@@ -272,13 +272,10 @@ def _fit(
     if moving.any():
         most = np.array([MOST_DELAY * len(y), MOST_CLOCK])
         low, high = (_STILL - most)[moving], (_STILL + most)[moving]
-        minima = [
-            scipy.optimize.least_squares(
-                residual, np.clip(point[moving], low, high), bounds=(low, high),
-                x_scale=(high - low) / 100,
-            )
-            for point in _guesses(y, lambda clock: spline(clock * index), most * moving)
-        ]  # fmt: skip
+        guesses = _guesses(y, lambda clock: spline(clock * index), most * moving)
+        begins = (np.clip(guess[moving], low, high) for guess in guesses)
+        how: Any = {"bounds": (low, high), "x_scale": (high - low) / 100}
+        minima = [scipy.optimize.least_squares(residual, begin, **how) for begin in begins]
         warp = np.asarray(min(minima, key=lambda result: result.cost).x)
     gain, offset, *_ = fitted(warp)
     delay, clock = _warp(warp, moving)

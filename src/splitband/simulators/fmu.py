@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.files import sha256_of
-from splitband.simulators.base import Hold, Start, check_hold, check_start
+from splitband.simulators.base import Hold, Start, check_hold, check_start, fingerprint
 from splitband.simulators.fmu_running import (
     CoSimulation,
     Exchange,
@@ -127,7 +126,7 @@ class Fmu(Adjustable):
             check_inputs(self._unit, [name], np.array([[self.known.range(name)[0]]]), "parameters")
 
     @property
-    def driven(self) -> bool:
+    def driven(self) -> bool:  # type: ignore[override]
         """Return whether it takes a record's inputs."""
         return any(self._unit.variables.inputs if self.inputs is None else self.inputs)
 
@@ -253,11 +252,12 @@ class Fmu(Adjustable):
         exchange = self.driven and self._unit.kind == EXCHANGE
         return self._with(hold="linear" if self.hold == "zoh" else "zoh") if exchange else None
 
-    def fingerprint(self) -> str:
-        """Return the SHA-256 of its file, and what is used of it; see `Simulator`."""
+    def facts(self, fitted: bool) -> tuple[str, str, str | None]:
+        """Return its class, its file, and what a saved model knows it by."""
         step = "" if self.step is None else f" {self.step}"
         used = f"{self.outputs} {self.inputs} {self.start} {self.hold}{step}"
-        return f"{sha256_of(self.path)} {used}"
+        said = fingerprint(self.path, used if fitted else f"{used} {self.known}".strip())
+        return type(self).__name__, self.path.name, said
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the constructor's arguments, with which another process opens it."""

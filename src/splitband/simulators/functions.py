@@ -49,12 +49,12 @@ class UserCode(Adjustable):
         """Return the user's functions, or None, each with the names of its arguments."""
 
     @property
-    def code(self) -> list[Any]:
+    def code(self) -> list[Any]:  # type: ignore[override]
         """Return the user's functions."""
         return [function for function, _ in self._functions]
 
     @property
-    def driven(self) -> bool:
+    def driven(self) -> bool:  # type: ignore[override]
         """Return whether it takes a record's inputs."""
         return any(count_arguments(each) > names.index("u") for each, names in self._functions)
 
@@ -201,9 +201,8 @@ class Ode(UserCode):
                 f"x0 must be a finite number for each state, got {self.x0!r}; a state with a range "
                 f'is a parameter: parameters={{"{INITIAL}1": (low, high)}}'
             )
-        wrong = [name for name in self.known.given if name.startswith(INITIAL)
-                 and name not in self._states]  # fmt: skip
-        if wrong:
+        initial = [name for name in self.known.given if name.startswith(INITIAL)]
+        if wrong := [name for name in initial if name not in self._states]:
             raise InputError(
                 f"initial values must be out of {', '.join(self._states)}, as x0 says, "
                 f"got {wrong[0]}"
@@ -371,10 +370,9 @@ class Ode(UserCode):
 
         # Its steps are lost in the rounding of large times: it counts from 0.
         rtol, atol = self.tolerances
-        solution = scipy.integrate.solve_ivp(
-            slope, (0.0, time[-1] - begin), initial, method=self.method, t_eval=time - begin,
-            rtol=rtol, atol=atol, max_step=step if self.driven else np.inf,
-        )  # fmt: skip
+        how: Any = {"rtol": rtol, "atol": atol, "max_step": step if self.driven else np.inf}
+        span, times = (0.0, time[-1] - begin), time - begin
+        solution = scipy.integrate.solve_ivp(slope, span, initial, self.method, times, **how)
         x = np.full((len(time), len(initial)), np.nan)
         x[: len(solution.t)] = solution.y.T
         return x

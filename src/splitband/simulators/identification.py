@@ -28,6 +28,7 @@ from splitband.simulators.base import matched
 from splitband.simulators.parameters import (
     Adjustable,
     Estimate,
+    Name,
     favours,
     labelled,
     uncertainty,
@@ -155,13 +156,13 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
     reason = next(iter(lost), "")
     cut = any(o.cut for o in outcomes) or deadline.over
+    lost_whole = "as a simulation of the whole record is lost"
     more = {
         "standard errors are rough, as the solver cannot keep smaller tolerances": rough,
         f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {reason}": lost,
         "the time was over before every starting point was tried": cut,
-        f"simulated in windows of {window} samples, as a simulation of the whole record is lost":
-            window < longest,
-    }  # fmt: skip
+        f"simulated in windows of {window} samples, {lost_whole}": window < longest,
+    }
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
     remarks += [remark for remark, holds in more.items() if holds]
     remarks += simulator.remarks
@@ -284,10 +285,12 @@ def _alternatives(
     for other in (np.array(at) for at, error in fits if error <= most and told.any()):
         if all(np.abs(other - each)[told].max() > _SAME_PLACE for each in found):
             found.append(other)
-    values = [[f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
-               for name, place in zip(shooting.names, other, strict=True)]
-              for other in found[1:4]]  # fmt: skip
-    return [f"fits as well with {', '.join(each)}" for each in values]
+
+    def in_words(name: Name, place: float) -> str:
+        return f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
+
+    texts = [map(in_words, shooting.names, other) for other in found[1:4]]
+    return [f"fits as well with {', '.join(each)}" for each in texts]
 
 
 def starting_points(count: int, dimensions: int) -> Array:
@@ -409,11 +412,10 @@ def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, fl
     ranged = np.arange(len(unknowns)) < len(shooting.names)  # the states are not
     bounds = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
     begin = np.where(ranged, np.clip(unknowns, 1e-6, 1 - 1e-6), unknowns)
+    how: Any = {"max_nfev": rounds, "x_scale": np.where(ranged, 0.1, 1.0)}
+    how |= {"ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-10}
     try:
-        scipy.optimize.least_squares(
-            residuals, begin, jacobian, bounds=bounds, max_nfev=rounds,
-            x_scale=np.where(ranged, 0.1, 1.0), ftol=1e-8, xtol=1e-8, gtol=1e-10,
-        )  # fmt: skip
+        scipy.optimize.least_squares(residuals, begin, jacobian, bounds, **how)
     except DeadlineError:
         if best is None:
             raise

@@ -23,10 +23,16 @@ from pebble import ProcessExpired
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError, one_line
-from splitband.runtime.files import sha256_of
 from splitband.runtime.system import end_group, lead_group
 from splitband.runtime.workers import Workers, ended_from_outside, result_of
-from splitband.simulators.base import Hold, SimulatorError, SimulatorTimeoutError, Start
+from splitband.simulators.base import (
+    Hold,
+    KnownSimulator,
+    SimulatorError,
+    SimulatorTimeoutError,
+    Start,
+    fingerprint,
+)
 from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of
 from splitband.simulators.functions import Function, Ode, UserCode
@@ -39,7 +45,7 @@ results."""
 
 
 @dataclass(eq=False)
-class Isolated:
+class Isolated(KnownSimulator):
     """Run an FMU, or a function of a Python file, in a process that can be killed at any time.
 
     `timeout`: seconds to wait; `outputs`, `inputs`, `start`, `hold`, `step`: see `Fmu` and
@@ -60,11 +66,6 @@ class Isolated:
         """Check that it can hold its inputs, if it is to."""
         if self.hold == "zoh" and self.function is not None:
             raise _not_an_equation(self.name)
-
-    @property
-    def kind(self) -> str:
-        """Return the name of the class that it stands for in the description of a saved model."""
-        return "Fmu" if self.function is None else "Function"
 
     @property
     def name(self) -> str:
@@ -108,14 +109,15 @@ class Isolated:
             warnings.warn(each, stacklevel=2)
         return values
 
-    def fingerprint(self) -> str:
-        """Return the SHA-256 of its file, and what is used of it; see `Simulator`."""
-        content = sha256_of(self.path)
+    def facts(self, fitted: bool) -> tuple[str, str, str | None]:
+        """Return the class that it stands for, its file, and what a saved model knows it by."""
+        file = Path(self.path).name
         if self.function is not None:
-            return f"{content} {self.function}"
+            return "Function", file, fingerprint(self.path, self.function)
         inputs = None if self.inputs is None else [*self.inputs]
         step = "" if self.step is None else f" {self.step}"
-        return f"{content} {[*self.outputs]} {inputs} {self.start or 0.0} {self.hold}{step}"
+        used = f"{[*self.outputs]} {inputs} {self.start or 0.0} {self.hold}{step}"
+        return "Fmu", file, fingerprint(self.path, used)
 
 
 def _how(code: int) -> str:
@@ -245,8 +247,8 @@ def _defined(file: str, name: str, content: bytes) -> Any:
 def _initial(given: Mapping[str, Any]) -> list[float]:
     """Return the initial states named by the parameters; states between them begin at 0."""
     told = Parameters(dict(given)).middle()
-    numbers = [int(n[len(INITIAL) :]) for n in told if n[len(INITIAL) :].isdigit()
-               and n.startswith(INITIAL)]  # fmt: skip
+    ends = [name.removeprefix(INITIAL) for name in told if name.startswith(INITIAL)]
+    numbers = [int(end) for end in ends if end.isdigit()]
     if not numbers:
         raise InputError(
             "parameters must say how many states the differential equation has, and where they "

@@ -15,14 +15,13 @@ from splitband.data.timing import in_words
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (
-    Absent,
     Hold,
     Recorded,
     Simulator,
     SimulatorTimeoutError,
     Start,
+    as_known,
     check_start,
-    is_driven,
     matched,
     origin,
     run,
@@ -119,11 +118,9 @@ def open_simulator(  # noqa: PLR0913
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
-    made = Isolated(
-        file, function or None, () if function else tuple(columns), timeout,
-        None if inputs is None else tuple(inputs), driven,
-        begin if function else begin or 0.0, hold, step,
-    )  # fmt: skip
+    outputs, own = () if function else tuple(columns), None if inputs is None else tuple(inputs)
+    rest = driven, begin if function else begin or 0.0, hold, step
+    made = Isolated(file, function or None, outputs, timeout, own, *rest)
     # Not before it is matched does an FMU say whether inputs drive it.
     return made.matched(record.columns, record.inputs)
 
@@ -218,25 +215,24 @@ def simulated(
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if longer else least
     grid, u = Grid(record.start, record.sampling_time, samples), record.u if u is None else u
-    name = getattr(simulator, "name", "") or type(simulator).__name__
-    if isinstance(simulator, Recorded):
-        samples = min(samples, max(least, simulator.reach(grid)))
-    else:
-        simulator = matched(simulator, record.columns, record.inputs)
-        u = u if is_driven(simulator) else None
+    known = as_known(simulator)
+    samples = min(samples, max(least, known.reach(grid)))
+    if not known.own_times:
+        known = matched(known, record.columns, record.inputs)
+        u = u if known.driven else None
         if u is not None:
             samples = min(samples, len(u))
-        begin = origin(simulator, record.start)
+        begin = origin(known, record.start)
         if record.start:
-            at = in_words(record.start)
-            log.info("%s runs from %g s on, at the record's first sample, %s", name, begin, at)
+            said = known.name, begin, in_words(record.start)
+            log.info("%s runs from %g s on, at the record's first sample, %s", *said)
 
     def output(samples: int) -> Any:
-        if not isinstance(simulator, Recorded):
-            return run(simulator, samples, grid.step, record.ny, None, grid.start, u)
-        found = simulator.on(replace(grid, samples=samples))
+        if not isinstance(known, Recorded):
+            return run(known, samples, grid.step, record.ny, None, grid.start, u)
+        found = known.on(replace(grid, samples=samples))
         if found.note:
-            log.info("%s: %s", name, found.note)
+            log.info("%s: %s", known.name, found.note)
         return found.values
 
     try:
@@ -247,7 +243,7 @@ def simulated(
         y_sim = output(least)
     for step in record.prepared:
         y_sim = step.beside(record.y, y_sim)
-    return replace(record, y_sim=y_sim, simulator=Absent.of(simulator))
+    return replace(record, y_sim=y_sim, simulator=known.description())
 
 
 def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
@@ -261,7 +257,7 @@ def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
     ValueError
         As `simulators.run`, and for `steps` of a simulator that the record's inputs drive.
     """
-    if steps and is_driven(matched(simulator, record.columns, record.inputs)):
+    if steps and matched(simulator, record.columns, record.inputs).driven:
         raise InputError(
             "steps (--steps) must be left out for a simulator that the record's inputs drive, as "
             f"they end with it; got {steps}"

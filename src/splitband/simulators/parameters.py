@@ -19,6 +19,7 @@ import scipy
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr, saved
+from splitband.simulators.base import KnownSimulator
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
@@ -179,25 +180,21 @@ def _ends(name: str, value: Any) -> tuple[float, float]:
     return low, high
 
 
-class Adjustable(WithRepr, ABC):
+class Adjustable(WithRepr, KnownSimulator, ABC):
     """Define simulators whose parameters can be fitted.
 
     Attributes
     ----------
     parameters : By name a number, or a range `(low, high)`.
-    start : Time of a record's first sample in s, "record" for its time stamp, or None.
     states : Number of states that a run can start from; 0 for a black box.
     difference : Finite-difference step, as a share of a parameter's range.
-    advances : Whether `advance`, see `Ode`, goes on from a state as one long run does.
     survives : Whether no run can end the process that it runs in.
     remarks : What is to be said of the runs after `precise`.
     """
 
     parameters: Given | None
-    start: Any
     states = 0
     difference = 1e-6
-    advances = False
     survives = False
     remarks: Sequence[str] = ()
 
@@ -208,11 +205,11 @@ class Adjustable(WithRepr, ABC):
 
     @property
     @abstractmethod
-    def driven(self) -> bool:
+    def driven(self) -> bool:  # type: ignore[override]
         """Return whether it takes a record's inputs."""
 
     @property
-    def adjustable(self) -> bool:
+    def adjustable(self) -> bool:  # type: ignore[override]
         """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
         return bool(self.known.given) or self.driven
 
@@ -287,8 +284,8 @@ class Estimate:
     def __str__(self) -> str:
         """Return each value with its standard error, the doubt and the remarks."""
         remarks = [*filter(None, [self.doubt]), *self.remarks]
-        said = [f"{name} = {_rounded(value, self.errors[name])}"
-                for name, value in self.values.items()]  # fmt: skip
+        pairs = self.values.items()
+        said = [f"{name} = {_rounded(value, self.errors[name])}" for name, value in pairs]
         return "; ".join([", ".join(said), *remarks] if said else remarks)
 
     def as_json(self) -> dict[str, Any]:

@@ -345,9 +345,7 @@ class Adjusted:
     @property
     def _given(self) -> Any:
         """Return the simulator; raises ValueError if a saved model has not been given it."""
-        if not hasattr(self.simulator, "respond"):
-            self.simulator.simulate(None)
-        return self.simulator
+        return self.simulator.require()
 
     def _finite(self, y: Array, time: Array) -> Array:
         """Return the channels; raises ValueError for values that are not finite."""
@@ -371,12 +369,9 @@ class Adjusted:
             points = [self._began(state) for state in states]
             with np.errstate(all="ignore"), _running():
                 found = self.simulator.respond(history.time, history.u, points)
-            return [
-                np.concatenate([
-                    _scaled_errors(y, history.y, self.noise, FAILED), (state - mean) / spread
-                ])
-                for (y, _), state in zip(found, states, strict=True)
-            ]  # fmt: skip
+            apart = [_scaled_errors(y, history.y, self.noise, FAILED) for y, _ in found]
+            pairs = zip(apart, states, strict=True)
+            return [np.concatenate([each, (state - mean) / spread]) for each, state in pairs]
 
         step = max(STATE_STEP, self.simulator.difference)
         found = [best_state(errors, state, spread, step, _MOST_RUNS, FAILED) for state in begin]

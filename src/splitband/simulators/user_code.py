@@ -48,8 +48,8 @@ def count_arguments(function: Any) -> int:
 def _counted(function: Any) -> int:
     taken = _positions(function)
     named = ("u", "p") if "u" in taken else ()
-    wanted = [i + 1 for i, (name, each) in enumerate(taken.items())
-              if each.default is each.empty or name in named]  # fmt: skip
+    required = [name for name, each in taken.items() if each.default is each.empty]
+    wanted = [i + 1 for i, name in enumerate(taken) if name in (*required, *named)]
     return max(wanted, default=0)
 
 
