@@ -18,6 +18,7 @@ from benchmarks.linear import PLANTS
 from splitband.baselines.identification import identified
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.refinement import Blocks
+from splitband.data.named import overhead_crane
 from splitband.metrics import fit_percent
 from splitband.runtime.deadlines import Deadline, current, within
 from tests.support import known_after
@@ -146,6 +147,16 @@ def test_two_integrators_are_found_in_a_long_record_where_a_free_fit_misses_both
     other = rng.choice([-1.0, 1.0], (40, 2)).repeat(50, axis=0)
     truth = scipy.signal.lfilter([0, 0.02], [1, -1], other, axis=0)
     assert fit_on(found, other, np.asarray(truth)).min() > 99
+
+
+def test_a_swinging_load_on_a_trolley_is_an_integrator_and_a_pair_of_poles() -> None:
+    """Its inputs wander: a subspace of this order has another pole near 1 in place of the pair."""
+    record = overhead_crane()
+    assert record.u is not None
+    model = sb.Linear().fit(record[:2000])
+    assert (model.model.order, model.model.integrators) == (3, 1)
+    ahead = model.predict(2000, u=record.u[2000:]).y
+    assert np.sqrt(np.mean((ahead - record.y[2000:]) ** 2)) < 0.4
 
 
 def test_an_unknown_constant_flow_into_a_tank_is_estimated() -> None:

@@ -9,11 +9,13 @@ Trees, 1984, Sec. 3.4).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from splitband.baselines.refinement import (
     Signals,
@@ -46,6 +48,10 @@ ITERATIONS = 12
 """Most iterations of a refinement; half as many of a large candidate. Bounds the time."""
 _MISSES = 4
 """Number of orders in a row without a gain after which no larger one is tried. Bounds the time."""
+_MOST_REDUCED = 8
+"""Largest order that is reduced by leaving out each of its poles: where inputs wander, a subspace
+has a pole near 1 in the place of a pair, from which no refinement finds back: the linear model of
+the demo then has half as much again of error. Checked by `benchmarks.sensitivity`."""
 _NEAR = 0.7
 """Orders above 8 are tried from this share of the one that the singular values show. Bounds the
 time."""
@@ -161,12 +167,12 @@ class OrderSearch:
         """Return the largest absolute value of a complex pole."""
         return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
 
-    def of_order(self, order: int) -> OrderCandidate | None:
-        """Return the refined model of this order."""
+    def of_order(self, order: int, larger: OrderCandidate | None = None) -> OrderCandidate | None:
+        """Return the refined model of this order; it may begin as a `larger` one, reduced."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
         iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 4
-        return self._refined(self.start_of(order), self.runs, iterations)
+        return self._refined(self.start_of(order, larger), self.runs, iterations)
 
     def _refined(
         self, begin: Solution | None, runs: Sequence[Signals], iterations: int, integrators: int = 0
@@ -221,8 +227,10 @@ class OrderSearch:
         order, found = first.order, {first.order: first}
 
         def attempt(n: int) -> OrderCandidate:
-            if n not in found and not current().over and (new := self.of_order(n)) is not None:
-                found[n] = new
+            if n not in found and not current().over:
+                larger = found.get(min((m for m in found if m > n), default=n))
+                if (new := self.of_order(n, larger)) is not None:
+                    found[n] = new
             # The smallest order that is as good as the best.
             least = min(found.values(), key=lambda c: c.error)
             return found[min(m for m, c in found.items() if c.as_good_as(least))]
@@ -310,15 +318,24 @@ class OrderSearch:
             if current().over or (misses >= _MISSES and order >= shown):
                 return
 
-    def start_of(self, order: int) -> Solution | None:
-        """Return the best model with the poles of a subspace, made stable, by least squares."""
+    def start_of(self, order: int, larger: OrderCandidate | None = None) -> Solution | None:
+        """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
         if order not in self._starts:
-            starts = (
-                linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
-                for a, c in self._matrices(order)
-            )
-            self._starts[order] = min(starts, key=lambda at: at.cost, default=None)
-        return self._starts[order]
+            self._starts[order] = self._fitted(self._matrices(order))
+        if larger is None or larger.order > _MOST_REDUCED:
+            return self._starts[order]
+        a, _, c, _ = larger.solution.blocks.matrices()
+        reduced = self._fitted(reductions(a, c, larger.order - order))
+        both = [at for at in (self._starts[order], reduced) if at is not None]
+        return min(both, key=lambda at: at.cost, default=None)
+
+    def _fitted(self, tried: Iterable[tuple[Array, Array]]) -> Solution | None:
+        """Return the best model with one of these A and C, by linear least squares."""
+        starts = (
+            linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
+            for a, c in tried
+        )
+        return min(starts, key=lambda at: at.cost, default=None)
 
     def _matrices(self, order: int) -> Iterator[tuple[Array, Array]]:
         """Yield A and C of this order; those of averaged samples for small orders."""
@@ -348,6 +365,16 @@ class OrderSearch:
 def with_constant(runs: Sequence[Signals]) -> list[Signals]:
     """Return the records with 1 as a further input."""
     return [run._replace(u=np.vstack([run.u, np.ones((1, run.u.shape[1]))])) for run in runs]
+
+
+def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
+    """Yield A and C without each choice of one or two poles; of complex ones both go."""
+    poles, vectors = np.linalg.eig(a)
+    own, basis = scipy.linalg.cdf2rdf(poles, vectors)  # complex ones side by side
+    for dropped in itertools.combinations(range(len(poles)), fewer) if fewer <= 2 else ():
+        if poles[[*dropped]].sum().imag == 0:
+            kept = np.delete(np.arange(len(poles)), dropped)
+            yield np.asarray(own[np.ix_(kept, kept)]), np.asarray(c @ basis[:, kept])
 
 
 def held_out(solution: Solution, runs: Sequence[Signals]) -> Array:
