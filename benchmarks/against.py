@@ -42,6 +42,7 @@ from benchmarks.driven import drawn
 from benchmarks.peers import installed
 from benchmarks.sets import SETS, load
 from splitband import Record
+from splitband.forecasters.held_out import after
 from splitband.report.environment import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.threads import use_one_thread
@@ -74,7 +75,7 @@ def _point(library: str, seed: int, seconds: float, errors: Iterable[float], **f
 
 
 def _error(model: sb.Forecaster, test: Record) -> float:
-    said = model.predict(len(test) - KNOWN, test[:KNOWN], other_record=True)
+    said = model.predict(**after(test, KNOWN), other_record=True)
     return sb.rmse(test.y[KNOWN:], said.y)
 
 

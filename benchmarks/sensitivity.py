@@ -33,6 +33,7 @@ from benchmarks.commands import PENDULUM
 from benchmarks.recommendation import BASELINES, RecordJob, _comparison
 from docs.constants import SOURCE, constants
 from splitband.filters.cutoff import choose
+from splitband.forecasters.held_out import after
 from splitband.metrics import rmse
 
 FILE = Path(__file__).parents[1] / "docs/results/benchmarks/constants.jsonl"
@@ -59,7 +60,7 @@ def linear() -> Results:
         pairs.append((name, record[:half], record[half:]))
     for name, record, test in pairs:
         model = sb.Linear().fit(record)
-        y = model.predict(len(test) - 50, history=test[:50]).y
+        y = model.predict(**after(test, 50)).y
         found[name] = rmse(test.y[50:] / test.y.std(axis=0), y / test.y.std(axis=0))
     return found
 
@@ -131,7 +132,7 @@ def networks() -> Results:
             200, 50, steps, 25, lbfgs_iterations=100, linear_start=linear_start
         )
         model = sb.Single(sb.StateSpace(4, 8), how).fit(record)
-        y = model.predict(len(test) - 50, history=test[:50]).y
+        y = model.predict(**after(test, 50)).y
         found[f"{system} {'linear' if linear_start else 'random'}"] = rmse(test.y[50:], y)
     return found
 

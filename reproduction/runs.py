@@ -20,7 +20,7 @@ from reproduction.settings import Setup
 from splitband.comparison.backtest import BacktestSpec, Fit, backtest, first_origin
 from splitband.comparison.methods import QUICK, named
 from splitband.data import Record
-from splitband.forecasters.held_out import Origin
+from splitband.forecasters.held_out import Origin, beginning
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
@@ -148,7 +148,7 @@ def whole_rmse(facts: dict[str, Any], job: Job) -> float:
     record = job.record
     if job.method in QUICK and "simulator" in (simulator := named(job.method)).needs:
         train = facts["settings"]["train"]
-        simulator.fit(record[:train])
+        simulator.fit(beginning(record, train))
         y_sim = simulator.on(record).y_sim
         assert y_sim is not None
         return rmse(record.truth, y_sim)

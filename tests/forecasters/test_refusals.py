@@ -66,9 +66,12 @@ def mean() -> Forecaster:
             lambda: fitted("linear").predict(LENGTH),
             r"u must hold the 100 samples to predict in 1",
         ),
-        (lambda: fitted("simulator").predict(9, y_sim=np.ones(8)), r"y_sim must .* got \(8, 1\)"),
         (
-            lambda: fitted("simulator").predict(9, y_sim=record().y_sim),
+            lambda: fitted("simulator").predict(9, u=np.ones(9), y_sim=np.ones(8)),
+            r"y_sim must .* got \(8, 1\)",
+        ),
+        (
+            lambda: fitted("simulator").predict(9, u=np.ones(9), y_sim=record().y_sim),
             f"y_sim must hold the 9 samples to predict alone, got the {TRAIN} of the history first",
         ),
         (
@@ -80,7 +83,7 @@ def mean() -> Forecaster:
         (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
         (lambda: SETUP.forecaster("filtered-gru").fit(plain()), "filtered-gru needs a simulator, "),
         (
-            lambda: fitted("residual-euler-mlp").predict(5, interrupted(), u=np.ones(5)),
+            lambda: fitted("residual-euler-mlp").predict(5, interrupted(), np.ones(5), np.ones(5)),
             "history must have 8 measured samples in a row .*, got 15 samples, of which 14",
         ),
         (lambda: mean().predict(5, untyped(record().y)), "history must be a Record, got ndarray"),
@@ -107,7 +110,7 @@ def mean() -> Forecaster:
         (lambda: mean().predict(5, level=1.0), "level must be"),
         (lambda: fitted("linear").predict(2, u=[1.0, np.nan]), "u must hold finite numbers"),
         (
-            lambda: fitted("simulator").predict(2, y_sim=[1.0, np.nan]),
+            lambda: fitted("simulator").predict(2, u=[0.0, 0.0], y_sim=[1.0, np.nan]),
             "y_sim must hold finite numbers",
         ),
         (lambda: named("mena"), r"methods must be .*, got 'mena' \(did you mean mean\?\)"),

@@ -90,7 +90,7 @@ def continued(name: str, past: Array, given: npt.ArrayLike | None, steps: int) -
     if len(values) < steps or values.shape[1] != channels:
         raise InputError(
             f"{name} must hold the {steps} samples to predict in {channels} channel(s), got "
-            f"{values.shape if len(values) else 'none'}"
+            f"{'none' if given is None else values.shape}"
         )
     if not np.isfinite(values).all():
         raise InputError(f"{name} must hold finite numbers, got some that are not")
@@ -322,8 +322,9 @@ def known_of(
             raise InputError(
                 f"history must bring a simulator's output (y_sim) for {forecaster.name}"
             )
-        known, later = np.split(past.y_sim, [len(past)])
-        simulated = continued("y_sim", known, later if y_sim is None else y_sim, steps)
+        simulated = past.y_sim
+        if y_sim is not None or len(simulated) < len(past) + steps:
+            simulated = continued("y_sim", simulated[: len(past)], y_sim, steps)
     own = history is None
     return ForecastContext(past.y_with_gaps, steps, begin, inputs, simulated, past.grid, own)
 
