@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from reproduction.settings import HYBRID, LEARNING_BASED, Hybrid, LearningBased, Setup, in_hz
+from reproduction.settings import HYBRID, LEARNING_BASED, OURS, Hybrid, LearningBased, Setup, in_hz
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum, noisy_van_der_pol
 from splitband.comparison.methods import NAMES, QUICK
 from splitband.data import Record, double_torsion, drill_string, read
@@ -102,7 +102,7 @@ class Job:
         """Drop what is the paper's own value, so that equal runs are equal jobs."""
         if self.system not in SYSTEMS:
             raise ValueError(f"systems must be out of {', '.join(SYSTEMS)}, got {self.system}")
-        if self.method not in (*NAMES, ORACLE):
+        if OURS.get(self.method, self.method) not in (*NAMES, ORACLE):
             raise ValueError(f"methods must be out of {', '.join(NAMES)}, got {self.method}")
         column = SYSTEMS[self.system].column
         own = {"cutoff": column.cutoff, "downsampling": column.downsampling}

@@ -15,8 +15,8 @@ SAMPLE_FREQUENCY = 10.0
 """The "sample frequency f" of every filter table, whatever the record's real rate."""
 
 
-_EULER_MLP = {f"{kind}rnn": f"{kind}euler-mlp" for kind in ("", "residual-", "filtered-")}
-"""Methods that the paper calls RNN, by our names."""
+OURS = {f"{kind}rnn": f"{kind}euler-mlp" for kind in ("", "residual-", "filtered-")}
+"""Our names of methods that the paper calls RNN."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Setup:
 
     def forecaster(self, name: str) -> Forecaster:
         """The method with this name of the paper."""
-        ours = _EULER_MLP.get(name, name)
+        ours = OURS.get(name, name)
         return with_defaults(named(ours, self.sizes), self.settings, self.bands)
 
     def as_json(self) -> dict[str, Any]:

@@ -30,8 +30,9 @@ def network() -> sb.Forecaster:
 
 def simulated(network: sb.Forecaster, test: Any, first: int) -> Array:
     """The 60 samples after the 40th, from what is known since the first."""
+    y_sim = None if test.y_sim is None else test.y_sim[40:100]
     with pytest.warns(sb.ExtrapolationWarning, match=f"the history has {FEW} of the {WARMUP}"):
-        found = network.predict(60, test[first:40], u=test.u[40:100], other_record=True)
+        found = network.predict(60, test[first:40], test.u[40:100], y_sim, other_record=True)
     return found.y
 
 
