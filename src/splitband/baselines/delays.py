@@ -46,6 +46,17 @@ _OF_LARGEST = (0.35, 0.7, 1.0)
 """A candidate is the first lag with this share of the largest correlation: as levels that are held
 for some samples are correlated by chance, the first significant one may be early. Checked by
 `benchmarks.sensitivity`."""
+_ARX_PAST = 30
+"""Past samples of each signal in the ARX model that tests earlier lags. Checked by
+`benchmarks.sensitivity`."""
+_ARX_ROWS = 8000
+"""Samples of a record in it, at even distances in longer ones. Bounds time and memory."""
+_CHANCE = 1e-6
+"""Probability that regressors without effect are significant. Checked by
+`benchmarks.sensitivity`."""
+_EFFECT = 0.02
+"""Share of what other regressors leave that tested ones explain at least, as models are but nearly
+right. Checked by `benchmarks.sensitivity`."""
 _SHARE = 0.4
 """Longest delay that is searched, as a share of the longest record. Checked by
 `benchmarks.sensitivity`."""
@@ -270,9 +281,63 @@ def candidates(records: Sequence[tuple[Array, Array]]) -> list[list[tuple[int, .
             left = [_through(of_output, x) for x in outputs]
             # A slow output under noise loses an input's effect together with its slowness.
             lags = _first_lags(white, left, longest) or _first_lags(white, outputs, longest)
+            if lags and lags[0] >= SHORTEST and _acts_before(records, k, j, lags):
+                lags = [0]
             if lags:
                 found[k][j] = tuple(dict.fromkeys(lags)) if lags[0] >= SHORTEST else (0,)
     return found
+
+
+def _acts_before(
+    records: Sequence[tuple[Array, Array]], output: int, input_: int, lags: Sequence[int]
+) -> bool:
+    """Return whether an input has an effect at much earlier lags, beside all that is past.
+
+    This is the F test of a long ARX model. Lightly damped systems correlate most after many
+    samples, although they act at once.
+    """
+    rows = []
+    nu = records[0][1].shape[1]
+    samples = sum(len(y) for y, _ in records)
+    past = min(_ARX_PAST, samples // (10 * (nu + 1)))
+    lag = max(2, (min(lags) + 1) // 2)  # the first estimate is late by some samples
+    # Lags that are tested, evenly over all that are much earlier, and those that may act.
+    tested = np.unique(np.linspace(0, lag - 1, min(lag, _ARX_PAST)).astype(int))
+    near = np.arange(-_ARX_PAST // 4, past + 1)
+    later = np.unique(np.concatenate([each + near for each in lags]))
+    later = later[later >= lag]
+    for y, u in records:
+        begin = max(past, int(later.max(initial=0)))
+        if len(y) <= begin + 1:
+            continue
+        index = np.arange(begin, len(y), max((len(y) - begin) // _ARX_ROWS, 1))[:, None]
+        beside = [u[index - np.arange(past + 1), i] for i in range(nu) if i != input_]
+        measured = [y[index - np.arange(1, past + 1), i] for i in range(y.shape[1])]
+        own = [u[index - later, input_], u[index - tested, input_]]
+        row = np.hstack([*beside, *measured, np.ones((len(index), 1)), *own, y[index, output]])
+        rows.append(row[~np.isnan(row).any(axis=1)])
+    if not rows:
+        return False
+    data, others = np.concatenate(rows), -1 - len(tested)
+    return explains(data[:, others:-1], data[:, -1:], data[:, :others])
+
+
+def explains(tested: Array, targets: Array, others: Array) -> bool:
+    """Return whether tested regressors explain a target beside other ones, `(rows, any)` each.
+
+    That is, whether an F test says so, and they explain a share `_EFFECT` of what the others leave.
+    """
+    data = np.hstack([others, tested, targets])
+    count, both = tested.shape[1], others.shape[1] + tested.shape[1]
+    freedom = len(data) - both
+    if freedom < both:
+        return False
+    size = np.linalg.norm(data, axis=0)
+    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
+    explained = (r[both - count : both, both:] ** 2).sum(axis=0)
+    left = np.maximum((np.triu(r[both:, both:]) ** 2).sum(axis=0), 1e-18 * freedom)
+    significant = scipy.special.fdtri(count, freedom, 1 - _CHANCE) * count / freedom
+    return bool((explained > max(_EFFECT, significant) * left).any())
 
 
 def moves(inputs: Sequence[Array]) -> float:

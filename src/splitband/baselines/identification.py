@@ -19,9 +19,8 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
-from splitband.baselines.delays import Units, delays_of
+from splitband.baselines.delays import Units, delays_of, explains
 from splitband.baselines.kalman import (
     MAX_OBSERVER_POLE,
     covariance,
@@ -66,12 +65,6 @@ _LAGS = 16
 """Past samples from which an input is predicted. Checked by `benchmarks.sensitivity`."""
 _ROWS = 20_000
 """Most samples of all records for this. Bounds the time."""
-_CHANCE = 1e-6
-"""Probability that regressors without effect are significant. Checked by
-`benchmarks.sensitivity`."""
-_EFFECT = 0.02
-"""Share of what other regressors leave that tested ones explain at least, as models are but nearly
-right. Checked by `benchmarks.sensitivity`."""
 
 
 def identified(
@@ -301,24 +294,6 @@ def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     data = np.concatenate(rows)
     signals = data[:, : nu + ny, :-1].reshape(len(data), -1)
     own, past = signals[:, : nu * _LAGS], signals[:, nu * _LAGS :]
-    noticed = _explains(past, data[:, :nu, -1], own)
+    noticed = explains(past, data[:, :nu, -1], own)
     squares = data[:, nu + ny :].reshape(len(data), -1)
-    return noticed and not _explains(squares, data[:, nu : nu + ny, -1], signals)
-
-
-def _explains(tested: Array, targets: Array, others: Array) -> bool:
-    """Return whether tested regressors explain a target beside other ones, `(rows, any)` each.
-
-    That is, whether an F test says so, and they explain a share `_EFFECT` of what the others leave.
-    """
-    data = np.hstack([others, tested, targets])
-    count, both = tested.shape[1], others.shape[1] + tested.shape[1]
-    freedom = len(data) - both
-    if freedom < both:
-        return False
-    size = np.linalg.norm(data, axis=0)
-    r: Array = np.asarray(np.linalg.qr(data / np.where(size > 0, size, 1.0), mode="r"))
-    explained = (r[both - count : both, both:] ** 2).sum(axis=0)
-    left = np.maximum((np.triu(r[both:, both:]) ** 2).sum(axis=0), 1e-18 * freedom)
-    significant = scipy.special.fdtri(count, freedom, 1 - _CHANCE) * count / freedom
-    return bool((explained > max(_EFFECT, significant) * left).any())
+    return noticed and not explains(squares, data[:, nu : nu + ny, -1], signals)
