@@ -59,7 +59,9 @@ def first_held_out(samples: int) -> int:
 
 def beginning(record: Record, samples: int) -> Record:
     """Return the first samples of a record; its simulator's output goes on, for calibrations."""
-    return replace(record[:samples], y_sim=record.y_sim)
+    part = record[:samples]
+    # A copy with another signal is checked again, sample by sample.
+    return part if record.y_sim is None else replace(part, y_sim=record.y_sim)
 
 
 def after(record: Record, at: int, steps: int | None = None) -> dict[str, Any]:
@@ -79,8 +81,8 @@ def refitted(
     """Yield copies that are fitted for these origins, each with those from which it forecasts.
 
     None follows after the deadline of the job; DeadlineError is raised if it comes before the first
-    copy is fitted. `how` are arguments of `Forecaster.fit`, and `bases`: fitted
-    forecasters, of which the forecaster, or a part of it, may be one.
+    copy is fitted. `how` are arguments of `Forecaster.fit`, and `bases`: fitted forecasters, of
+    which the forecaster, or a part of it, may be one.
     """
     groups = [[*same] for _, same in groupby(origins, key=lambda origin: origin.fitted)]
     for done, group in enumerate(groups):
