@@ -126,7 +126,7 @@ def fitted(records: list[Pair]) -> tuple[LinearModel, float]:
 
 def fit_of(model: LinearModel, u: Array, y: Array, known: int) -> Array:
     """Return the fit of each output after the first `known` samples."""
-    ahead, _ = model.continued(u, y[:known])
+    ahead, *_ = model.continued(u, y[:known])
     return np.asarray(fit_percent(y[known:], ahead[known:]))
 
 
@@ -282,7 +282,7 @@ def field() -> None:
     assert test.u is not None
     model, seconds = fitted([(record.y_with_gaps, record.u)])
     for known in (5, 50):
-        ahead, _ = model.continued(test.u, test.y_with_gaps[:known])
+        ahead, *_ = model.continued(test.u, test.y_with_gaps[:known])
         error = np.sqrt(np.mean((ahead[known:] - test.y_with_gaps[known:]) ** 2))
         print(f"cascaded tanks from {known} samples: {model}; {error:.3f} V, {seconds:.1f} s")
 

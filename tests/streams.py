@@ -114,14 +114,12 @@ def in_double(forecaster: sb.Forecaster) -> None:
 
 def rows(record: sb.Record, stream: Any) -> Callable[[int], dict[str, Any]]:
     """What a stream is given at each sample beside the measured one."""
-    recursion = stream.recursion
-
     def at(n: int) -> dict[str, Any]:
         given: dict[str, Any] = {}
-        if recursion.nu and record.u is not None:
+        if stream.nu and record.u is not None:
             given["u"] = record.u[n]
-        if recursion.simulated and record.y_sim is not None:
-            given["y_sim"] = record.y_sim[n : n + 1 + recursion.ahead]
+        if stream.steps.simulated and record.y_sim is not None:
+            given["y_sim"] = record.y_sim[n : n + 1 + stream.steps.ahead]
         return given
 
     return at

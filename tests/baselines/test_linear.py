@@ -52,7 +52,7 @@ def oscillators(u: Array, begin: float = 0.0) -> Array:
 
 def fit_on(model: LinearModel, u: Array, y: Array, known: int = 50) -> Array:
     """Return the fit of a simulation after `known` samples of another record."""
-    found, _ = model.continued(u, y[:known])
+    found, *_ = model.continued(u, y[:known])
     return np.asarray(fit_percent(y[known:], found[known:]))
 
 
@@ -124,7 +124,7 @@ def test_an_integrator_has_its_pole_at_1(chain: int) -> None:
     seen = level + 0.01 * level.std() * rng.standard_normal(level.shape)
     found = identified([(seen[:2000], u[:2000, None])])
     assert found.integrators == found.order == chain
-    ahead, _ = found.continued(u[:, None], seen[:2000], u[:0, None])
+    ahead, *_ = found.continued(u[:, None], seen[:2000], u[:0, None])
     assert fit_percent(level[2000:], ahead[2000:]).min() > 99
 
 
@@ -230,7 +230,7 @@ def test_the_filter_predicts_one_step_as_well_as_the_true_one() -> None:
             y[n] = c @ x + e[n]
             x = a @ x + b * u[n] + k * e[n]
         found = identified([(y[:3000, None], u[:3000, None])])
-        ahead, _ = found.continued(u[:, None], y[:, None])
+        ahead, *_ = found.continued(u[:, None], y[:, None])
         left = y[3000:] - ahead[3000:, 0]
         assert np.sqrt(np.mean(left**2)) < 1.02 * np.sqrt(np.mean(e[3000:] ** 2))
 

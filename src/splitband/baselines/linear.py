@@ -208,10 +208,13 @@ class LinearModel:
         floor = np.diag((EXACT * np.maximum(self.scale, 1e-150)) ** 2)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.noise + floor)))
 
-    def continued(self, u: Array, y: Array, before: Array | None = None) -> tuple[Array, Array]:
-        """Return predictions of each sample `(time, ny)`, and where the first forecast is.
+    def continued(
+        self, u: Array, y: Array, before: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return predictions `(time, ny)`, the state after `y`, `(n,)`, and its covariance.
 
         Up to the end of `y` a sample is predicted from those before it; then they are simulated.
+        The covariance `(n, n)` is due to the unknown initial state.
 
         Parameters
         ----------
@@ -234,24 +237,33 @@ class LinearModel:
         ages = np.arange(len(y))[:, None] + known
         measured = ~np.isnan(y) & (ages >= np.asarray(self.late))
         usual = np.array(0.0 if expected else 1.0)
+        left, information = self.root, np.zeros_like(self.root)
         if not measured.any():
             found, after = self._run(tapped[: len(y)], x, away, known)
+            free = max(len(y) - int(self.held.max(initial=0)), 0)
+            left = np.linalg.matrix_power(self.a, free) @ self.root
         elif measured.all():
             errors, _ = self._observed(tapped[: len(y)], y, x)
-            answers = responses(self.a - self.gain @ self.c, self.c, self.root, len(y))
-            white = self.whitener()
+            observer, white = self.a - self.gain @ self.c, self.whitener()
+            answers = responses(observer, self.c, self.root, len(y))
             rows = np.einsum("ij,tjn->tin", white, answers).reshape(-1, self.order)
-            left = (errors[: len(answers)] @ white.T).ravel()
-            x = x + self.root @ most_probable(rows.T @ rows, rows.T @ left, usual)
+            towards = rows.T @ (errors[: len(answers)] @ white.T).ravel()
+            information = rows.T @ rows
+            x = x + self.root @ most_probable(information, towards, usual)
             errors, after = self._observed(tapped[: len(y)], y, x)
             found = y - errors
+            with np.errstate(all="ignore"):
+                left = np.linalg.matrix_power(observer, len(y)) @ self.root
         else:
-            *_, information, towards = self._with_gaps(tapped, y, measured, x, away, known)
+            *_, information, towards, left = self._with_gaps(tapped, y, measured, x, away, known)
             more = self.root @ most_probable(information, towards, usual)
             x, away = x + more, away + more
             found, after, *_ = self._with_gaps(tapped, y, measured, x, away, known)
+        covariance = np.zeros_like(self.a)
+        if np.isfinite(left).all():
+            covariance = left @ np.linalg.solve(np.eye(self.order) + information, left.T)
         ahead, _ = self._run(tapped[len(y) :], after, away, known + len(y))
-        return np.concatenate([found, ahead]), after
+        return np.concatenate([found, ahead]), after, covariance
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
@@ -263,8 +275,11 @@ class LinearModel:
 
     def _with_gaps(
         self, tapped: Array, y: Array, measured: Any, x: Array, away: Array, age: int
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return predictions from the state x, the state after, and what `most_probable` takes."""
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return predictions from the state x, the state after, and what `most_probable` takes.
+
+        The last array is the response of the state after to each column of `root`, `(n, n)`.
+        """
         held, kept = self.held, away - self.a @ away
         answers, white, found = self.root, self.whitener(), np.empty(y.shape)
         information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
@@ -279,7 +294,7 @@ class LinearModel:
             answers = np.where(free[:, None], self.a @ answers, answers) - self.gain @ response
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
             x = np.where(free, x, x + kept)
-        return found, x, information, towards
+        return found, x, information, towards, answers
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D with delays, for deviations from `mean` and the offsets.

@@ -17,7 +17,6 @@ from splitband.cli.options import (
     with_groups,
 )
 from splitband.export.fmu import ORDER, platforms
-from splitband.export.program import holds_equation
 from splitband.export.writing import renderer
 from splitband.forecasters.loading import load
 from splitband.runtime.files import output_folder
@@ -68,7 +67,7 @@ def export(
     printing.console.print(f"{forecaster.name} is written to {', '.join(map(str, written))}")
     needed, elsewhere = max(forecaster.warmup, 1), "export it with --history"
     cleared = {".c": f"call {out.stem}_clear", ".fmu": "set begin_empty"}.get(out.suffix.lower())
-    if holds_equation(forecaster):
+    if forecaster.steps().note:
         elsewhere += ", as observed samples do not correct its equation's state"
     elif forecaster.anchored:
         elsewhere += ", as its periods count time"

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record, require_records
+from splitband.data import Record
 from splitband.export.graph import Block, Node, Symbol, table, trace
-from splitband.export.program import size
+from splitband.export.program import begun, prune, size, used_for
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.prediction import known_of
-from splitband.forecasters.stepping import FreeRun, Recursion, State, Stream, program_of
+from splitband.forecasters.steps import State
+from splitband.forecasters.stream import Stream
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError, missing
 from splitband.runtime.tracing import leaves, named_leaves
@@ -71,16 +71,17 @@ class CasadiStep:
     def __init__(
         self, forecaster: Forecaster, history: Record | None = None, other_record: bool = False
     ) -> None:
-        recursion, state = program_of(forecaster, history, other_record)
+        steps = forecaster.steps()
+        state = begun(steps, forecaster, history, other_record)
         if state is None:
             raise InputError(
                 f"history must bring the simulator's output (y_sim) for {forecaster.name}, or the "
                 "simulator must be passed to sb.load"
             )
-        assert recursion.free_run is not None, "a program goes sample by sample"
-        self.forecaster, self._run = forecaster, recursion.free_run
-        self.stream = Stream(forecaster.name, recursion, state)
-        self.function = _function(recursion, self._run, self._run.begin(state))
+        record = forecaster.require_fitted().record
+        self.forecaster = forecaster
+        self.stream = Stream(forecaster.name, steps, state, record.ny, record.nu)
+        self.function, self._kept = _function(self.stream)
 
     def __call__(self, *given: Any) -> Any:
         """Return the next state and the prediction."""
@@ -98,19 +99,12 @@ class CasadiStep:
         Raises
         ------
         ValueError
-            Where too few samples have been measured; for a history that does not fit, and for any
-            where the training record was detrended, clipped or resampled.
+            Where too few samples have been measured, and for a history that does not fit.
         """
-        recursion, state = self.stream.recursion, self.stream.state
+        stream = self.stream
         if history is not None:
-            require_records("history", history)
-            if recursion.prepared or history.prepared:
-                raise InputError(
-                    "history must be given to casadi_step where a record was detrended, clipped "
-                    "or resampled: pass later samples to stream.observe"
-                )
-            state = recursion.after(known_of(self.forecaster, 0, history, other_record))
-        return _vector(self._run.begin(state))
+            stream = self.forecaster.stream(history, other_record)
+        return _vector(_ready(stream), self._kept)
 
     def __repr__(self) -> str:
         return f"CasadiStep({self.forecaster.name!r}, {self.function})"
@@ -130,25 +124,49 @@ def _saved(function: casadi.Function) -> bytes:
         return path.read_bytes()
 
 
-def _vector(state: State) -> Array:
-    """Return the arrays of a state one after the other."""
-    parts = [np.asarray(leaf, dtype=np.float64).ravel() for leaf in leaves(state)]
+def _ready(stream: Stream) -> State:
+    """Return the state of a stream, warmed up; raises ValueError where that cannot predict yet."""
+    u = np.zeros(stream.nu) if stream.nu else None
+    simulated = np.zeros((1 + stream.steps.ahead, stream.ny)) if stream.steps.simulated else None
+    stream.copy().step(u, simulated)
+    return stream.steps.warmed_up(stream.state)
+
+
+def _vector(state: State, kept: Sequence[int]) -> Array:
+    """Return the arrays at these places of a state one after the other."""
+    arrays = leaves(state)
+    parts = [np.asarray(arrays[i], dtype=np.float64).ravel() for i in kept]
     return np.concatenate([np.zeros(0), *parts])
 
 
-def _function(recursion: Recursion, run: FreeRun, state: State) -> casadi.Function:
-    """Return the step of a free run; `state` is one of its states."""
-    simulated = np.zeros((1, recursion.ny if recursion.simulated else 0))
+def _function(stream: Stream) -> tuple[casadi.Function, list[int]]:
+    """Return the step of a free run, and the places of the arrays of its state that it needs.
+
+    What only measured samples need, such as a covariance, is no part of it.
+    """
+    steps, state = stream.steps, _ready(stream)
+    simulated = np.zeros((1 + steps.ahead, stream.ny if steps.simulated else 0))
     try:
-        block, (after, _) = trace(run.step, state, np.zeros(recursion.nu), simulated)
+        block, (after, _) = trace(steps.run, state, np.zeros(stream.nu), simulated)
     except TypeError as error:
         raise InputError(f"the model cannot be a CasADi function: {error}") from error
     names = [name for name, _ in named_leaves(state)]
     assert names == [name for name, _ in named_leaves(after)], "a run must keep its state's order"
+    *given_state, u, y_sim = block.inputs
+    *new, y = block.outputs
+    kept: list[int] = []
+    while True:
+        used = used_for(block.nodes, [y, *(new[i] for i in kept)])
+        found = [i for i, symbol in enumerate(given_state) if symbol in used and size(symbol)]
+        if found == kept:
+            break
+        kept = found
+    block.outputs = [*(new[i] for i in kept), y]
+    prune(block)
     kind = casadi.SX if _multiplications(block) <= MOST_IN_SX else casadi.MX
-    *parts, u, y_sim = block.inputs
     given, values = {}, {}
-    for name, symbols in {"state": parts, "u": [u], "y_sim": [y_sim]}.items():
+    parts = {"state": [given_state[i] for i in kept], "u": [u], "y_sim": [y_sim]}
+    for name, symbols in parts.items():
         ends = np.cumsum([0, *map(size, symbols)]).tolist()
         column = kind.sym(name, ends[-1])
         for symbol, begin, end in zip(symbols, ends, ends[1:], strict=False):
@@ -157,9 +175,10 @@ def _function(recursion: Recursion, run: FreeRun, state: State) -> casadi.Functi
             given[name] = column
     writer = _Writer(values)
     writer.block(block)
-    *new, y = (writer.column(symbol) for symbol in block.outputs)
-    outputs = [casadi.densify(casadi.vertcat(kind(0, 1), *found)) for found in (new, [y])]
-    return casadi.Function("step", [*given.values()], outputs, [*given], ["state_next", "y"])
+    *later, predicted = (writer.column(symbol) for symbol in block.outputs)
+    outputs = [casadi.densify(casadi.vertcat(kind(0, 1), *x)) for x in (later, [predicted])]
+    step = casadi.Function("step", [*given.values()], outputs, [*given], ["state_next", "y"])
+    return step, kept
 
 
 def _multiplications(block: Block) -> int:

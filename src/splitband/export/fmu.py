@@ -223,8 +223,8 @@ def _description(
     observe, empty = FLAGS
     begins = f", and not at the end of the {program.begins}" if program.begins else ""
     said = f"{empty.description}{begins}: {program.cleared}"
-    if program.uncorrected:
-        said += f". {program.uncorrected}"
+    if program.note:
+        said += f". {program.note}"
     flags = observe, replace(empty, description=said)
     for kind, listed in (("Real", numbers), ("Boolean", flags)):
         for reference, variable in enumerate(listed):

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from typing import Any
 
 import numpy as np
 
 from splitband.data import Record
-from splitband.data.preparation import seconds
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.simulation import simulations
-from splitband.forecasters.stepping import State, program_of
+from splitband.forecasters.prediction import known_of
+from splitband.forecasters.steps import State, Steps, tick
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import named_leaves
@@ -42,7 +41,8 @@ class Program:
     given : Names and shapes of the signals of a sample: y, and u and y_sim if the model has them.
     begins : What it goes on from, in words; empty where it begins with nothing measured, because
         the simulator's output for the history was not available.
-    needed : How many samples in a row must be observed before a step, if it is cleared.
+    needed : How many samples must be observed before a step, if it is cleared.
+    note : What a user must know, in sentences; empty for nothing.
     """
 
     name: str  # an identifier
@@ -50,9 +50,9 @@ class Program:
     block: Block
     leaves: tuple[Leaf, ...]  # the state
     given: dict[str, tuple[int, ...]]
-    raw: bool  # whether signals are given as measured, before the record was prepared
     begins: str
     needed: int
+    note: str
 
     @property
     def record(self) -> Record:
@@ -63,32 +63,13 @@ class Program:
     def cleared(self) -> str:
         """Return how it begins without measured samples, as the end of a sentence."""
         if self.needed:
-            return f"{self.needed} sample(s) in a row must then be observed before a step"
+            return f"{self.needed} sample(s) must then be observed before a step"
         return "in the model's initial state, and a step needs no observed sample"
 
-    @property
-    def uncorrected(self) -> str:
-        """Return a sentence where it holds an equation, whose state is not corrected."""
-        if not holds_equation(self.forecaster):
-            return ""
-        return (
-            "Observed samples do not correct the state of its equation: for another run, export it "
-            "after a history of that run."
-        )
-
     def usual(self) -> tuple[Array, Array]:
-        """Return the record's last outputs `(ny,)` and inputs `(nu,)`, in the program's units."""
+        """Return the record's last outputs `(ny,)` and inputs `(nu,)`."""
         record = self.record
-        y, time = record.y[-1:], seconds(record)[-1:]
-        u = np.zeros((1, 0)) if record.u is None else record.u[-1:]
-        for step in reversed(record.prepared if self.raw else ()):
-            y, u = step.undo("y", y, time), step.undo("u", u, time) if u.size else u
-        return y[0], u[0]
-
-
-def holds_equation(forecaster: Forecaster) -> bool:
-    """Return whether a program of the forecaster holds an equation, which it integrates."""
-    return any(isinstance(part, GreyBox) and part.writable for part in simulations(forecaster))
+        return record.y[-1], np.zeros(0) if record.u is None else record.u[-1]
 
 
 def program(
@@ -98,51 +79,69 @@ def program(
 
     Raises ValueError, naming the forecaster, if it cannot be exported.
     """
-    recursion, state = program_of(forecaster, history, other_record)
-    cleared = recursion.initial(None)
-    begun = cleared if state is None else state
-    ny = recursion.ny
+    steps = forecaster.steps()
+    record, state = (
+        forecaster.require_fitted().record,
+        begun(steps, forecaster, history, other_record),
+    )
+    cleared = steps.begin(None)
     given = {
-        "y": (ny,),
-        "u": (recursion.nu,),
-        "y_sim": (1 + recursion.ahead, ny if recursion.simulated else 0),
+        "y": (record.ny,),
+        "u": (record.nu,),
+        "y_sim": (1 + steps.ahead, record.ny if steps.simulated else 0),
     }
     examples = [np.zeros(shape) for shape in given.values()]
+
+    def moved(state: State, *sample: Array) -> tuple[State, Array, Any]:
+        following, predicted = tick(steps, state, *sample)
+        return following, predicted, np.logical_not(np.isnan(predicted).any())
+
     try:
-        block, _ = trace(recursion.tick, cleared, *examples)
+        block, _ = trace(moved, cleared, *examples)
     except TypeError as error:
         raise InputError(f"{forecaster.name} cannot be exported: {error}") from error
-    _prune(block)
+    prune(block)
+    pairs = zip(
+        named_leaves(cleared if state is None else state), named_leaves(cleared), strict=True
+    )
     leaves = [
         Leaf(f"s_{path}", np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64))
-        for (path, one), (_, other) in zip(named_leaves(begun), named_leaves(cleared), strict=True)
+        for (path, one), (_, other) in pairs
     ]
     begins = "training record" if history is None else "history with which it was exported"
-    nothing = np.full(ny, np.nan), *examples[1:]
 
     def ready(state: State) -> bool:
         with np.errstate(all="ignore"):
-            return bool(recursion.tick(state, *nothing)[2])
+            return not np.isnan(steps.advance(state, *examples[1:])[1]).any()
 
-    needed = 0 if ready(cleared) else max(forecaster.warmup, 1)
+    needed = 0 if ready(cleared) else max(steps.warmup, 1)
     if state is not None and not ready(state):
         warnings.warn(
-            f"{forecaster.name} needs {needed} measured sample(s) in a row before it predicts, "
-            f"which the end of the {begins} does not hold: the first steps of {name} predict "
-            "nothing until it has observed them",
+            f"{forecaster.name} needs {needed} measured sample(s) before it predicts, which the "
+            f"{begins} does not hold: the first steps of {name} predict nothing until it has "
+            "observed them",
             stacklevel=2,
         )
     used = {signal: shape for signal, shape in given.items() if np.prod(shape)}
+    begins = "" if state is None else begins
     return Program(
-        identifier(name),
-        forecaster,
-        block,
-        tuple(leaves),
-        used,
-        recursion.prepared,
-        "" if state is None else begins,
-        needed,
+        identifier(name), forecaster, block, tuple(leaves), used, begins, needed, steps.note
     )
+
+
+def begun(
+    steps: Steps, forecaster: Forecaster, history: Record | None, other_record: bool
+) -> State | None:
+    """Return the state after a history, by default that of training.
+
+    None where it depends on a simulator's output up to there that is not available.
+    """
+    try:
+        return steps.begin(known_of(forecaster, 0, history, other_record))
+    except ValueError:
+        if not steps.simulated or history is not None or other_record:
+            raise
+        return None
 
 
 def identifier(name: str) -> str:
@@ -156,7 +155,7 @@ def size(symbol: Symbol) -> int:
     return int(np.prod(symbol.shape))
 
 
-def _prune(block: Block) -> set[Symbol]:
+def prune(block: Block) -> set[Symbol]:
     """Drop operations and inner outputs that a block does not need; return the symbols it uses."""
     needed = {symbol for symbol in block.outputs if size(symbol)}
     kept = []
@@ -169,10 +168,21 @@ def _prune(block: Block) -> set[Symbol]:
             node.outputs = tuple(compress(node.outputs, used))
             for inner in node.blocks:
                 inner.outputs = list(compress(inner.outputs, used))
-                needed |= _prune(inner)
+                needed |= prune(inner)
         needed.update(symbol for symbol in node.inputs if size(symbol))
         kept.append(node)
     block.nodes = kept[::-1]
+    return needed
+
+
+def used_for(nodes: Sequence[Node], outputs: Iterable[Symbol]) -> set[Symbol]:
+    """Return the symbols of which outputs of these operations are computed."""
+    needed = {*outputs}
+    for node in reversed(nodes):
+        if needed.intersection(node.outputs):
+            needed.update(node.inputs)
+            for block in node.blocks:
+                needed |= used_for(block.nodes, block.outputs)
     return needed
 
 

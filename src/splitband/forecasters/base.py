@@ -32,14 +32,8 @@ from splitband.forecasters.prediction import (
     seconds_after,
 )
 from splitband.forecasters.saving import Saved, save
-from splitband.forecasters.stepping import (
-    NotSteppedError,
-    Part,
-    Recursion,
-    Stream,
-    recursion_of_part,
-    stream_of,
-)
+from splitband.forecasters.steps import NotSteppedError, Steps
+from splitband.forecasters.stream import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.networks.cell import Template
 from splitband.runtime.arguments import check_device, whole
@@ -324,15 +318,18 @@ class Forecaster(WithRepr, Saved, ABC):
     def stream(self, history: Record | None = None, other_record: bool = False) -> Stream:
         """Return the forecaster as a stream, which goes on from a history sample by sample.
 
-        Each step takes constant time and memory. A forecaster of your own, and a few that look
-        ahead, interpolate a simulator's output or estimate a simulator's state from the history,
-        call `predict` for each sample, which is slower.
+        Each step takes constant time and memory. The output of a simulator that is no equation
+        (`Ode`) is given with each sample.
 
         Parameters
         ----------
-        history, other_record : See `predict`. Where the training record was detrended, clipped or
-            resampled, samples are in the measured units, at the step of the prepared record; after
-            a history that was prepared in the same way, they are in the history's units.
+        history, other_record : See `predict`.
+
+        Raises
+        ------
+        ValueError
+            For a forecaster without a step form, such as one of your own that defines no `steps`, a
+            calibrated delay or clock, or a grey box whose simulator is no equation.
         """
         return stream_of(self, history, other_record)
 
@@ -495,18 +492,15 @@ class Forecaster(WithRepr, Saved, ABC):
         """Return the label of the slow component of a prediction, if that is the forecaster."""
         return self.name
 
-    def recursion(self, outside: bool = False) -> Recursion:
-        """Return the step-by-step form of the fitted forecaster: that of its `stepped_part`.
+    def steps(self) -> Steps:
+        """Return the step form of the fitted forecaster; raises ValueError without one."""
+        raise NotSteppedError(
+            f"{self.name} has no step form: it predicts, and cannot be streamed or exported"
+        )
 
-        With `outside`, its own simulator's output is given with each sample, as to an exported
-        program. Raises NotSteppedError where `predict` is needed for each sample, with the reason.
-        """
-        record = self.require_fitted().record
-        return recursion_of_part(self.stepped_part(outside), record.ny, record.nu)
-
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return what computes its values step by step, alone or in a hybrid; see `recursion`."""
-        raise NotSteppedError(f"{self.name} cannot be stepped: it has no step-by-step form")
+    def steps_as_base(self) -> Steps:
+        """Return the step form of the slow component of a hybrid, which it is."""
+        return self.steps()
 
     def first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs.

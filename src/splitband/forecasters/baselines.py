@@ -14,7 +14,7 @@ from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.stepping import Part, State
+from splitband.forecasters.steps import State, Steps
 from splitband.metrics import channel_rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -49,10 +49,9 @@ class Mean(Forecaster):
         """Return the mean."""
         return np.tile(self.level, (known.steps, 1))
 
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return the mean as a constant part."""
-        level = self.level[:, None]
-        return Part(lambda state, u, y_sim, ahead: (state, np.tile(level, (1 + ahead, 1, 1))))
+    def steps(self) -> Steps:
+        """Return the constant."""
+        return ConstantSteps(self.level)
 
     _words = "mean"
 
@@ -77,16 +76,9 @@ class Persistence(Forecaster):
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
         return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return the part that holds the last measured value of each channel."""
-        ny = self.require_fitted().record.ny
-        return Part(
-            # What is held is estimated: the value is 0, and its derivative by it 1.
-            row=lambda state, u, y_sim, ahead: (state, np.tile([0.0, 1.0], (1 + ahead, ny, 1))),
-            initial=lambda known: {"last": np.full(ny, np.nan)},
-            correct=lambda state, row, y: {"last": np.where(np.isnan(y), state["last"], y)},
-            settle=lambda state: state["last"][:, None],
-        )
+    def steps(self) -> Steps:
+        """Return the last measured value of each channel, held."""
+        return LastSteps(self.require_fitted().record.ny)
 
     _words = "last value held"
 
@@ -121,14 +113,9 @@ class _ByTime(Forecaster):
         """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_begin(known), len(known.y) + known.steps)
 
-    def stepped_part(self, outside: bool = False) -> Part:
+    def steps(self) -> Steps:
         """Return the function of time."""
-
-        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-            values = self.baseline.predict(state["time"], 1 + ahead)
-            return {"time": state["time"] + 1}, values[..., None]
-
-        return Part(row, lambda known: {"time": np.array(float(_begin(known)))})
+        return TimeSteps(self.baseline)
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return a warning where it disagrees with the history, unless that is `known.own`."""
@@ -161,23 +148,9 @@ class SeasonalNaive(_ByTime):
 
     _fitted_to = staticmethod(LastPeriod.fit)
 
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return the part that rotates the period by a sample at each sample."""
-        last = self.baseline
-
-        def initial(known: ForecastContext | None) -> State:
-            begin = nearest(_begin(known))
-            period = np.roll(last.period, (last.end - begin) % last.lag, axis=0)
-            return {"time": np.array(float(begin)), "period": period}
-
-        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-            period = state["period"]
-            following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
-            both = np.concatenate([period[:1], following[:1]])[: 1 + ahead]
-            values = both + last.trend.predict(state["time"], 1 + ahead)
-            return {"time": state["time"] + 1, "period": following}, values[..., None]
-
-        return Part(row, initial)
+    def steps(self) -> Steps:
+        """Return the period, of which a sample moves from the beginning to the end at each step."""
+        return PeriodSteps(self.baseline)
 
 
 @final
@@ -212,6 +185,83 @@ BASELINES: tuple[Callable[[], Forecaster], ...] = (
 """All baselines of this file."""
 
 
+@final
+class ConstantSteps(Steps):
+    """Predict the same value at every sample."""
+
+    def __init__(self, level: Array) -> None:
+        self.level = level
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return an empty state."""
+        return {}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the level."""
+        return state, self.level
+
+
+@final
+class LastSteps(Steps):
+    """Predict the last measured value of each channel."""
+
+    def __init__(self, ny: int) -> None:
+        self.ny = ny
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the last measured values, NaN where there is none."""
+        last = np.full(self.ny, np.nan)
+        for i, y in enumerate(() if history is None else history.y.T):
+            measured = np.flatnonzero(~np.isnan(y))
+            last[i] = y[measured[-1]] if len(measured) else np.nan
+        return {"last": last}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the last values."""
+        return state, state["last"]
+
+    def correct(self, state: State, y: Array) -> State:
+        """Return a state with the values that were measured."""
+        return {"last": np.where(np.isnan(y), state["last"], y)}
+
+
+@final
+class TimeSteps(Steps):
+    """Predict the values of a function of the time since the training record began."""
+
+    def __init__(self, function: ByTime) -> None:
+        self.function = function
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the time of the next sample, in samples."""
+        return {"time": np.array(float(_end(history)))}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the value at this time."""
+        return {"time": state["time"] + 1}, self.function.predict(state["time"], 1)[0]
+
+
+@final
+class PeriodSteps(Steps):
+    """Predict the samples of a period in turn, on a trend."""
+
+    def __init__(self, last: LastPeriod) -> None:
+        self.last = last
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the period from the next sample on, and its time in samples."""
+        time = nearest(_begin(history)) + (0 if history is None else len(history.y))
+        period = np.roll(self.last.period, (self.last.end - time) % self.last.lag, axis=0)
+        return {"time": np.array(float(time)), "period": period}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the first sample of the period, and move it to the end."""
+        period = state["period"]
+        following = np.concatenate([period[1:], period[:1]]) if len(period) > 1 else period
+        y = period[0] + self.last.trend.predict(state["time"], 1)[0]
+        return {"time": state["time"] + 1, "period": following}, y
+
+
 def _errors(y: Array, predicted: Array) -> Array:
     """Return the RMSE of each channel, `(ny,)`; 0 where nothing was measured."""
     return np.nan_to_num(channel_rmse(y, predicted))
@@ -224,3 +274,8 @@ def _begin(known: ForecastContext | None) -> float:
     """
     begin = 0.0 if known is None or known.begin is None else known.begin
     return int(begin) if begin == int(begin) else begin
+
+
+def _end(known: ForecastContext | None) -> float:
+    """Return the time of the sample after a history; see `_begin`."""
+    return _begin(known) + (0 if known is None else len(known.y))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self, Unpack, final
 
@@ -10,8 +10,13 @@ from splitband.data import Record, check_alike
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.prediction import ForecastContext, extrapolated, median_components
-from splitband.forecasters.stepping import Recursion, recursion_of_median
+from splitband.forecasters.prediction import (
+    ForecastContext,
+    extrapolated,
+    median,
+    median_components,
+)
+from splitband.forecasters.steps import State, Steps
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -184,9 +189,9 @@ class Ensemble(Forecaster):
             parts = [{"": y} for y, _ in found]
         return median_components(parts, [y for y, _ in found])
 
-    def recursion(self, outside: bool = False) -> Recursion:
-        """Return the recursion that predicts the median of the members."""
-        return recursion_of_median([member.recursion(outside) for member in self.members])
+    def steps(self) -> Steps:
+        """Return the median of the members' predictions."""
+        return MedianSteps([member.steps() for member in self.members])
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""
@@ -195,6 +200,48 @@ class Ensemble(Forecaster):
     def describe(self) -> str:
         """Return the description of the first fitted member."""
         return self.members[0].describe() if self.members else ""
+
+
+@final
+class MedianSteps(Steps):
+    """Predict the median of several step forms, once all of them predict."""
+
+    def __init__(self, members: Sequence[Steps]) -> None:
+        self.members, self.note = members, members[0].note
+        self.ahead = max(member.ahead for member in members)
+        self.simulated = any(member.simulated for member in members)
+        self.warmup = max(member.warmup for member in members)
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the states of all members."""
+        return {"members": [member.begin(history) for member in self.members]}
+
+    def warmed_up(self, state: State) -> State:
+        """Return the states with the warm-ups done."""
+        return {"members": [member.warmed_up(own) for member, own in self._each(state)]}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the states one sample later, and the median."""
+        return self._median(
+            member.run(own, u, y_sim[: 1 + member.ahead]) for member, own in self._each(state)
+        )
+
+    def advance(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the states one sample later, and the median."""
+        return self._median(
+            member.advance(own, u, y_sim[: 1 + member.ahead]) for member, own in self._each(state)
+        )
+
+    def correct(self, state: State, y: Array) -> State:
+        """Return the states that take a measured sample into account."""
+        return {"members": [member.correct(own, y) for member, own in self._each(state)]}
+
+    def _each(self, state: State) -> Iterable[tuple[Steps, State]]:
+        return zip(self.members, state["members"], strict=True)
+
+    def _median(self, moved: Iterable[tuple[State, Array]]) -> tuple[State, Array]:
+        states, predicted = zip(*moved, strict=True)
+        return {"members": [*states]}, median(predicted)
 
 
 def fitted_ensemble(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any, Unpack, final
 
@@ -11,18 +12,11 @@ import numpy as np
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.simulation import check_level, part_of_given_output
-from splitband.forecasters.stepping import (
-    NotSteppedError,
-    Part,
-    Recursion,
-    State,
-    recursion_of_part,
-)
+from splitband.forecasters.simulation import check_level
+from splitband.forecasters.steps import GivenSteps, NotSteppedError, State, Steps
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.tracing import cond
 from splitband.simulators.base import Absent, matched, origin
 from splitband.simulators.fixed_steps import FixedSteps, enough_steps
 from splitband.simulators.functions import Ode
@@ -172,63 +166,36 @@ class GreyBox(Forecaster):
         state = adjusted.beginning(whole.part(0, len(known.y)))
         return adjusted.response(whole.time, whole.u, state)
 
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return the simulator, integrated from the first state of the training record on."""
-        if outside and self.writable:
-            return self._written()
-        if outside:
-            ny = self.require_fitted().record.ny
-            return part_of_given_output(np.ones(ny), np.zeros(ny), self.trajectory)
-        if not self.simulator.advances:
-            raise NotSteppedError(
-                f"{self.name} has a simulator that cannot go on from a given state"
-            )
-        adjusted = self._adjusted()
-
-        def run(
-            x: Array | None, first: float, samples: int, u: Array | None, size: float = 0.0
-        ) -> State:
-            """Return the state at the last of some samples, of which the first has the state x."""
-            y, x, size = adjusted.advance(x, self._times(first, samples), u, size)
-            last = None if u is None else u[-1]
-            return {"x": x[-1], "y": y[-1], "u": last, "at": first + samples - 1, "size": size}
-
-        def moved(now: State | None, u: Array) -> State:
-            inputs = u[None] if len(u) else None
-            if now is None:  # before the first sample of all
-                return run(None, 0.0, 1, inputs)
-            inputs = None if inputs is None else np.stack([now["u"], u])
-            return run(now["x"], now["at"], 2, inputs, now["size"])
-
-        def initial(known: ForecastContext | None) -> State:
-            if known is None or not self._anchored(known):
-                raise NotSteppedError(
-                    f"{self.name} cannot be stepped: its first state is estimated from the history"
-                )
-            begin = int(known.begin or 0)
-            before = None if self.u is None else self.u[:begin]
-            return {"now": run(None, 0.0, begin, before) if begin else None}
-
-        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-            now = later = moved(state["now"], u)
-            rows = [now["y"]]
-            for _ in range(ahead):  # with the same inputs
-                later = moved(later, u)
-                rows.append(later["y"])
-            return {"now": now}, np.stack(rows)[..., None]
-
-        return Part(row, initial)
-
     @property
     def writable(self) -> bool:
         """Return whether a program can hold its simulator: an equation that can be integrated."""
         return isinstance(self.simulator, Ode) and self.simulator.advances
 
-    def _written(self) -> Part:
-        """Return the equation by equal steps, as a program holds it.
+    def as_base(self) -> GreyBox:
+        """Return it with the state that all samples tell, as that of its `trajectory`."""
+        new = copy(self)
+        new.memory = 0
+        return new
 
-        `begun` is 0 before the first sample of all, where the state is the initial one.
-        """
+    def steps(self) -> Steps:
+        """Return the equation by equal steps."""
+        simulator = self.simulator.require()
+        if not self.writable:
+            ode = isinstance(simulator, Ode)
+            why = f"with the method {simulator.method} " if ode else ""
+            raise NotSteppedError(
+                f"{self.name} cannot be stepped: its simulator {why}cannot be written as equal "
+                "steps of RK45; a hybrid on it can, which takes its output as y_sim"
+            )
+        return EquationSteps(self)
+
+    def steps_as_base(self) -> Steps:
+        """Return the equation, or the output that is given of a simulator that is none."""
+        ny = self.require_fitted().record.ny
+        return self.steps() if self.writable else GivenSteps(np.ones(ny), np.zeros(ny))
+
+    def equation(self) -> FixedSteps:
+        """Return the equation by as many equal steps a sample as the training record needs."""
         fitted, adjusted = self.require_fitted(), self._adjusted()
         samples, width = fitted.begin + len(fitted.record), fitted.record.sampling_time
         time = self._times(0.0, samples)
@@ -236,78 +203,19 @@ class GreyBox(Forecaster):
         u = None if self.u is None else self.u[:samples]
         count = enough_steps(adjusted, time, u, self.estimate.window, spread)
         equation = FixedSteps(adjusted.simulator, adjusted.values, width, count)
-        start, nu = float(time[0]), fitted.record.nu
         _check_rows(equation, *adjusted.response(time, u), u, spread)
+        return equation
 
-        def moved(now: State, u: Array) -> State:
-            def later() -> Array:
-                return equation.advance(now["x"], start + width * now["at"], now["u"], u)
+    def first(self) -> tuple[Array, float]:
+        """Return the initial state `(nx,)` of the equation, and the time of that sample in s."""
+        adjusted = self._adjusted()
+        return adjusted.simulator.initial(adjusted.values), float(self._times(0.0, 1)[0])
 
-            following = {"u": u, "at": now["at"] + 1}
-            if "begun" not in now:  # in a free run, see `merged`
-                return {"x": later(), **following}
-            x = cond(now["begun"] > 0, later, lambda: now["x"])
-            return {"x": x, **following, "begun": np.ones(())}
+    def last(self, known: ForecastContext) -> tuple[Array, float]:
+        """Return the state at the last sample of a history, as for a forecast, and its place.
 
-        def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-            now = later = moved(state, u)
-            rows = [equation.observed(now["x"], u)]
-            for _ in range(ahead):  # with the same inputs
-                later = moved(later, u)
-                rows.append(equation.observed(later["x"], u))
-            return now, np.stack(rows)[..., None]
-
-        def initial(known: ForecastContext | None) -> State:
-            """Return the state before a history: simulated from the training record, or estimated.
-
-            Where nothing is known it is that of the equation, at the first training sample.
-            """
-            begin, begun, last = 0.0 if known is None else self._begin(known), 0.0, np.zeros(nu)
-            if known is not None and not self._anchored(known):
-                x = adjusted.beginning(self._experiment(known))
-            elif begin:
-                past = None if self.u is None else self.u[: int(begin)]
-                x = adjusted.response(self._times(0.0, int(begin)), past)[1][-1]
-                begun, last = 1.0, last if past is None else past[-1]
-            else:
-                x = adjusted.simulator.initial(adjusted.values)
-            return {"x": x, "u": last, "at": np.array(begin - 1.0), "begun": np.array(begun)}
-
-        def merged(state: State, settled: Array) -> State:
-            return {name: value for name, value in state.items() if name != "begun"}
-
-        return Part(row, initial, merged=merged)
-
-    def recursion(self, outside: bool = False) -> Recursion:
-        """Return the simulator, unless its state is estimated from the last samples.
-
-        A program begins with the estimate at the end of the history, and is not corrected later.
+        The place counts from the first sample of the training record.
         """
-        if outside:
-            return self._as_program()
-        if self.memory:
-            raise NotSteppedError(f"{self.name} estimates its state from {self.memory} samples")
-        return super().recursion()
-
-    def _as_program(self) -> Recursion:
-        record = self.require_fitted().record
-        simulator = self.simulator.require()
-        if not self.writable:
-            ode = isinstance(simulator, Ode)
-            why = f"with the method {simulator.method} " if ode else ""
-            raise NotSteppedError(
-                f"{self.name} cannot be exported: its simulator {why}cannot be written as equal "
-                "steps of RK45; export a hybrid on it, which takes its output as y_sim"
-            )
-        recursion = recursion_of_part(self._written(), record.ny, record.nu)
-
-        def followed(known: ForecastContext) -> State:
-            return recursion.initial(None) | {"part": self._end(known)}
-
-        return replace(recursion, followed=followed)
-
-    def _end(self, known: ForecastContext) -> State:
-        """Return the state at the last sample of a history, as `extrapolate` finds it."""
         adjusted, samples = self._adjusted(), len(known.y)
         whole = self._experiment(replace(known, steps=0))
         if 0 < self.memory < samples:
@@ -315,9 +223,7 @@ class GreyBox(Forecaster):
             x = adjusted.response(part.time, part.u, adjusted.beginning(part))[1]
         else:
             x = self._simulated(known, whole)[1]
-        u = np.zeros(0) if whole.u is None else whole.u[-1]
-        at = np.array(self._begin(known) + samples - 1.0)
-        return {"x": x[-1], "u": u, "at": at, "begun": np.ones(())}
+        return x[-1], self._begin(known) + samples - 1.0
 
     def describe(self) -> str:
         """Return the values with standard errors, and those that the record does not determine."""
@@ -410,6 +316,41 @@ class GreyBox(Forecaster):
                 best, chosen = found, length
             length *= GROWTH
         return chosen
+
+
+@final
+class EquationSteps(Steps):
+    """Integrate the equation of a grey box; measured samples do not correct its state.
+
+    `begun` is 0 before the first sample of all, to which the equation goes on by no time.
+    """
+
+    note = (
+        "Observed samples do not correct the state of its equation: for another run, export it "
+        "after a history of that run."
+    )
+
+    def __init__(self, grey_box: GreyBox) -> None:
+        self.grey_box, self.equation = grey_box, grey_box.equation()
+        self.first, self.start = grey_box.first()
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the state at the end of a history; without one the initial one."""
+        if history is None:
+            nu = self.grey_box.require_fitted().record.nu
+            x, at, begun, u = self.first, -1.0, 0.0, np.zeros(nu)
+        else:
+            (x, at), begun = self.grey_box.last(history), 1.0
+            u = np.zeros(0) if history.u is None else history.u[-1]
+        return {"x": x, "u": u, "at": np.array(at), "begun": np.array(begun)}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the state one sample later, and its channels."""
+        width = self.equation.width
+        equation = replace(self.equation, width=width * state["begun"])
+        x = equation.advance(state["x"], self.start + width * state["at"], state["u"], u)
+        following = {"x": x, "u": u, "at": state["at"] + 1, "begun": np.ones(())}
+        return following, equation.observed(x, u)
 
 
 def _check_rows(equation: FixedSteps, y: Array, x: Array, u: Array | None, spread: Array) -> None:

@@ -13,14 +13,13 @@ import scipy
 
 from splitband.baselines.delays import FEWEST_MOVES, LONGEST_DELAY, moves
 from splitband.baselines.identification import identified
-from splitband.baselines.kalman import most_probable
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.uncertainty import Uncertainty
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import UNSTABLE, unmoved
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.stepping import Part, State, delay_line
+from splitband.forecasters.steps import DelayLine, State, Steps
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
@@ -134,9 +133,9 @@ class Linear(Forecaster):
             raise InputError("uncertainty was not computed: the deadline of the fit came first")
         return self.model.uncertainty
 
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return the model's recursion."""
-        return _driven(self.model, self.u)
+    def steps(self) -> Steps:
+        """Return the model with its Kalman filter."""
+        return LinearSteps(self.model, self.u)
 
     def state_space(self) -> scipy.signal.StateSpace:
         """Return the fitted model as a discrete-time system, delays included.
@@ -232,83 +231,90 @@ class Linear(Forecaster):
         return said
 
 
-def _driven(model: LinearModel, training: Array) -> Part:
-    """Return the simulation of a linear model, which observes with its Kalman filter.
+@final
+class LinearSteps(Steps):
+    """Step a linear model, and correct its state by a Kalman filter.
 
-    `training`: inputs of the training record from its first sample on, `(time, nu)`.
+    x, the expected state at the next sample, and its covariance, due to the unknown initial state,
+    go on by the filter of the innovations form, whose gain is K once that covariance has vanished.
+
+    Parameters
+    ----------
+    model : The fitted model.
+    training : Inputs of the training record from its first sample on, `(time, nu)`.
     """
-    inputs = [i for i, _ in model.taps]
-    delays = [delay for _, delay in model.taps]
-    line, delayed = delay_line(delays)
-    white, n = model.whitener(), model.order
-    unknown = np.array(model.late, dtype=np.float64)
-    held, waits = model.held.astype(np.float64), max(model.late) > 0
 
-    def initial(known: ForecastContext | None) -> State:
-        """Return the expected state: simulated from the training record, or the training mean."""
-        before = None if known is None else _inputs_before(training, known)
-        past = line
-        for u in [] if before is None else before[max(len(before) - max(delays, default=0), 0) :]:
-            past, _ = delayed(past, u[inputs])
-        away = np.zeros(n) if before is None else model.first - model.centre
+    def __init__(self, model: LinearModel, training: Array) -> None:
+        self.model, self.training = model, training
+        self.inputs = [i for i, _ in model.taps]
+        self.line = DelayLine([delay for _, delay in model.taps])
+        self.white, self.late = model.whitener(), np.array(model.late, dtype=np.float64)
+        self.held = model.held.astype(np.float64)
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the state after a history; without one that of the training records."""
+        model, u, age = self.model, None, 0
+        x, covariance = model.centre, model.root @ model.root.T
+        if history is not None and history.u is not None:
+            before, u = _inputs_before(self.training, history), history.u
+            _, x, covariance = model.continued(u, history.y, before)
+            if history.own and before is not None:
+                x = model.last
+            u = u if before is None else np.concatenate([before, u])
+            age = len(u)
+        n, ny = model.order, model.ny
         return {
-            "line": past,
-            "x": model.centre if before is None else model.state_after(before),
-            "answers": model.root,
-            "information": np.zeros((n, n)),
-            "towards": np.zeros(n),
-            "age": np.array(0.0 if before is None else float(len(before))),
-            "usual": np.array(1.0 if before is None else 0.0),
-        } | ({"away": away} if waits else {})
-
-    def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        past, acting = delayed(state["line"], np.stack([u[i] for i in inputs]))
-        acting = acting - model.mean[inputs]
-        x = state["x"]
-        y = model.c @ x + model.d @ acting + model.offset
-        x = model.a @ x + model.b @ acting + model.drift
-        if waits:
-            kept = state["away"] - model.a @ state["away"]
-            x = np.where(state["age"] >= held, x, x + kept)
-        now = state | {"line": past, "x": x}
-        if "age" in state:
-            now["age"] = state["age"] + 1
-        if "answers" not in state:  # in a free run, see `merged`
-            return now, y[None, :, None]
-        answers = state["answers"]
-        rows = np.concatenate([y[:, None], model.c @ answers], axis=1)
-        later = model.a @ answers
-        if waits:
-            later = np.where((state["age"] >= held)[:, None], later, answers)
-        return now | {"answers": later}, rows[None]
-
-    def correct(state: State, rows: Array, y: Array) -> State:
-        left = y - rows[:, 0]
-        seen = np.logical_not(np.isnan(left)) & (state["age"] > unknown)
-        left = np.where(seen, left, 0.0)
-        response = np.where(seen[:, None], rows[:, 1:], 0.0)
-        counted = white @ response
-        return state | {
-            "x": state["x"] + model.gain @ left,
-            "answers": state["answers"] - model.gain @ response,
-            "information": state["information"] + counted.T @ counted,
-            "towards": state["towards"] + counted.T @ (white @ left),
+            "line": self.line.begin(None if u is None else u[:, self.inputs]),
+            "x": x,
+            "y": np.zeros(ny),
+            "before": np.zeros((n, n)),
+            "covariance": covariance,
+            "age": np.array(float(age)),
         }
 
-    def settle(state: State) -> Array:
-        """Return the most probable initial state, as its deviation from the expected one."""
-        return most_probable(state["information"], state["towards"], state["usual"])[None]
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the state one sample later, and the prediction."""
+        model, covariance = self.model, state["covariance"]
+        line, acting = self.line.move(state["line"], np.stack([u[i] for i in self.inputs]))
+        acting = acting - model.mean[self.inputs]
+        y = model.c @ state["x"] + model.d @ acting + model.offset
+        moves = self._moves(state["age"])
+        following = {
+            "line": line,
+            "x": model.a @ state["x"] + model.b @ acting + model.drift,
+            "y": y,
+            "before": covariance,
+            "covariance": moves @ covariance @ moves.T,
+            "age": state["age"] + 1,
+        }
+        return following, y
 
-    def merged(state: State, settled: Array) -> State:
-        now = {"line": state["line"], "x": state["x"] + state["answers"] @ settled[0]}
-        if waits:
-            now |= {"age": state["age"], "away": state["away"] + model.root @ settled[0]}
-        return now
+    def correct(self, state: State, y: Array) -> State:
+        """Return the state of the filter after a measured sample; a gap has no error."""
+        model, age = self.model, state["age"] - 1
+        # Before all inputs that act on an output are known, it says nothing.
+        counts = np.where(np.isnan(y) | (age < self.late), 0.0, 1.0)
+        error = np.where(counts > 0, y - state["y"], 0.0)
+        covariance, shift = state["before"], np.zeros(model.order)
+        # One white error after the other: no matrix has to be inverted.
+        for weights, left in zip(self.white * counts, self.white @ error, strict=True):
+            response = weights @ model.c
+            spread = covariance @ response
+            gain = spread / (1.0 + response @ spread)
+            shift = shift + gain * (left - response @ shift)
+            covariance = covariance - gain[:, None] * spread
+        moves = self._moves(age)
+        observer = moves - model.gain @ (counts[:, None] * model.c)
+        error = error - counts * (model.c @ shift)
+        return state | {
+            "x": state["x"] + moves @ shift + model.gain @ error,
+            "covariance": observer @ covariance @ observer.T,
+        }
 
-    def after_training(state: State) -> State:
-        return state | {"x": model.last - state["answers"] @ settle(state)[0]}
-
-    return Part(row, initial, correct, settle, after_training, merged=merged)
+    def _moves(self, age: Array) -> Array:
+        """Return the matrix by which the deviation of a state goes on, see `LinearModel.held`."""
+        kept: Array = np.where((age >= self.held)[:, None], self.model.a, np.eye(self.model.order))
+        return kept
 
 
 def _inputs_before(training: Array, known: ForecastContext) -> Array | None:

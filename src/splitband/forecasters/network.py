@@ -19,7 +19,7 @@ import numpy as np
 from splitband import models, training
 from splitband.baselines.delays import delayed, input_delays
 from splitband.data import Record, check_alike
-from splitband.data.signals import first_after, last_before
+from splitband.data.signals import first_after, last_before, refilled
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import (
@@ -32,9 +32,10 @@ from splitband.forecasters.base import (
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.held_out import first_held_out
 from splitband.forecasters.initialisation import LinearPart, begin_as_linear
+from splitband.forecasters.network_steps import NetworkSteps
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
-from splitband.forecasters.stepping import NotSteppedError, Recursion, recursion_of_network
+from splitband.forecasters.steps import NotSteppedError, Steps
 from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template, WithSize
 from splitband.runtime.arguments import check_device
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
 
     from splitband.models import Model
 
+MOST_FILLED = 1000
+"""Most samples of a history that are filled with a network's own predictions. Bounds the time."""
 CONDITIONED = "-conditioned"
 """Suffix of the names of conditioned models."""
 
@@ -305,8 +308,8 @@ class Network(Forecaster):
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
         """Return the forecast after a history by component, `(steps, ny)` each.
 
-        It warms up on the last `warmup` samples without a gap. Where the history is shorter, the
-        samples before it are estimated.
+        It warms up on the last `warmup` samples. In a channel that was not measured they are its
+        own predictions; where the history is shorter, the samples before it are estimated.
         """
         return self._run(self._trained().simulate_components, known)
 
@@ -340,14 +343,14 @@ class Network(Forecaster):
             doubts = [*dict.fromkeys([*doubts, short])]
         return doubts
 
-    def recursion(self, outside: bool = False) -> Recursion:
-        """Return the step-by-step form of model and base, warmed up."""
+    def steps(self) -> Steps:
+        """Return the step form of model and base."""
         try:
             model = self._trained().stepped()
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
-        part = None if self._fitted_base is None else self._fitted_base.stepped_part(outside)
-        return recursion_of_network(model, part, self.warmup, self.delays)
+        base = self._fitted_base
+        return NetworkSteps(self, model, None if base is None else base.steps_as_base())
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""
@@ -453,7 +456,7 @@ class Network(Forecaster):
         self, simulate: Callable[..., dict[str, Array]], known: ForecastContext
     ) -> dict[str, Array]:
         """Return what a simulation gives after the history; the base labels its component."""
-        y, u, slow, since = self._warmed(known)
+        y, u, slow, since = self.warmed_up(known)
         found = {}
         for part, values in simulate(y, since + known.steps, u, slow).items():
             label = part
@@ -465,30 +468,64 @@ class Network(Forecaster):
             found[label] = values[since:]
         return found
 
-    def _warmed(self, known: ForecastContext) -> tuple[Array, Array | None, Array | None, int]:
-        """Return the last warm-up without a gap, and the samples between its end and the origin.
+    def warmed_up(
+        self, known: ForecastContext, more: int = 0
+    ) -> tuple[Array, Array | None, Array | None, int]:
+        """Return the warm-up that ends with the last measured sample, and how many follow it.
 
-        Inputs and the base's output go on to the last sample of the forecast.
+        A channel that was not measured has the model's own prediction, from a warm-up on in which
+        all were measured; where there is none nearby, that one is interpolated. Inputs and the
+        base's output are those from the first sample of the warm-up on, to the last one of the
+        forecast and, of a base, `more` where they are known.
         """
         y, u = known.y, None if known.u is None else delayed(known.u, self.delays)
-        slow, base = None, self._fitted_base
+        base, length, samples = self._fitted_base, self.warmup, len(known.y)
+        if known.y_sim is not None and len(known.y_sim) <= samples:
+            more = 0
+        whole = replace(known, steps=known.steps + more)
         if self._short(known):
             assert self._prehistory is not None
-            slow = None if base is None else base.trajectory(known)
-            y, u, slow = self._prehistory.completed(self._trained(), y, u, slow)
-        complete = np.asarray(~np.isnan(y).any(axis=1))
-        start = last_before(complete, self.warmup, len(y))
-        if start is None:
+            slow = None if base is None else base.trajectory(whole)
+            return *self._prehistory.completed(self._trained(), y, u, slow), 0
+        measured = np.asarray(~np.isnan(y))
+        last = samples - int(measured.any(axis=1)[::-1].argmax()) if measured.any() else 0
+        if last < length:
             raise InputError(
-                f"history must have {self.warmup} measured samples in a row to warm up on, got "
-                f"{len(y)} samples, of which {int(complete.sum())} were measured in whole"
+                f"history must have {length} samples for {self.name} to warm up on, up to the last "
+                f"one that was measured, got {last}"
             )
-        begin, since = start - self.warmup, len(y) - start
-        if base is not None and slow is None:
-            # The run begins here: what was measured since moves its base as little as itself.
-            run = replace(known, y=y[:start], steps=since + known.steps, since=begin)
-            slow = base.trajectory(run)[begin:]
-        return y[begin:start], None if u is None else u[begin : len(y) + known.steps], slow, since
+        complete = np.asarray(measured.all(axis=1))
+        start = last_before(complete, length, last)
+        if start is None or (~complete[start:last]).sum() > MOST_FILLED:
+            start = max(length, last - MOST_FILLED)
+        begin = start - length
+        slow = None
+        if base is not None:
+            slow = base.trajectory(replace(whole, since=begin))[begin:]
+        u = None if u is None else u[begin : samples + known.steps]
+        y = y[begin:last].copy()
+        if not complete[begin:start].all():
+            mean = np.tile(self._trained().y_mean.cpu().numpy(), (len(y), 1))
+            y[:length] = refilled(mean, y)[:length]
+        self._fill(y, u, slow)
+        moved = last - start
+        u, slow = (None if x is None else x[moved:] for x in (u, slow))
+        return y[moved:], u, slow, samples - last
+
+    def _fill(self, y: Array, u: Array | None, slow: Array | None) -> None:
+        """Fill the gaps after a warm-up with the model's own predictions, in place."""
+        n, length = self.warmup, self.warmup
+        missing = np.isnan(y)
+        while n < len(y):
+            stop = n
+            while stop < len(y) and missing[stop].all():
+                stop += 1
+            stop = min(stop + 1, len(y))  # the first measured sample may lack a channel
+            if missing[n:stop].any():
+                begun = [None if x is None else x[n - length : stop] for x in (u, slow)]
+                found = self._trained().simulate_components(y[n - length : n], stop - n, *begun)
+                y[n:stop] = np.where(missing[n:stop], total([*found.values()]), y[n:stop])
+            n = stop
 
 
 def with_defaults(

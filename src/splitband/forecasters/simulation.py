@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self, final
 
@@ -15,7 +15,7 @@ from splitband.filters import ComplementaryPair
 from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.stepping import NotSteppedError, Part, State
+from splitband.forecasters.steps import GivenSteps, NotSteppedError, Steps
 from splitband.models.labels import SIMULATOR
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -28,8 +28,6 @@ MAX_SIMULATED_SAMPLES = 10**8
 ON_A_SAMPLE = 1e-6
 """Tolerance in samples: the simulator's output this close to a sample is taken at the sample.
 Rounding."""
-MARGIN = 30
-"""Unused samples at the end of a run, where splines and solvers depend on its length. By eye."""
 AFFINE: tuple[Term, ...] = ("gain", "offset")
 
 
@@ -302,12 +300,8 @@ class SimulatorForecaster(Forecaster):
         y = self.applied.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
-    def stepped_part(self, outside: bool = False) -> Part:
-        """Return the simulator sample by sample: its output is given, or computed ahead."""
-        if self._driven and not outside:
-            raise NotSteppedError(f"{self.name} has a simulator that its inputs drive")
-        if self.simulator is not None and not outside:
-            return _run_ahead(self.trajectory)
+    def steps(self) -> Steps:
+        """Return the calibration of its output, which is given with each sample."""
         if not self.applied.stays:
             raise NotSteppedError(
                 f"{self.name} cannot be stepped, as its time is calibrated ({self.applied}); "
@@ -315,7 +309,7 @@ class SimulatorForecaster(Forecaster):
             )
         ny = self.require_fitted().record.ny
         gain, offset = self.applied.gain or [1.0] * ny, self.applied.offset or [0.0] * ny
-        return part_of_given_output(np.array(gain), np.array(offset), self.trajectory)
+        return GivenSteps(np.array(gain), np.array(offset))
 
     def on(self, record: Record, first: bool = True) -> Record:
         """Return a record with the calibrated output as `y_sim`; both begin together."""
@@ -472,51 +466,3 @@ class Calibrated(SimulatorForecaster):
 
     def _needed(self, samples: int, train: int) -> int:
         return samples_needed(samples, train)
-
-
-def part_of_given_output(
-    gain: Array, offset: Array, trajectory: Callable[[ForecastContext], Array]
-) -> Part:
-    """Return a simulator's output, which is given with each sample, calibrated.
-
-    `gain`, `offset`: of the calibration, `(ny,)` each. `trajectory`: see `Forecaster.trajectory`.
-    """
-
-    def simulated_over(known: ForecastContext, ahead: int) -> Array:
-        """Return the output before calibration; its last known sample is held beyond its end."""
-        more = ahead and known.y_sim is not None and len(known.y_sim) > len(known.y)
-        values = trajectory(replace(known, steps=ahead if more else 0)) - offset
-        values = values / np.where(gain, gain, 1.0)
-        return np.concatenate([values, np.repeat(values[-1:], ahead, axis=0)])
-
-    return Part(
-        lambda state, u, y_sim, ahead: (state, (y_sim[: 1 + ahead] * gain + offset)[..., None]),
-        simulated_over=simulated_over,
-    )
-
-
-def _run_ahead(trajectory: Callable[[ForecastContext], Array]) -> Part:
-    """Return a simulator that is run over twice the time whenever its output ends too early.
-
-    Recorded output, which has an end, is read only as far as needed.
-    """
-
-    def reaching(known: ForecastContext, end: int) -> Array:
-        begun = len(known.y)
-        try:
-            return trajectory(replace(known, steps=2 * end + MARGIN - begun))
-        except ValueError:
-            return trajectory(replace(known, steps=max(end - begun, 0)))
-
-    def initial(known: ForecastContext | None) -> State:
-        assert known is not None, "a program is given the output"
-        return {"samples": 0, "history": known, "output": reaching(known, len(known.y))}
-
-    def row(state: State, u: Array, y_sim: Array, ahead: int) -> tuple[State, Array]:
-        end, output = state["samples"] + 1 + ahead, state["output"]
-        if end + MARGIN > len(output):
-            output = reaching(state["history"], end)
-        new = state | {"samples": state["samples"] + 1, "output": output}
-        return new, output[state["samples"] : end, :, None]
-
-    return Part(row, initial)

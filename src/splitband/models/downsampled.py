@@ -67,27 +67,15 @@ class SteppedLowBand:
         self.cell, self.k, self.at_once = SteppedCell(network.cell), network.k, network.at_once
 
     def begin(self, low: Array, rows: Array) -> Run:
-        """Return the run after the low band of measured samples, `(R, ny)`.
+        """Return the run at the last of the measured samples, of whose low band `(R, ny)` it is.
 
-        `rows` are the inputs of these samples and of the one to predict or, `at_once`, those of the
-        R steps.
+        `rows` are the inputs of these samples or, `at_once`, those of the R - 1 steps.
         """
-        k, warmup = self.k, len(low)
-        means = rows if self.at_once else self._means(rows, warmup % k)
-        slow = self.cell.begin(low[warmup % k :: k], means[: warmup // k])
-        run: Run = {"slow": slow, "current": slow["y"]}
-        if self.at_once:
-            return run
-        slow = self.cell.advance(slow, means[warmup // k])
-        return {**run, "slow": slow, "phase": np.zeros(()), "sum": np.zeros(rows.shape[1])}
-
-    def paused(self, low: Array, rows: Array) -> Run:
-        """Return the run at the last of the measured samples `(R, ny)`; `rows` are their inputs."""
         k, last = self.k, len(low) % self.k
         if self.at_once:
-            return {"slow": self.cell.paused(low, rows), "current": low[-1]}
+            return {"slow": self.cell.begin(low, rows), "current": low[-1]}
         means = self._means(np.concatenate([rows, rows[-1:]]), last)[: len(low) // k]
-        slow = self.cell.begin(low[last::k], means)
+        slow = self.cell.advance(self.cell.begin(low[last::k], means[:-1]), means[-1])
         # The straight line to the network's next sample meets the low band here.
         current = k * low[-1] - (k - 1) * slow["y"]
         recent = rows[len(rows) - (k - 1) :].sum(axis=0)

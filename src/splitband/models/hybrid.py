@@ -87,30 +87,19 @@ class SteppedFiltered(Stepped):
         self.cell = SteppedCell(model.cell)
         self.pair: ComplementaryPair = model.pair
 
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        pair, warmup, order = self.pair, len(y), self.pair.order
-        low, low_state = one_way(pair.b_low, pair.a, slow[: warmup + 1], steady(pair, "low"))
-        measured = y[warmup - order :]
-        left = measured - low[warmup - order : warmup]
-        high_state = state_after(pair.b_high, pair.a, measured, left)
-        net = self.cell.begin(y, self._network_inputs(self._rows(u), slow))
-        return self._filtered({"net": net, "low": low_state, "high": high_state}, low[warmup])
-
-    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+    def _begin(self, y: Array, u: Array, slow: Array) -> Run:
         pair, since = self.pair, len(y) - self.pair.order
-        low, low_state = one_way(pair.b_low, pair.a, slow, steady(pair, "low"))
+        low, low_state = one_way(pair.b_low, pair.a, slow[: len(y)], steady(pair, "low"))
         high_state = state_after(pair.b_high, pair.a, y[since:], y[since:] - low[since:])
-        net = self.cell.paused(y, self._network_inputs(self._rows(u), slow))
+        net = self.cell.begin(y, self._network_inputs(self._rows(u), slow))
         return {"net": net, "low": low_state, "high": high_state}
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        low_state, low = filtered(self.pair.b_low, self.pair.a, run["low"], slow[1])
+        pair = self.pair
+        low_state, low = filtered(pair.b_low, pair.a, run["low"], slow[1])
         net = self.cell.advance(run["net"], self._network_inputs(self._rows(u), slow)[0])
-        return self._filtered({"net": net, "low": low_state, "high": run["high"]}, low)
-
-    def _filtered(self, run: Run, low: Array) -> tuple[Run, Array]:
-        high_state, high = filtered(self.pair.b_high, self.pair.a, run["high"], run["net"]["y"])
-        return {**run, "high": high_state}, low + high
+        high_state, high = filtered(pair.b_high, pair.a, run["high"], net["y"])
+        return {"net": net, "low": low_state, "high": high_state}, low + high
 
 
 class FilteredModel(Hybrid):
@@ -189,23 +178,17 @@ class SteppedFilteredHigh(Stepped):
         self.low = SteppedLowBand(model.low_band)
         self.ahead = 0  # the network has no later samples of the simulator as inputs
 
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        pair, warmup = self.pair, len(y)
-        low, _ = one_way(pair.b_low, pair.a, y, steady(pair, "low"))
-        high, state = one_way(pair.b_high, pair.a, slow[: warmup + 1], steady(pair, "high"))
-        run = self.low.begin(low, self._of_low(u, high))
-        return self._combined({**run, "state": state, "high": high[warmup]})
-
-    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
+    def _begin(self, y: Array, u: Array, slow: Array) -> Run:
         low, _ = one_way(self.pair.b_low, self.pair.a, y, steady(self.pair, "low"))
         high, state = one_way(self.pair.b_high, self.pair.a, slow, steady(self.pair, "high"))
-        run = self.low.paused(low, self._of_low(u, high))
+        run = self.low.begin(low, self._of_low(u, high))
         return {**run, "state": state, "high": high[-1]}
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         state, high = filtered(self.pair.b_high, self.pair.a, run["state"], slow[1])
         rows = self._of_low(u, np.stack([run["high"], high]))
-        return self._combined({**self.low.moved(run, rows[-1]), "state": state, "high": high})
+        moved = self.low.moved(run, rows[-1])
+        return {**moved, "state": state, "high": high}, self.low.values(moved)[0][0] + high
 
     def _of_low(self, u: Array, high: Array) -> Array:
         """Return the network's inputs: of the samples or, `at_once`, of the steps."""
@@ -216,9 +199,6 @@ class SteppedFilteredHigh(Stepped):
         steps = high[1:] - high[:-1]
         slope = np.concatenate([steps[:1], steps]) / self.slope_scale
         return np.concatenate([u, high, slope], axis=1)
-
-    def _combined(self, run: Run) -> tuple[Run, Array]:
-        return run, self.low.values(run)[0][0] + run["high"]
 
 
 class FilteredHighModel(Hybrid):
@@ -314,12 +294,8 @@ class SteppedResidual(Stepped):
         super().__init__(model)
         self.cell = SteppedCell(model.cell)
 
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.begin(y - slow[: len(y)], self._network_inputs(self._rows(u), slow))
-        return run, run["y"] + slow[len(y)]
-
-    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
-        return self.cell.paused(y - slow, self._network_inputs(self._rows(u), slow))
+    def _begin(self, y: Array, u: Array, slow: Array) -> Run:
+        return self.cell.begin(y - slow[: len(y)], self._network_inputs(self._rows(u), slow))
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         run = self.cell.advance(run, self._network_inputs(self._rows(u), slow)[0])

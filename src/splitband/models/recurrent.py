@@ -19,12 +19,8 @@ class SteppedRecurrent(Stepped):
         super().__init__(model)
         self.cell = SteppedCell(model.cell)
 
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        run = self.cell.begin(y, self._rows(u))
-        return run, run["y"]
-
-    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
-        return self.cell.paused(y, self._rows(u))
+    def _begin(self, y: Array, u: Array, slow: Array) -> Run:
+        return self.cell.begin(y, self._rows(u))
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         run = self.cell.advance(run, self._rows(u)[0])

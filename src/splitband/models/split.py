@@ -56,22 +56,12 @@ class SteppedSplit(Stepped):
         self.low, self.fast = SteppedLowBand(model.low_band), SteppedCell(model.fast)
         self.output = model.pair.one_way() if model.filter_output else None
 
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+    def _begin(self, y: Array, u: Array, slow: Array) -> Run:
         low = both_ways(self.pair, y)
         high = y - low if self.own_warmup else both_ways(self.pair, y, "high")
         run = self.low.begin(low, self._of_low(u))
-        run["fast"] = self.fast.begin(high, self._beside(low, run, u))
-        if self.output is not None:
-            _, run["output"] = one_way(
-                self.output.b_high, self.output.a, high, steady(self.output, "high")
-            )
-        return self._combined(run)
-
-    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
-        low = both_ways(self.pair, y)
-        high = y - low if self.own_warmup else both_ways(self.pair, y, "high")
-        run = self.low.paused(low, self._of_low(u))
-        run["fast"] = self.fast.paused(high, self._network_inputs(self._rows(u), low))
+        known = np.concatenate([low, *self.low.values(run, self.ahead)[1:]])
+        run["fast"] = self.fast.begin(high, self._network_inputs(self._rows(u), known))
         if self.output is not None:
             _, run["output"] = one_way(
                 self.output.b_high, self.output.a, high, steady(self.output, "high")
@@ -80,25 +70,18 @@ class SteppedSplit(Stepped):
 
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         before, run = self.low.values(run)[0], self.low.moved(run, self._of_low(u)[-1])
-        run["fast"] = self.fast.advance(run["fast"], self._beside(before, run, u)[0])
-        return self._combined(run)
-
-    def _of_low(self, u: Array) -> Array:
-        """Return the slow network's inputs: of the samples or, `at_once`, of the steps."""
-        return self._rows(u) if self.low.at_once else u
-
-    def _beside(self, before: Array, run: Run, u: Array) -> Array:
-        """Return the inputs of the fast network, after the low band `before`."""
-        rows = self._rows(u)
         low = [before, *self.low.values(run, self.ahead)] if self.conditioned else [before]
-        return self._network_inputs(rows, np.concatenate(low))
-
-    def _combined(self, run: Run) -> tuple[Run, Array]:
+        inputs = self._network_inputs(self._rows(u), np.concatenate(low))
+        run["fast"] = self.fast.advance(run["fast"], inputs[0])
         high = run["fast"]["y"]
         if self.output is not None:
             state, high = filtered(self.output.b_high, self.output.a, run["output"], high)
             run = {**run, "output": state}
         return run, self.low.values(run)[0][0] + high
+
+    def _of_low(self, u: Array) -> Array:
+        """Return the slow network's inputs: of the samples or, `at_once`, of the steps."""
+        return self._rows(u) if self.low.at_once else u
 
 
 class SplitModel(Model):

@@ -1,8 +1,8 @@
 """Run models sample by sample, in NumPy, also for export; subclasses are in the models' modules.
 
-`begin` warms up on the last measured samples, as a simulation does, and `advance` goes on by one
-sample. The run that is passed between them is the whole state. The code can be traced, see
-`runtime.tracing`.
+`begin` warms up on the last measured samples, as a simulation does, before the next inputs are
+known, and `advance` goes on by one sample. The run that is passed between them is the whole state.
+The code can be traced, see `runtime.tracing`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from splitband.filters import Band, ComplementaryPair
 from splitband.networks import Cell
 from splitband.networks.plain import in_numpy, values
 from splitband.runtime.arrays import Array
-from splitband.runtime.errors import InputError
-from splitband.runtime.tracing import scan
+from splitband.runtime.tracing import cond, scan
 
 Run = dict[str, Any]
 """The state of a free run, by name."""
@@ -37,57 +36,32 @@ class Stepped(ABC):
         """Samples of the slow signal that are used beyond the one to predict, 0 or 1."""
         self.slope_scale = values(model.slope_scale).reshape(-1) if self.conditioned else np.ones(1)
 
-    def begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
-        """Return the run after measured samples, and the first sample that it predicts, `(ny,)`.
+    def begin(self, y: Array, u: Array, slow: Array) -> Run:
+        """Return the run at the last measured sample.
 
         Parameters
         ----------
-        y : The last measured samples, `(R, ny)`.
-        u : Inputs of these and of the sample to predict, `(R + 1, nu)`.
-        slow : A given slow component over these samples, `(R + 1 + ahead, ny)`; ignored by models
+        y, u : The last measured samples, `(R, ny)`, and their inputs, `(R, nu)`.
+        slow : A given slow component over these samples, `(R + ahead, ny)`; ignored by models
             without one.
         """
-        run, first = self._begin(self._y(y), self._u(u), self._y(slow))
-        return run, first * self.y_std + self.y_mean
+        return self._begin(self._y(y), self._u(u), self._y(slow))
 
     def advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
-        """Return the run and what it predicts one sample later, `(ny,)`.
+        """Return the run one sample later, and what it predicts there, `(ny,)`.
 
         Parameters
         ----------
-        run : After the sample before.
+        run : At the sample before.
         u : Inputs of the sample before and of the one to predict, `(2, nu)`.
         slow : The slow component over these samples, `(2 + ahead, ny)`.
         """
         run, following = self._advance(run, self._u(u), self._y(slow))
         return run, following * self.y_std + self.y_mean
 
-    def paused(self, y: Array, u: Array, slow: Array) -> Run:
-        """Return the run at the last measured sample, before the next inputs are known.
-
-        `advance` from there says what `begin` says.
-
-        Parameters
-        ----------
-        y, slow : The last measured samples and the slow component there, `(R, ny)`.
-        u : Inputs of these samples, `(R, nu)`.
-
-        Raises
-        ------
-        ValueError
-            For a model that must look ahead, or a network that does not go sample by sample.
-        """
-        if self.ahead:
-            raise InputError("a conditioned hybrid without inputs looks one sample ahead")
-        return self._paused(self._y(y), self._u(u), self._y(slow))
-
     @abstractmethod
-    def _begin(self, y: Array, u: Array, slow: Array) -> tuple[Run, Array]:
+    def _begin(self, y: Array, u: Array, slow: Array) -> Run:
         """Begin, in the networks' units."""
-
-    @abstractmethod
-    def _paused(self, y: Array, u: Array, slow: Array) -> Run:
-        """Pause, in the networks' units."""
 
     @abstractmethod
     def _advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
@@ -124,18 +98,31 @@ class SteppedCell:
         self.cell = in_numpy(cell)
 
     def begin(self, y: Array, rows: Array) -> Run:
-        """Return its state after measured samples."""
-        h = self.cell.initial_state(y, rows)
-        return {"h": h, "y": self.cell.observe(h)}
+        """Return its state at the last of R measured samples; `rows` are of the R - 1 steps.
 
-    def paused(self, y: Array, rows: Array) -> Run:
-        """Return its state before the last step of `begin`, with the inputs of the others."""
-        return {"h": self.cell.paused_state(y, rows), "y": y[-1]}
+        A cell that begins with all R steps of its warm-up at once does so with the first `advance`.
+        """
+        if len(rows) >= self.cell.fewest_steps:
+            return {"h": self.cell.initial_state(y[:-1], rows), "y": y[-1]}
+        past = {"y": y, "rows": rows, "waits": np.ones(())}
+        return {"h": np.zeros(self.cell.size), "y": y[-1], "past": past}
 
     def advance(self, run: Run, row: Array) -> Run:
         """Return its state one sample later."""
-        h = self.cell.step(run["h"], run["y"], row)
-        return {"h": h, "y": self.cell.observe(h)}
+
+        def moved() -> Any:
+            return self.cell.step(run["h"], run["y"], row)
+
+        if "past" not in run:
+            h = moved()
+            return {"h": h, "y": self.cell.observe(h)}
+        past = run["past"]
+
+        def begun() -> Any:
+            return self.cell.initial_state(past["y"], np.concatenate([past["rows"], row[None]]))
+
+        h = cond(past["waits"] > 0, begun, moved)
+        return {"h": h, "y": self.cell.observe(h), "past": past | {"waits": np.zeros(())}}
 
 
 def filtered(b: Array, a: Array, state: Array, x: Array) -> tuple[Array, Array]:

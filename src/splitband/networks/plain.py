@@ -1,12 +1,13 @@
 """Define the cells in NumPy, without a batch, for runs step by step and for export.
 
 Each has the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u` `(time, nu)` or
-`(nu,)`; without inputs `u` has no columns. `paused_state` is the state before the last step of
-`initial_state`, for which the inputs are missing. The code can be traced, see `runtime.tracing`.
+`(nu,)`; without inputs `u` has no columns. A warm-up of at least `fewest_steps` steps can go on by
+single steps; `size` is that of the state. The code can be traced, see `runtime.tracing`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,11 +38,16 @@ class PlainGRU(NamedTuple):
     of_state: tuple[Array, Array]
     observation: tuple[Array, Array]
 
+    @property
+    def size(self) -> int:
+        return int(self.of_state[0].shape[1])
+
+    @property
+    def fewest_steps(self) -> float:
+        return 1
+
     def initial_state(self, y: Array, u: Array) -> Array:
         return _observed(self, np.zeros(self.of_state[0].shape[1]), y, u)
-
-    def paused_state(self, y: Array, u: Array) -> Array:
-        return self.initial_state(y[:-1], u)
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         n = self.of_state[0].shape[1]
@@ -64,15 +70,17 @@ class PlainEulerMLP(NamedTuple):
     warmup: int
     step_size: float
 
+    @property
+    def size(self) -> int:
+        return len(self.recognition[-1][1])
+
+    @property
+    def fewest_steps(self) -> float:
+        return math.inf
+
     def initial_state(self, y: Array, u: Array) -> Array:
         seen = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
         return _dense(self.recognition, seen.reshape(-1))
-
-    def paused_state(self, y: Array, u: Array) -> Array:
-        raise InputError(
-            "an EulerMLP cannot be a CasADi function: it begins with all inputs of its warm-up at "
-            "once, that of the sample to predict included; GRU and StateSpace can"
-        )
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         *hidden, (weight, bias) = self.dynamics
@@ -94,20 +102,20 @@ class PlainStateSpace(NamedTuple):
     first: tuple[Array, Array]
     encoded: int
 
+    @property
+    def size(self) -> int:
+        return len(self.gain) + len(self.observation[1])
+
+    @property
+    def fewest_steps(self) -> float:
+        return max(self.encoded, 1)
+
     def initial_state(self, y: Array, u: Array) -> Array:
         weight, x = self.first
         if self.encoded:
             seen = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
             x = weight @ seen.reshape(-1) + x
         return _observed(self, self._with_output(x, u[0]), y, u)
-
-    def paused_state(self, y: Array, u: Array) -> Array:
-        if len(u) < max(self.encoded, 1):
-            raise InputError(
-                f"a StateSpace needs a warm-up of more than {max(self.encoded, 1)} samples to be a "
-                f"CasADi function, got {len(y)}"
-            )
-        return self.initial_state(y[:-1], u)
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         n = len(self.gain)
@@ -124,6 +132,8 @@ class PlainStateSpace(NamedTuple):
 class TorchCell:
     """Call a user's own cell through torch."""
 
+    size, fewest_steps = 0, math.inf
+
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
         weight = next(cell.parameters(), None)  # type: ignore[attr-defined]
@@ -132,9 +142,6 @@ class TorchCell:
     def initial_state(self, y: Array, u: Array) -> Any:
         with torch.no_grad():
             return self.cell.initial_state(self._tensor(y), self._inputs(u))
-
-    def paused_state(self, y: Array, u: Array) -> Any:
-        raise self._unwritten()
 
     def step(self, h: Any, y: Array, u: Array) -> Any:
         with torch.no_grad():

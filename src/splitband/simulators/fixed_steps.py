@@ -91,9 +91,9 @@ class FixedSteps:
             now = before
             if len(u) and self.ode.hold == "linear":
                 now = before + share * (u - before)
-            stage = _moved(x, size * weights, slopes)
+            stage = _moved(x, size, weights, slopes)
             slopes.append(self._slope(time + share * self.width, stage, now))
-        return _moved(x, size * WEIGHTS[-1], slopes)
+        return _moved(x, size, WEIGHTS[-1], slopes)
 
     def _slope(self, time: Any, x: Array, u: Array) -> Array:
         """Return the right-hand side, `(nx,)`."""
@@ -168,11 +168,11 @@ def enough_steps(
     )
 
 
-def _moved(x: Array, weights: Array, slopes: list[Array]) -> Array:
-    """Return a state, moved by weighted slopes."""
+def _moved(x: Array, size: Any, weights: Array, slopes: list[Array]) -> Array:
+    """Return a state, moved by weighted slopes for a step of this size."""
     for weight, slope in zip(weights, slopes, strict=False):
         if weight:
-            x = x + weight * slope
+            x = x + size * weight * slope
     return x
 
 

@@ -1,0 +1,120 @@
+"""The step form of networks, alone or beside a base."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from splitband.forecasters.prediction import ForecastContext
+from splitband.forecasters.steps import DelayLine, State, Steps
+from splitband.models.stepping import Stepped
+from splitband.runtime.arrays import Array
+from splitband.runtime.tracing import cond
+
+if TYPE_CHECKING:
+    from splitband.forecasters.network import Network
+
+
+@final
+class NetworkSteps(Steps):
+    """Step a trained model, with a base or without.
+
+    The state holds the last `warmup` samples, measured or predicted. After a measured sample, the
+    model warms up on them again, once a prediction is requested.
+
+    Parameters
+    ----------
+    network : The fitted forecaster.
+    model : Its model, step by step.
+    base : The step form of its base; None without one.
+    """
+
+    def __init__(self, network: Network, model: Stepped, base: Steps | None) -> None:
+        self.network, self.model, self.base = network, model, base
+        self.warmup, self.line = network.warmup, DelayLine(network.delays)
+        self.ahead = model.ahead if base is not None else 0
+        self.simulated = base is not None and base.simulated
+        self.note = "" if base is None else base.note
+
+    def begin(self, history: ForecastContext | None) -> State:
+        """Return the state after a history; without one it holds the means of the training."""
+        model, length, free = self.model, self.warmup, 0
+        y, u = (np.tile(mean, (length, 1)) for mean in (model.y_mean, model.u_mean))
+        slow = np.tile(model.y_mean, (length + self.ahead, 1))
+        if history is not None:
+            y, inputs, base, free = self.network.warmed_up(history, self.ahead)
+            u = u if inputs is None else inputs
+            slow = slow if base is None else base
+        missing = length + free + self.ahead - len(slow)  # where the output ends with the history
+        slow = np.concatenate([slow, np.repeat(slow[-1:], max(missing, 0), axis=0)])
+        first = slow[: length + self.ahead]
+        state: State = {
+            "line": self.line.begin(None if history is None else history.u),
+            "y": y,
+            "u": u[:length],
+            "run": model.begin(y, u[:length], first),
+            "fresh": np.zeros(()),
+            "count": np.array(0.0 if history is None else float(length)),
+        }
+        if self.base is not None:
+            state |= {"base": self.base.begin(history), "slow": first}
+        for n in range(length, length + free):
+            state, _ = self._moved(state, u[n], slow[n : n + 1 + self.ahead])
+        return state
+
+    def warmed_up(self, state: State) -> State:
+        """Return the state with the run begun after the last samples, if any was measured."""
+        slow = state["slow"] if self.base is not None else state["y"]
+        run = cond(
+            state["fresh"] > 0,
+            lambda: self.model.begin(state["y"], state["u"], slow),
+            lambda: state["run"],
+        )
+        return state | {"run": run, "fresh": np.zeros(())}
+
+    def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the state one sample later, and the prediction."""
+        line, inputs = self.line.move(state["line"], u)
+        if self.base is None:
+            state, y = self._moved(state, inputs, np.zeros((1, len(self.model.y_mean))))
+            return state | {"line": line}, y
+        following, slow = self.base.advance(state["base"], u, y_sim[:1])
+        rows, later = [slow], following
+        for n in range(self.ahead):  # there are no inputs then
+            later, slow = self.base.advance(later, u, y_sim[n + 1 :])
+            rows.append(slow)
+        state, y = self._moved(state, inputs, np.stack(rows))
+        return state | {"line": line, "base": following}, y
+
+    def advance(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+        """Return the state one sample later, and the prediction; NaN until it is warmed up."""
+        following, y = super().advance(state, u, y_sim)
+        return following, np.where(state["count"] >= self.warmup, y, np.nan)
+
+    def correct(self, state: State, y: Array) -> State:
+        """Return the state with a measured sample in place of the predicted one."""
+        last = np.where(np.isnan(y), state["y"][-1], y)
+        new = {
+            "y": np.concatenate([state["y"][:-1], last[None]]),
+            "fresh": np.ones(()),
+            "count": np.minimum(state["count"] + 1, self.warmup),
+        }
+        if self.base is not None:
+            new["base"] = self.base.correct(state["base"], y)
+        return state | new
+
+    def _moved(self, state: State, u: Array, slow: Array) -> tuple[State, Array]:
+        """Return the state one sample later, and the prediction; `slow` are rows of the base."""
+        last = self.warmup - 1
+        both = np.concatenate([state["slow"][last : last + 1], slow]) if "slow" in state else slow
+        inputs = np.stack([state["u"][-1], u])
+        run, y = self.model.advance(state["run"], inputs, both)
+        new = {
+            "y": np.concatenate([state["y"][1:], y[None]]),
+            "u": np.concatenate([state["u"][1:], u[None]]),
+            "run": run,
+        }
+        if "slow" in state:
+            new["slow"] = np.concatenate([state["slow"][1 : last + 1], slow])
+        return state | new, y
