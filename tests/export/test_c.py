@@ -2,7 +2,6 @@
 
 import ctypes
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -134,35 +133,18 @@ def test_a_hybrid_without_its_equation_is_given_what_that_says(tmp_path: Path) -
         sb.load(tmp_path / "grey").export(tmp_path / "grey.c")
 
 
-def test_a_program_takes_what_is_measured_and_prepares_it(tmp_path: Path) -> None:
-    raw = replace(driven(), start=1000.0)
-    assert raw.u is not None
-    assert raw.y_sim is not None
-    record = raw.detrend(1).clip_outliers(1.5)
-    model = sb.Filtered(None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT).fit(record[:150])
-    in_double(model)
-    model.export(tmp_path / "rig.c")
-    compiled = Compiled(tmp_path / "rig.c")
-    for n in range(150, 190):
-        y = np.full(2, np.nan) if n == 160 else raw.y[n]
-        compiled.observe(y, raw.u[n], raw.y_sim[n])
-    found = [
-        compiled.step(2, u, y_sim) for u, y_sim in zip(raw.u[190:], raw.y_sim[190:], strict=True)
-    ]
-    wanted = model.predict(70, raw[:190], raw.u[190:], raw.y_sim[190:]).y
-    assert np.abs(np.stack(found) - wanted).max() < 1e-9 * np.std(raw.y)
-
-
 def test_a_header_says_what_is_given_and_may_be_nan(tmp_path: Path) -> None:
     record = driven()
+    level = record.resample(2).detrend()
     for each, said in (
         (record, "NaN in y marks a sample that was not measured; u must be finite."),
-        (record.resample(2).detrend(), "as they are measured: before they are detrended\n"),
+        (level, f"y[2]: y0 (minus {level.reading.levels['y0']:.6g}), y1 (minus"),
     ):
-        sb.Linear().fit(each).export(tmp_path / "rig.c")
-        header = (tmp_path / "rig.h").read_text()
-        assert said in header
-        assert "resampled" not in header
+        model = sb.Linear().fit(each)
+        model.export(tmp_path / "rig.c")
+        assert said in (tmp_path / "rig.h").read_text()
+    compiled, u = Compiled(tmp_path / "rig.c"), np.array([0.5, 0.1])
+    np.testing.assert_allclose(compiled.step(2, u), model.predict(1, u=u[None]).y[0], rtol=1e-9)
 
 
 def test_a_history_that_is_too_short_to_go_on_from_is_said(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """A CasADi function says what a stream says, and its derivatives are those of differences."""
 
 import sys
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 
 import splitband as sb
 from tests.export.test_grey_box import EQUATIONS, record_of
-from tests.streams import BANDS, SHORT, driven, fitted, free, in_double, rows
+from tests.streams import BANDS, SHORT, fitted, free, in_double, rows
 
 SPLIT = "split", "split, conditioned, +HP", "split at one rate"
 DRIVEN = "mean", "persistence", "linear", "simulator", "gru", "state-space", *SPLIT, "filtered"
@@ -128,19 +127,6 @@ def test_a_file_is_read_by_casadi(tmp_path: Path) -> None:
     u, y_sim = record.u[150], record.y_sim[150]
     for one, other in zip(loaded(state, u, y_sim), step(step.state(), u, y_sim), strict=True):
         np.testing.assert_array_equal(flat(one), flat(other))
-
-
-def test_samples_are_those_that_are_measured() -> None:
-    raw = replace(driven(), start=1000.0)
-    assert raw.u is not None
-    model = sb.Linear().fit(raw.detrend(1)[:150])
-    step, stream = sb.casadi_step(model), model.stream()
-    state = step.state()
-    for u in raw.u[150:200]:
-        state, y = step(state, u)
-        np.testing.assert_allclose(flat(y), stream.step(u), rtol=1e-9)
-    with pytest.raises(ValueError, match="history must be given to casadi_step"):
-        step.state(raw[:190])
 
 
 def test_what_has_no_casadi_function_is_named() -> None:

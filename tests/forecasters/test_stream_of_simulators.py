@@ -1,6 +1,5 @@
 """A stream runs a simulator of its own, and takes samples as they are measured."""
 
-from collections.abc import Callable
 from copy import copy
 from functools import cache
 from typing import Any
@@ -10,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
-from tests.streams import BANDS, SHORT, driven, free, in_double
+from tests.streams import BANDS, SHORT, free, in_double
 
 Array = npt.NDArray[np.float64]
 TRAIN, SEEN, END = 150, 190, 240
@@ -167,51 +166,6 @@ def test_a_step_response_integrates_the_equation() -> None:
     found = sb.step_responses(grey, 300, at=[0.0], size=[1e-3]).y[-1, 0, 0]
     assert found == pytest.approx(1.0, abs=1e-3)  # x = u where both are small
     assert np.isfinite(sb.step_responses(fitted("residual", 3.0), 50).y).all()
-
-
-@pytest.mark.parametrize(
-    ("order", "start", "make"),
-    [(0, None, lambda: sb.Single(sb.GRU(4), SHORT)), (1, 40.0, sb.Linear)],
-    ids=["network without time stamps", "linear model with a trend"],
-)
-def test_samples_are_those_that_are_measured(
-    order: int, start: float | None, make: Callable[[], sb.Forecaster]
-) -> None:
-    """Where a record was detrended and clipped, a stream does that, and undoes it."""
-    made: Any = driven()
-    slope = np.linspace(0, 9, len(made))[:, None]
-    raw: Any = sb.Record(made.y + 5 + slope, 0.1, u=made.u - 3, start=start)
-    record = raw.detrend(order).clip_outliers(2.0)
-    model = make().fit(record[:TRAIN], seed=1)
-    in_double(model)
-    found, wanted = from_origin(model, raw)
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
-    # After a history that was prepared, samples are prepared ones, as those of `predict`.
-    found, wanted = from_origin(model, record)
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
-    # Without a history it goes on from the training record, in the units of what is measured.
-    stream = model.stream()
-    found = np.stack([stream.step(u) for u in raw.u[TRAIN:END]])
-    own = model.predict(END - TRAIN, u=record.u[TRAIN:END])
-    time = (start or 0.0) + 0.1 * np.arange(TRAIN, END, dtype=np.float64)
-    np.testing.assert_allclose(found, own.restored(record.prepared, time).y, atol=1e-9)
-
-
-def test_a_saved_model_knows_when_its_samples_were(tmp_path: Any) -> None:
-    made = free()
-    raw = sb.Record(made.y + np.linspace(0, 30, len(made))[:, None], 0.1, start=1e9)
-    model = sb.Single(sb.GRU(4), SHORT).fit(raw.detrend(1)[:TRAIN], seed=1)
-    model.save(tmp_path / "model")
-    found = sb.load(tmp_path / "model").stream().step()
-    np.testing.assert_allclose(found, model.stream(raw[:TRAIN]).step(), atol=1e-6)
-
-
-def test_a_resampled_model_takes_samples_of_its_step() -> None:
-    raw = free()
-    model = sb.Persistence().fit(raw.resample(0.2)[:60])
-    stream = model.stream(raw[:120])
-    stream.observe(3.0)
-    assert stream.step() == 3.0
 
 
 def test_a_simulator_that_repeats_the_history_goes_on() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from textwrap import wrap
 
-from splitband.data.preparation import Resampled, Unwrapped
 from splitband.export.c_statements import Precision, Renderer
 from splitband.export.graph import Symbol
 from splitband.export.program import Program
@@ -39,19 +38,14 @@ def _header(program: Program, precision: Precision) -> str:
         for leaf in program.leaves
         if leaf.begun.size
     ] or ["    char nothing;"]
-    signals = [f"y[{record.ny}]: {', '.join(record.columns)}"]
+    outputs, inputs = record.labels
+    signals = [f"y[{record.ny}]: {', '.join(outputs)}"]
     if "u" in program.given:
-        signals.append(f"u[{record.nu}]: {', '.join(record.inputs)}")
+        signals.append(f"u[{record.nu}]: {', '.join(inputs)}")
     if "y_sim" in program.given:
         shape = [*program.given["y_sim"]]
         both = ", then of the next one" * (shape[0] > 1)
         signals.append(f"y_sim{shape}: the simulator's output of this sample{both}")
-    # Means are taken outside, and angles go on: the program is given one for each step.
-    outside = Resampled, Unwrapped
-    done = [type(s).__name__.lower() for s in record.prepared if not isinstance(s, outside)]
-    if program.raw and done:
-        said = ", ".join(dict.fromkeys(done))
-        signals.append(f"as they are measured: before they are {said}")
     listed = "\n".join(f" *   {_comment(signal)}" for signal in signals)
     given = [signal for signal in program.given if signal != "y"]
     others = "".join(f", const {precision} *{signal}" for signal in given)

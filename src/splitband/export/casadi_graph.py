@@ -98,17 +98,11 @@ class CasadiStep:
         Raises
         ------
         ValueError
-            Where too few samples have been measured; for a history that does not fit, and for any
-            where the training record was detrended, clipped or resampled.
+            Where too few samples have been measured, and for a history that does not fit.
         """
         recursion, state = self.stream.recursion, self.stream.state
         if history is not None:
             require_records("history", history)
-            if recursion.prepared or history.prepared:
-                raise InputError(
-                    "history must be given to casadi_step where a record was detrended, clipped "
-                    "or resampled: pass later samples to stream.observe"
-                )
             state = recursion.after(known_of(self.forecaster, 0, history, other_record))
         return _vector(self._run.begin(state))
 

@@ -11,7 +11,6 @@ from itertools import compress
 import numpy as np
 
 from splitband.data import Record
-from splitband.data.preparation import seconds
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.grey_box import GreyBox
@@ -50,7 +49,6 @@ class Program:
     block: Block
     leaves: tuple[Leaf, ...]  # the state
     given: dict[str, tuple[int, ...]]
-    raw: bool  # whether signals are given as measured, before the record was prepared
     begins: str
     needed: int
 
@@ -75,15 +73,6 @@ class Program:
             "Observed samples do not correct the state of its equation: for another run, export it "
             "after a history of that run."
         )
-
-    def usual(self) -> tuple[Array, Array]:
-        """Return the record's last outputs `(ny,)` and inputs `(nu,)`, in the program's units."""
-        record = self.record
-        y, time = record.y[-1:], seconds(record)[-1:]
-        u = np.zeros((1, 0)) if record.u is None else record.u[-1:]
-        for step in reversed(record.prepared if self.raw else ()):
-            y, u = step.undo("y", y, time), step.undo("u", u, time) if u.size else u
-        return y[0], u[0]
 
 
 def holds_equation(forecaster: Forecaster) -> bool:
@@ -139,7 +128,6 @@ def program(
         block,
         tuple(leaves),
         used,
-        recursion.prepared,
         "" if state is None else begins,
         needed,
     )

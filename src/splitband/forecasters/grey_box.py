@@ -9,9 +9,10 @@ from typing import Any, Unpack, final
 import numpy as np
 
 from splitband.data import Record
+from splitband.data.preparation import check_level
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.simulation import check_level, part_of_given_output
+from splitband.forecasters.simulation import part_of_given_output
 from splitband.forecasters.stepping import (
     NotSteppedError,
     Part,

@@ -370,9 +370,7 @@ class Network(Forecaster):
             return None
         if not isinstance(start, type(self)) or start.model is None:
             raise InputError(f"start must be a trained {self.name}, got {start!r}")
-        # Levels that were removed from its record may differ a little.
-        seen = replace(start.require_fitted().record, prepared=record.prepared)
-        check_alike(seen, record, "start")
+        check_alike(start.require_fitted().record, record, "start")
         return start
 
     def _seen(self, records: Sequence[Record], start: Self | None, how: Training) -> list[Record]:

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.data import Record, require_records
-from splitband.data.preparation import Preparation, Unwrapped, seconds
 from splitband.data.signals import last_before
 from splitband.forecasters.prediction import ForecastContext, extrapolated, known_of, median
 from splitband.runtime.arrays import Array
@@ -100,7 +99,6 @@ class Recursion:
     ahead : Samples by which a simulator's output must be known in advance, 0 or 1.
     simulated : Whether it needs a simulator's output.
     warmup : Number of samples in a row that must be measured before a forecast.
-    prepared : Whether signals are prepared, and predictions restored.
     repeats : Whether each sample is predicted anew, from all of the history.
     part : The slow component of a hybrid, or the model itself, whose state is `state["part"]`.
     first_row : Returns the first sample of a history on which the forecast depends.
@@ -115,7 +113,6 @@ class Recursion:
     ahead: int = 0
     simulated: bool = False
     warmup: int = 0
-    prepared: bool = False
     repeats: bool = False
     part: Part | None = None
     first_row: Callable[[ForecastContext], int] = lambda known: 0
@@ -503,8 +500,7 @@ def stream_of(
 def _begun(
     forecaster: Forecaster, recursion: Recursion, history: Record | None, other_record: bool
 ) -> Stream:
-    recursion, past = _in_units(forecaster, recursion, history)
-    known = known_of(forecaster, 0, past, other_record)
+    known = known_of(forecaster, 0, history, other_record)
     return Stream(forecaster.name, recursion, recursion.after(known))
 
 
@@ -515,27 +511,13 @@ def program_of(
 
     The state is None where it depends on past output of a simulator that is not available.
     """
-    recursion, past = _in_units(forecaster, forecaster.recursion(outside=True), history)
+    recursion = forecaster.recursion(outside=True)
     try:
-        return recursion, recursion.after(known_of(forecaster, 0, past, other_record))
+        return recursion, recursion.after(known_of(forecaster, 0, history, other_record))
     except ValueError:
         if not recursion.simulated or history is not None or other_record:
             raise
         return recursion, None
-
-
-def _in_units(
-    forecaster: Forecaster, recursion: Recursion, history: Record | None
-) -> tuple[Recursion, Record | None]:
-    """Return the recursion in a history's units, else in measured ones; the prepared history."""
-    record = forecaster.require_fitted().record
-    past = record if history is None else history.prepared_as(record)
-    # An angle goes on in a stream: it takes and returns what `Record.unwrap` does.
-    own = [each for each in past.prepared if not isinstance(each, Unwrapped)]
-    if own and (history is None or history.prepared != past.prepared):
-        steps = [each.counted_from(seconds(past)[0]) for each in own]
-        recursion = _prepared(recursion, steps, past.sampling_time)
-    return recursion, None if history is None else past
 
 
 def _repredicted(forecaster: Forecaster) -> Recursion:
@@ -578,58 +560,4 @@ def _repredicted(forecaster: Forecaster) -> Recursion:
         warmup=forecaster.warmup,
         repeats=True,
         followed=followed,
-    )
-
-
-def _prepared(inner: Recursion, steps: Sequence[Preparation], sampling_time: float) -> Recursion:
-    """Return a recursion for prepared signals in measured units; time counts from the history."""
-
-    def given(state: State, u: Array, y_sim: Array) -> tuple[Array, Array, Array]:
-        """Return the times of a sample, prepared inputs and a prepared simulator's output."""
-        time = sampling_time * np.stack([state["samples"] + i for i in range(len(y_sim))])
-        inputs = u[None]
-        for step in steps:
-            inputs = step.transform("u", inputs, time[:1]) if inner.nu else inputs
-            y_sim = step.transform("y_sim", y_sim, time) if inner.simulated else y_sim
-        return time, inputs[0], y_sim
-
-    def restored(predicted: Array, time: Array) -> Array:
-        rows = predicted[None]
-        for step in reversed(steps):
-            rows = step.undo("y", rows, time[:1])
-        return rows[0]
-
-    def tick(state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array, Any]:
-        time, inputs, simulated = given(state, u, y_sim)
-        rows = y[None]
-        for step in steps:
-            rows = step.transform("y", rows, time[:1])
-        new, predicted, able = inner.tick(state["inner"], rows[0], inputs, simulated)
-        following = {"inner": new, "samples": state["samples"] + 1}
-        return following, restored(predicted, time), able
-
-    def free_run(run: FreeRun) -> FreeRun:
-        def begin(state: State) -> State:
-            return {"inner": run.begin(state["inner"]), "samples": state["samples"]}
-
-        def advance(state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-            time, inputs, simulated = given(state, u, y_sim)
-            new, predicted = run.step(state["inner"], inputs, simulated)
-            return {"inner": new, "samples": state["samples"] + 1}, restored(predicted, time)
-
-        return FreeRun(begin, advance)
-
-    def followed(known: ForecastContext) -> State:
-        return {"inner": inner.after(known), "samples": np.array(float(len(known.y)))}
-
-    def initial(known: ForecastContext | None) -> State:
-        return {"inner": inner.initial(known), "samples": np.zeros(())}
-
-    return replace(
-        inner,
-        initial=initial,
-        tick=tick,
-        followed=followed,
-        prepared=True,
-        free_run=inner.free_run and free_run(inner.free_run),
     )
