@@ -114,6 +114,7 @@ def in_double(forecaster: sb.Forecaster) -> None:
 
 def rows(record: sb.Record, stream: Any) -> Callable[[int], dict[str, Any]]:
     """What a stream is given at each sample beside the measured one."""
+
     def at(n: int) -> dict[str, Any]:
         given: dict[str, Any] = {}
         if stream.nu and record.u is not None:

@@ -103,7 +103,7 @@ def test_inputs_to_come_of_an_angle_go_on_after_the_record(sea: Path) -> None:
     [
         ("--unwrap heading=turn", "--unwrap must be NAME or NAME=PERIOD, got heading=turn"),
         ("--unwrap speed", "must give the period of 'speed'"),
-        ("--unwrap yaw=360", "must name an output or input"),
+        ("--unwrap yaw=360", "unwrap must name one of"),
     ],
 )
 def test_what_cannot_be_unwrapped_is_refused(

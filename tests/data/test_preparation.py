@@ -1,6 +1,8 @@
-"""What is done to a record is remembered by its model, done to a history, undone on predictions."""
+"""A record reports what preparing it has decided; a model takes and returns its units."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,7 +10,6 @@ import pytest
 import scipy
 
 import splitband as sb
-from splitband.forecasters.prediction import ForecastContext
 
 DT = 0.1
 RNG = np.random.default_rng(0)
@@ -23,71 +24,78 @@ def record(start: object = 5.0) -> sb.Record:
 
 
 @pytest.mark.parametrize("start", [5.0, pd.Timestamp("2024-03-01 08:00")])
-def test_a_trend_is_taken_from_a_history_and_given_back_to_the_prediction(start: object) -> None:
+def test_lines_are_taken_from_another_record_too(start: object) -> None:
     raw = record(start)
     straight = raw.detrend(1)
     np.testing.assert_allclose(straight.y[:, 0], scipy.signal.detrend(raw.y[:, 0]), atol=1e-6)
     assert straight.u is not None
     np.testing.assert_allclose(straight.u[:, 0], scipy.signal.detrend(U), atol=1e-6)
-    model = sb.Linear().fit(straight[:400])
-    found = model.predict(100, raw[:450], u=U[450:550])
-    own = model.predict(100, straight[:450], u=straight.u[450:])
-    trend = raw.y[450:550] - straight.y[450:550]
-    np.testing.assert_allclose(found.y, own.y + trend, atol=1e-6)
-    assert sb.fit_percent(raw.y[450:550], found.y)[0] > 95
+    later = raw[450:].like(straight[:400])
+    np.testing.assert_allclose(later.y, straight.y[450:], atol=1e-9)
+    assert later.reading == straight.reading
+    with pytest.raises(ValueError, match="must have time stamps"):
+        sb.Record(raw.y, DT, u=U).like(straight)
 
 
-class WithTrend(sb.Forecaster):
-    """Has a component that is called like what the preparation adds."""
+@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+def test_a_model_of_a_detrended_record_predicts_one_of_another_mean(tmp_path: Path) -> None:
+    """The units of answers are those of the training record, and its levels are arguments."""
+    whole = sb.Record(X + 100, DT, u=U, name="rig", columns=["tank"], inputs=["flow"])
+    train = whole[:400].detrend()
+    assert train.reading.levels == pytest.approx(
+        {"tank": X[:400].mean() + 100, "flow": U[:400].mean()}
+    )
+    sb.Linear().fit(train).save(tmp_path / "model")
+    model = sb.load(tmp_path / "model")
+    u = U + 3.0
+    y = scipy.signal.lfilter([0.5], [1.0, -0.8], u - 4.0) + 100
+    other = sb.Record(y, DT, u=u, columns=["tank"], inputs=["flow"])[100:]
+    assert model.fitted is not None
+    reading = model.fitted.record.reading
+    given = other.detrend(levels=reading.levels)
+    np.testing.assert_array_equal(given.y, other.like(model.fitted.record).y)
+    np.testing.assert_array_equal(given.y[:, 0], other.y[:, 0] - reading.levels["tank"])
+    assert given.u is not None
+    found = model.predict(300, given[:100], u=given.u[100:], other_record=True)
+    np.testing.assert_allclose(found.y, given.y[100:400], atol=0.01)
+    own = other.detrend()
+    said = r"history must be prepared like .*, tank \(minus 99.9.*, got {}; Record.like does"
+    for history, units in (other, "as it was measured"), (own, r"tank \(minus 107.*"):
+        with pytest.raises(ValueError, match=said.format(units)):
+            model.predict(300, history[:100], u=u[200:], other_record=True)
+    with pytest.raises(ValueError, match=r"must be given as it was measured, .* got tank"):
+        own.like(model.fitted.record)
+    with pytest.raises(ValueError, match="another record must be prepared like"):
+        sb.Linear().fit(train, other)
 
-    name = "with-trend"
 
-    def extrapolate(self, known: ForecastContext) -> dict[str, np.ndarray]:
-        ones = np.ones((known.steps, 1))
-        return {"trend": 2 * ones, "season": 3 * ones}
-
-
-def test_the_components_add_up_where_one_is_called_trend() -> None:
-    raw = record()
-    found = WithTrend().fit(raw[:400].detrend()).predict(4, raw[:400], u=U[400:])
-    np.testing.assert_allclose(sum(found.components.values()), found.y)
-
-
-def test_the_saved_model_remembers_it(tmp_path: object) -> None:
-    raw = record()
-    model = sb.Persistence().fit(raw.detrend(1).clip_outliers()[:400])
-    model.save(f"{tmp_path}/model")
-    loaded = sb.load(f"{tmp_path}/model")
-    expected = model.predict(50, raw[:450], u=U[450:], level=0.9)
-    found = loaded.predict(50, raw[:450], u=U[450:])
-    np.testing.assert_allclose(found.y, expected.y)
-    assert expected.lower is not None
-    assert (expected.lower < expected.y).all()
-
-
-@pytest.mark.filterwarnings("ignore:output y is beyond its range")
-def test_outliers_are_limited_in_a_history_too() -> None:
+@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+def test_limits_of_one_record_hold_for_another() -> None:
     y = X.copy()
     y[50], y[420] = 500.0, -500.0
     raw = sb.Record(y, DT, u=U)
-    clipped = raw.clip_outliers(6)
-    middle = np.median(y)
-    reach = 6 * scipy.stats.median_abs_deviation(y, scale=1 / 1.4826)
+    clipped = raw[:400].clip_outliers(6)
+    middle = np.median(y[:400])
+    reach = 6 * scipy.stats.median_abs_deviation(y[:400], scale=1 / 1.4826)
+    assert clipped.reading.limits["y"] == pytest.approx((middle - reach, middle + reach))
     assert clipped.y.max() == pytest.approx(middle + reach)
-    np.testing.assert_array_equal(np.delete(clipped.y[:, 0], [50, 420]), np.delete(y, [50, 420]))
-    model = sb.Persistence().fit(clipped[:400])
-    assert model.predict(1, raw[:421], u=U[421:]).y[0, 0] == pytest.approx(middle - reach)
+    np.testing.assert_array_equal(np.delete(clipped.y[:, 0], 50), np.delete(y[:400], 50))
+    for other in (raw.like(clipped), raw.clip_outliers(limits=clipped.reading.limits)):
+        assert other.y[420, 0] == pytest.approx(middle - reach)
+        assert sb.Persistence().fit(clipped).predict(1, other[:421], u=U[421:]).y[0, 0] < 0
 
 
 def test_a_longer_step_is_the_mean_of_the_samples_since_the_last_one() -> None:
     raw = record()[:599]
     coarse = raw.resample(0.5)
-    assert (len(coarse), coarse.sampling_time) == (119, 0.5)
+    assert (len(coarse), coarse.sampling_time, coarse.reading.step) == (119, 0.5, 0.1)
     np.testing.assert_allclose(coarse.y[-1], raw.y[-5:].mean(axis=0))
     assert coarse.start == pytest.approx(raw.time[4 + 4])
     assert coarse.time[-1] == pytest.approx(raw.time[-1])
     model = sb.Mean().fit(coarse)
-    found = model.predict(3, raw[:300], u=U[:3])
+    with pytest.raises(ValueError, match=r"every 0.5 s, got every 0.1 s; Record.like does"):
+        model.predict(3, raw[:300], u=U[:3])
+    found = model.predict(3, raw[:300].like(coarse), u=U[:3])
     assert np.diff(found.time) == pytest.approx([0.5, 0.5])
     assert found.time[0] == pytest.approx(raw.time[299] + 0.5)
 
@@ -97,12 +105,15 @@ def test_a_longer_step_is_the_mean_of_the_samples_since_the_last_one() -> None:
     [
         (lambda r: r.resample(0.25), "sampling_time must be a whole multiple of 0.1 s, got 0.25"),
         (lambda r: r.detrend(2), "order must be 0 .* or 1"),
-        (lambda r: sb.Record(r.y, DT).detrend(1), "without time stamps"),
-        (lambda r: r.detrend(1).resample(0.5), "must be changed before detrend"),
-        (lambda r: sb.Record(r.y, DT, u=r.u).prepared_as(r.detrend(1)), "must have time stamps"),
+        (lambda r: sb.Record(r.y, DT).detrend(1), "must have time stamps"),
+        (lambda r: r.detrend().resample(0.5), "resample must come once, in the order unwrap, "),
+        (lambda r: r.detrend().detrend(), "detrend must come once, .* got it after detrend"),
         (lambda r: r.clip_outliers(0), "deviations must be above 0"),
-        (lambda r: r.detrend().prepared_as(r), "must be prepared like rig, or not at all"),
-        (lambda r: sb.Mean().fit(r.detrend(), r), "must be prepared like the training record"),
+        (lambda r: r.clip_outliers(limits={"y": (3, 1)}), "limits of 'y' must be a lowest and"),
+        (lambda r: r.clip_outliers(limits={"y": 3}), "limits of 'y' must be a lowest and"),
+        (lambda r: r.detrend(levels={"x": 1}), "levels must name one of y, u, got x"),
+        (lambda r: r.detrend(levels={"y": "much"}), "levels must be numbers"),
+        (lambda r: r.detrend(1, levels={"y": 1}), "order must be left out where levels are given"),
     ],
 )
 def test_what_cannot_be_is_named(asked: object, said: str) -> None:

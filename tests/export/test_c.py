@@ -103,7 +103,9 @@ def test_the_simulator_of_a_saved_model_need_not_be_there(tmp_path: Path) -> Non
     compiled, stream = Compiled(tmp_path / "rig.c"), model.stream(record[:20])
     for n in range(20):
         compiled.observe(record.y[n], y_sim=np.sin(0.1 * n))
-    assert compiled.step(1, y_sim=np.sin(2.0)) == pytest.approx(stream.step(), rel=1e-6)
+    assert compiled.step(1, y_sim=np.sin(2.0)) == pytest.approx(
+        stream.step(y_sim=np.sin(2.0)), rel=1e-6
+    )
 
 
 def test_a_hybrid_without_its_equation_is_given_what_that_says(tmp_path: Path) -> None:
@@ -134,43 +136,27 @@ def test_a_hybrid_without_its_equation_is_given_what_that_says(tmp_path: Path) -
         sb.load(tmp_path / "grey").export(tmp_path / "grey.c")
 
 
-def test_a_program_takes_what_is_measured_and_prepares_it(tmp_path: Path) -> None:
-    raw = replace(driven(), start=1000.0)
-    assert raw.u is not None
-    assert raw.y_sim is not None
-    record = raw.detrend(1).clip_outliers(1.5)
-    model = sb.Filtered(None, sb.GRU(5), BANDS, conditioned=True, settings=SHORT).fit(record[:150])
-    in_double(model)
-    model.export(tmp_path / "rig.c")
-    compiled = Compiled(tmp_path / "rig.c")
-    for n in range(150, 190):
-        y = np.full(2, np.nan) if n == 160 else raw.y[n]
-        compiled.observe(y, raw.u[n], raw.y_sim[n])
-    found = [
-        compiled.step(2, u, y_sim) for u, y_sim in zip(raw.u[190:], raw.y_sim[190:], strict=True)
-    ]
-    wanted = model.predict(70, raw[:190], raw.u[190:], raw.y_sim[190:]).y
-    assert np.abs(np.stack(found) - wanted).max() < 1e-9 * np.std(raw.y)
-
-
 def test_a_header_says_what_is_given_and_may_be_nan(tmp_path: Path) -> None:
     record = driven()
+    level = record.resample(2).detrend()
     for each, said in (
         (record, "NaN in y marks a sample that was not measured; u must be finite."),
-        (record.resample(2).detrend(), "as they are measured: before they are detrended\n"),
+        (level, f"y[2]: y0 (minus {level.reading.levels['y0']:.6g}), y1 (minus"),
     ):
-        sb.Linear().fit(each).export(tmp_path / "rig.c")
-        header = (tmp_path / "rig.h").read_text()
-        assert said in header
-        assert "resampled" not in header
+        model = sb.Linear().fit(each)
+        model.export(tmp_path / "rig.c")
+        assert said in (tmp_path / "rig.h").read_text()
+    compiled, u = Compiled(tmp_path / "rig.c"), np.array([0.5, 0.1])
+    np.testing.assert_allclose(compiled.step(2, u), model.predict(1, u=u[None]).y[0], rtol=1e-9)
 
 
-def test_a_history_that_is_too_short_to_go_on_from_is_said(tmp_path: Path) -> None:
-    record = free()
-    model = sb.Single(sb.GRU(3), SHORT).fit(record)
-    with pytest.warns(UserWarning, match=r"needs 20 measured sample\(s\) in a row.*of the history"):
-        model.export(tmp_path / "rig.c", history=record[:10])
-    assert Compiled(tmp_path / "rig.c").call("step", np.zeros(1)) == 1
+def test_a_history_that_does_not_tell_the_state_is_said(tmp_path: Path) -> None:
+    record = driven()
+    never = replace(record[:10], measured=np.array([[True, False]] * 10))
+    model = sb.Persistence().fit(record)
+    with pytest.warns(UserWarning, match=r"needs 1 measured sample\(s\) before .*the history"):
+        model.export(tmp_path / "rig.c", history=never)
+    assert Compiled(tmp_path / "rig.c").call("step", np.zeros(2), np.zeros(2)) == 1
 
 
 def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:

@@ -12,12 +12,12 @@ import pytest
 
 import splitband as sb
 from tests.export.test_grey_box import EQUATIONS, record_of
-from tests.streams import BANDS, SHORT, driven, fitted, free, in_double, rows
+from tests.streams import SHORT, driven, fitted, free, in_double, rows
 
 SPLIT = "split", "split, conditioned, +HP", "split at one rate"
-DRIVEN = "mean", "persistence", "linear", "simulator", "gru", "state-space", *SPLIT, "filtered"
+DRIVEN = "mean", "persistence", "linear", "simulator", "gru", "rnn", "state-space", *SPLIT
 FREE = [f"{name}, no inputs" for name in ("seasonal-naive", "periodic", "gru", "residual")]
-KINDS = (*DRIVEN, "residual of linear", "ensemble", *FREE)
+KINDS = (*DRIVEN, "filtered", "residual of linear", "ensemble", *FREE)
 
 
 def flat(y: Any) -> Any:
@@ -130,29 +130,24 @@ def test_a_file_is_read_by_casadi(tmp_path: Path) -> None:
         np.testing.assert_array_equal(flat(one), flat(other))
 
 
-def test_samples_are_those_that_are_measured() -> None:
-    raw = replace(driven(), start=1000.0)
-    assert raw.u is not None
-    model = sb.Linear().fit(raw.detrend(1)[:150])
-    step, stream = sb.casadi_step(model), model.stream()
+def test_the_slope_of_a_simulator_needs_its_next_sample() -> None:
+    forecaster, record = fitted("filtered, no inputs")
+    assert record.y_sim is not None
+    with pytest.raises(ValueError, match="the simulator's output of the sample after its end"):
+        sb.casadi_step(forecaster)
+    history = replace(record[:150], y_sim=record.y_sim[:160])
+    step, stream = sb.casadi_step(forecaster, history), forecaster.stream(history)
     state = step.state()
-    for u in raw.u[150:200]:
-        state, y = step(state, u)
-        np.testing.assert_allclose(flat(y), stream.step(u), rtol=1e-9)
-    with pytest.raises(ValueError, match="history must be given to casadi_step"):
-        step.state(raw[:190])
+    for n in range(150, 160):
+        state, y = step(state, record.y_sim[n : n + 2].ravel())
+        np.testing.assert_allclose(flat(y), stream.step(y_sim=record.y_sim[n : n + 2]), atol=1e-12)
 
 
-def test_what_has_no_casadi_function_is_named() -> None:
-    record = free()
-    conditioned = sb.Filtered(None, sb.GRU(3), BANDS, conditioned=True, settings=SHORT)
-    rnn = sb.Single(sb.networks.EulerMLP(hidden_size=5, recognition_size=4), SHORT)
-    for model, message in ((conditioned, "looks one sample ahead"), (rnn, "an EulerMLP cannot")):
-        with pytest.raises(ValueError, match=message):
-            sb.casadi_step(model.fit(record[:150]))
-    gru = sb.Single(sb.GRU(3), SHORT).fit(record[:150])
-    with pytest.raises(ValueError, match=r"20 measured sample\(s\) in a row"):
-        sb.casadi_step(gru, record[:5])
+def test_a_history_that_does_not_tell_the_state_is_refused() -> None:
+    record = driven()
+    never = replace(record[:10], measured=np.array([[True, False]] * 10))
+    with pytest.raises(ValueError, match="one measured sample"):
+        sb.casadi_step(sb.Persistence().fit(record[:150]), never)
 
 
 def test_casadi_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -205,19 +205,6 @@ def test_a_late_simulator_runs_on_with_the_inputs_that_are_known_after_the_forec
     assert "ends too early" in str(sb.check(model, whole))
 
 
-@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
-def test_the_stream_of_a_late_simulator_knows_no_inputs_but_those_that_it_was_given() -> None:
-    u = np.random.default_rng(0).normal(size=(300, 1))
-    whole = Record(np.roll(u, -3), DT, u=u)
-    model = sb.Calibrated(sb.Function(lambda time, u: u), terms=["delay"]).fit(whole[:200])
-    stream = model.stream(whole[:210])
-    for n in range(210, 215):
-        stream.observe(whole.y[n], u[n])
-    found = np.stack([stream.step(u[n]) for n in range(215, 220)])
-    expected = [model.predict(n, whole[:215], u=u[215 : 215 + n]).y[-1] for n in range(1, 6)]
-    np.testing.assert_allclose(found, expected)
-
-
 def test_the_stamps_of_another_record_are_not_compared() -> None:
     """Dates in one, seconds in the other."""
     other = replace(record()[:30], start=7.0)

@@ -11,6 +11,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.simulators.open_simulator import simulated
 
 Array = npt.NDArray[np.float64]
 DT, STEPS = 0.1, 80
@@ -126,16 +127,21 @@ def test_a_black_box_is_fitted_to_the_whole_record() -> None:
     assert model.estimate.values == pytest.approx({"k": time @ y / (time @ time)}, rel=1e-3)
 
 
-def test_a_detrended_record_is_refused_beside_a_simulator_of_its_own() -> None:
+def test_a_detrended_record_is_refused_beside_a_simulator_of_its_own(tmp_path: Path) -> None:
     record = sb.Record(3 + np.sin(DT * np.arange(400)), DT, start=0.0)
     alone = sb.Function(lambda t: 3 + np.sin(t))
     fitted = sb.Function(lambda t, u, p: p.a + np.sin(t), parameters={"a": (0.0, 5.0)})
     for model in (sb.Simulation(alone), sb.GreyBox(fitted)):
         with pytest.raises(ValueError, match="record must not be detrended for"):
             model.fit(record.detrend())
-    given = replace(record, y_sim=record.y)
-    found = sb.Simulation().fit(given.detrend()[:300]).predict(3, given[:300], y_sim=record.y[300:])
-    np.testing.assert_allclose(found.y, record.y[300:303])
+        with pytest.raises(ValueError, match="record must not be detrended for"):
+            simulated(record.detrend(), alone)
+    given = replace(record, y_sim=record.y).detrend()
+    model = sb.Simulation().fit(given[:300])
+    np.testing.assert_allclose(model.predict(3, y_sim=given.y[300:]).y, given.y[300:303])
+    model.save(tmp_path / "model")
+    with pytest.raises(ValueError, match="record must not be detrended for simulator"):
+        sb.load(tmp_path / "model", alone)
 
 
 @pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")

@@ -83,8 +83,10 @@ def mean() -> Forecaster:
         (lambda: sb.Linear().fit(plain()), "linear needs known inputs, the record has none"),
         (lambda: SETUP.forecaster("filtered-gru").fit(plain()), "filtered-gru needs a simulator, "),
         (
-            lambda: fitted("residual-euler-mlp").predict(5, interrupted(), np.ones(5), np.ones(5)),
-            "history must have 8 measured samples in a row .*, got 15 samples, of which 14",
+            lambda: fitted("residual-euler-mlp").predict(
+                5, interrupted()[4:11], np.ones(5), np.ones(5)
+            ),
+            "history must have 8 samples for residual-euler-mlp to warm up on, .*, got 7",
         ),
         (lambda: mean().predict(5, untyped(record().y)), "history must be a Record, got ndarray"),
         (lambda: sb.Linear().fit(untyped([record()])), "records must be a Record, got list"),
@@ -154,27 +156,15 @@ def two_inputs() -> Record:
     return Record(y, DT, u, inputs=("a", "b"), start=0.0)
 
 
-@pytest.mark.parametrize(
-    "prepared",
-    [lambda r: r, lambda r: r.detrend(), lambda r: r.detrend(1), lambda r: r.clip_outliers()],
-    ids=["raw", "detrended", "straight lines", "clipped"],
-)
-def test_inputs_of_another_shape_are_refused_whatever_the_preparation(prepared: Any) -> None:
+def test_inputs_of_another_shape_are_refused() -> None:
     known = two_inputs()
     assert known.u is not None
-    ahead, model = known.u[60:70], sb.Linear().fit(prepared(known[:60]))
+    ahead, model = known.u[60:70], sb.Linear().fit(known[:60])
     for wrong in (ahead.T, ahead.ravel(), ahead.reshape(-1, 1)):
         with pytest.raises(ValueError, match=r"u must hold the 10 samples .* in 2 channel\(s\), "):
             model.predict(10, known[:60], u=wrong)
     with pytest.raises(ValueError, match="alone, got the 60 of the history first"):
         model.predict(10, known[:60], u=known.u[:70])
-
-
-def test_a_simulator_s_output_of_another_shape_is_refused_for_a_detrended_model() -> None:
-    known = record()
-    model = sb.Simulation().fit(known[:TRAIN].detrend())
-    with pytest.raises(ValueError, match=r"y_sim must .* in 1 channel\(s\), got \(5, 2\)"):
-        model.predict(5, known[:TRAIN], y_sim=np.ones((5, 2)))
 
 
 def test_the_columns_of_a_table_are_found_by_their_names() -> None:

@@ -16,7 +16,7 @@ from splitband.checks.residuals import (
     ResidualTests,
     residual_tests,
 )
-from splitband.data import Record, require_records
+from splitband.data import Record, check_alike, require_records
 from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import after
@@ -147,7 +147,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     """
     fitted = forecaster.require_fitted()
     require_records("record", record)
-    record = record.prepared_as(fitted.record)
+    check_alike(record, fitted.record, "record")
     free = _free_run(forecaster, record)
     if free is None:
         raise InputError(
@@ -184,7 +184,6 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 
     Returns nothing where `check` would not find enough samples.
     """
-    record = record.prepared_as(forecaster.require_fitted().record)
     free = _free_run(forecaster, record)
     return () if free is None else tests_of(record, free)
 

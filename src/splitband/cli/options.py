@@ -288,6 +288,12 @@ class RecordOptions(FileOptions):
     clip_outliers: str | None = _record(
         "Limit these outputs to five robust deviations from their medians.", "NAMES"
     )
+    resample: float | None = _record(
+        "Take means over this time, a multiple of the sampling time.", "SECONDS", "as measured"
+    )
+    detrend: bool = _record(
+        "Subtract the means of outputs and inputs; results are without them.", default=False
+    )
     sampling_time: float | None = _record(
         "Time between samples, if the time column is missing or can mean two things.", "SECONDS"
     )

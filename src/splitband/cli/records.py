@@ -36,8 +36,8 @@ from splitband.simulators.open_simulator import (
 def load_record(name: str, reading: RecordOptions, like: Forecaster | None = None) -> Record:
     """Return a named record, or read a file, and print its channels and inputs.
 
-    Columns and inputs default to those of the model of --like. Raises ValueError if the record's
-    differ from these.
+    Columns and inputs default to those of the model of --like, and the file is read and prepared
+    like its training record. Raises ValueError if the record's columns or inputs differ from these.
     """
     trained = None if like is None else like.require_fitted().record
     if name in RECORDS:
@@ -61,12 +61,15 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
         record = _read(name, rule, reading, trained, columns=columns or None, inputs=inputs, **how)
         if reading.clip_outliers:
             record = record.clip_outliers(columns=names(reading.clip_outliers))
+        record = record.resample(reading.resample) if reading.resample else record
+        record = record.detrend() if reading.detrend else record
         if record.measured is not None:
             missing = ~record.complete
             printing.console.print(
                 f"{name}: {missing.sum()} of {len(missing)} samples have missing values "
                 f"and are masked: {row_ranges(missing)}"
             )
+    record = record if trained is None else record.like(trained)
     announce(record, name)
     if trained is not None:
         pairs = ((record.columns, trained.columns), (record.inputs, trained.inputs))
@@ -82,7 +85,7 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
 def announce(record: Record, name: str) -> None:
     """Print what a record holds, on one line."""
     printing.console.print(
-        f"{name}: {described(record.columns, record.inputs)}; {len(record)} samples every "
+        f"{name}: {described(*record.labels)}; {len(record)} samples every "
         f"{record.sampling_time:.7g} s"
     )
 
@@ -94,10 +97,13 @@ def _check_file(path: str | Path, rule: str) -> None:
         raise IsADirectoryError(f"{rule}, got the folder {path}")
 
 
-def _layout(files: FileOptions) -> dict[str, Any]:
-    """Return the arguments of `read` that say how a file is laid out."""
+def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
+    """Return the arguments of `read` that say how a file is laid out, by default as a model's."""
     own = FileOptions.__annotations__.keys() - {"time_column", "gaps"}
-    return {name: vars(files)[name] for name in own} | {"missing": names(files.missing or "")}
+    missing = names(files.missing or "")
+    if model is not None and files.missing is None:
+        missing = [*model.reading.missing]
+    return {name: vars(files)[name] for name in own} | {"missing": missing}
 
 
 def _read(
@@ -105,7 +111,7 @@ def _read(
 ) -> Record:
     """Read a file as these options say; the error for a missing column names those of a model."""
     _check_file(path, rule)
-    options |= {"time_column": files.time_column, "gaps": files.gaps, **_layout(files)}
+    options |= {"time_column": files.time_column, "gaps": files.gaps, **_layout(files, model)}
     try:
         return read(path, **options)
     except ColumnError as error:
@@ -116,11 +122,17 @@ def _read(
 
 
 def _beside(
-    path: str | Path, option: str, sampling_time: float, files: FileOptions, **options: Any
+    path: str | Path, option: str, record: Record, files: FileOptions, **options: Any
 ) -> Record:
-    """Read a file that accompanies a record; see `read_beside`."""
+    """Read a file that accompanies a record, not yet prepared like it; see `read_beside`."""
     _check_file(path, f"{option} must be a file")
-    return read_beside(path, sampling_time, files.time_column, **_layout(files), **options)
+    step, options = _step_of(record), options | _layout(files, record)
+    return read_beside(path, step, files.time_column, **options)
+
+
+def _step_of(record: Record) -> float:
+    """Return the sampling time in s at which a record was measured."""
+    return record.reading.step or record.sampling_time
 
 
 def load_further(
@@ -144,9 +156,9 @@ def load_further(
     found = []
     how = {"columns": record.columns, "inputs": record.inputs, "gaps": reading.gaps}
     for i, file in enumerate(files):
-        more = _beside(file, option, record.sampling_time, reading, **how)
+        more = _beside(file, option, record, reading, **how).like(record)
         announce(more, file)
-        more = sampled_like(more.prepared_as(record), record.sampling_time, file)
+        more = sampled_like(more, record.sampling_time, file)
         more = replace(more, name=file if option == "--more" else Path(file).stem)
         if simulators:
             own = replace(options, simulator=simulators[i])
@@ -158,18 +170,19 @@ def load_further(
 
 
 def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -> Record:
-    """Read the measured history that an option names, at the training record's sampling time."""
+    """Read the measured history that an option names, prepared like the training record."""
     record = model.require_fitted().record
     step = record.sampling_time
     try:
         own = {"columns": record.columns, "inputs": record.inputs}
         rule = f"{option} must be a file"
-        past = _read(file, rule, files, record, fallback_sampling_time=step, **own)
+        past = _read(file, rule, files, record, fallback_sampling_time=_step_of(record), **own)
     except ColumnError as error:
         raise ColumnError(
             f"{error}; a simulation begins with {model.warmup or 'some'} measured samples of every "
             "output, from which the state of the model is estimated"
         ) from None
+    past = replace(past, columns=record.columns).like(record)
     announce(past, str(file))
     if not near_sampling(past.sampling_time, step):
         raise InputError(
@@ -181,7 +194,7 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
             f"{file}: no time stamps, the training record has some: taken to begin together; "
             "--time-column names the column"
         )
-    return replace(sampled_like(past, step, str(file)), columns=record.columns)
+    return sampled_like(past, step, str(file))
 
 
 def inputs_ahead(
@@ -209,7 +222,7 @@ def inputs_ahead(
         if named.start is None:
             coming = replace(coming[since:], start=known.grid.after(steps).start)
     else:
-        coming = _beside(file, "--future-inputs", known.sampling_time, files, columns=inputs)
+        coming = _beside(file, "--future-inputs", known, files, columns=inputs)
     return inputs_after(known, coming, steps, f"--future-inputs {file}", files.time_column != "")
 
 

@@ -146,7 +146,9 @@ def predicted(
     with printing.without_warnings():
         found = model.predict(steps, **known)
     write_csv(file, found.to_frame())
-    printing.console.print(f"{steps} samples after {after}: {file}")
+    outputs, _ = model.require_fitted().record.labels
+    units = "" if outputs == [*found.columns] else f"of {', '.join(outputs)} "
+    printing.console.print(f"{steps} samples {units}after {after}: {file}")
     for reason in found.warnings:
         printing.warn(reason)
     return found

@@ -1,16 +1,16 @@
-"""Prepare records: unwrap, detrend, clip, resample. Steps are stored, and undone on predictions."""
+"""Prepare records, and keep what was decided, by which another record is prepared alike."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 import pandas as pd
 
 from splitband.data.plausibility import period_of
-from splitband.data.signals import bare_name, refilled
+from splitband.data.signals import as_float, bare_name, refilled
 from splitband.data.timing import seconds_of, stamp_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -19,231 +19,223 @@ from splitband.runtime.options import saved
 if TYPE_CHECKING:
     from splitband.data.record import Record
 
-Numbers = tuple[float, ...]
+Value = TypeVar("Value")
 Periods: TypeAlias = Mapping[str, float | None] | Sequence[str] | str
 """Angles and counters by name, with their periods or without."""
-What = Literal["y", "u", "y_sim"]
-"""Measured samples, inputs, or a simulator's output, as which the noise-free signal counts, too."""
+Limits: TypeAlias = Mapping[str, tuple[float, float]]
+"""Lowest and highest value of outputs, by name."""
 
 
-class Preparation:
-    """Define the interface of a preparation step; by default it changes nothing."""
-
-    @property
-    def timed(self) -> bool:
-        """Return whether it depends on the time."""
-        return False
-
-    def apply(self, record: Record) -> Record:
-        """Return the prepared record."""
-        time, step = seconds(record), record.sampling_time
-        y = refilled(record.y, self.transform("y", record.y_with_gaps, time))
-        changed: dict[str, Any] = {"y": y}
-        given = signals_of(record)
-        for field in given.keys() - {"y"}:
-            at = time[0] + step * np.arange(len(given[field]))
-            found = self.transform("u" if field == "u" else "y_sim", given[field], at)
-            changed[field] = found if field == "u" else self.beside(y, found)
-        return replace(record, **changed)
-
-    def transform(self, what: What, signal: Array, time: Array) -> Array:
-        """Return a prepared signal, `(time, channels)`, at `time` in s."""
-        return signal
-
-    def beside(self, y: Array, y_sim: Array) -> Array:
-        """Return a simulator's output as it belongs beside these prepared samples."""
-        return y_sim
-
-    def undo(self, what: Literal["y", "u"], signal: Array, time: Array) -> Array:
-        """Undo the step on predictions or inputs, `(time, channels)`, at `time` in s."""
-        return signal
-
-    def counted_from(self, begin: float) -> Preparation:
-        """Return the same step for times counted from `begin`, in seconds."""
-        return self
-
-
-@final
 @saved
 @dataclass(frozen=True)
-class Unwrapped(Preparation):
-    """Let angles and counters go on where they jump by a period; predictions go on, too.
-
-    `periods` and `input_periods` are those of each output and input; 0 where one has none.
-    """
-
-    periods: Numbers
-    input_periods: Numbers = ()
-
-    @classmethod
-    def of(cls, record: Record, periods: Periods) -> Unwrapped:
-        """Return the step for these names of outputs and inputs; see `Record.unwrap`."""
-        given = {periods: None} if isinstance(periods, str) else periods
-        given = given if isinstance(given, Mapping) else dict.fromkeys(given)
-        columns = record.signals
-        found = dict.fromkeys(columns, 0.0)
-        for asked, value in given.items():
-            if not (names := [own for own in columns if asked in (own, bare_name(own))]):
-                rule = f"name an output or input ({', '.join(columns)})"
-                raise InputError(f"unwrap must {rule}, got {asked}")
-            x = columns[names[0]]
-            period = period_of(x) if value is None else value
-            if period is None:
-                raise InputError(
-                    f"unwrap must give the period of {asked!r}, which has no clear jumps, as in "
-                    f"{{{asked!r}: 360}} (--unwrap {asked}=360)"
-                )
-            span = np.nanmax(x) - np.nanmin(x)
-            if not span <= period * (1 + 1e-6) < np.inf:
-                rule = f"give {asked!r} a period of {span:g} at least, which is its range"
-                raise InputError(f"unwrap must {rule}, got {value}")
-            found[names[0]] = float(period)
-        return cls(tuple(found.values())[: record.ny], tuple(found.values())[record.ny :])
-
-    def transform(self, what: What, signal: Array, time: Array) -> Array:
-        """Return a signal without jumps, which begins as it did; NaN stays NaN."""
-        whole = np.array(signal)
-        periods = self.input_periods if what == "u" else self.periods
-        for x, period in zip(whole.T, periods, strict=True):
-            known = np.isfinite(x)
-            x[known] = np.unwrap(x[known], period=period) if period else x[known]
-        return whole
-
-    def beside(self, y: Array, y_sim: Array) -> Array:
-        """Return a simulator's output without jumps, which begins in the turn of the samples."""
-        whole, periods = self.transform("y_sim", y_sim, np.empty(0)), np.array(self.periods)
-        turns = np.round((y[0] - whole[0]) / np.where(periods > 0, periods, 1.0))
-        return np.asarray(whole + periods * turns)
-
-
-@final
-@saved
-@dataclass(frozen=True)
-class Detrended(Preparation):
-    """Remove means, or straight lines over time, from outputs and inputs.
+class Reading:
+    """What reading and preparing a record decided; `Record.like` treats another one by it.
 
     Attributes
     ----------
-    begin : Time in seconds to which the levels refer.
-    levels, slopes : Levels and slopes per second of the outputs, `ny` each.
-    input_levels, input_slopes : The same for the inputs.
+    missing : Words and numbers that stand for a missing value in its file.
+    step : Sampling time in s before `Record.resample`; None without.
+    periods : Periods of the outputs and inputs that `Record.unwrap` lets go on, by name.
+    limits : Lowest and highest value to which `Record.clip_outliers` limits outputs, by name.
+    levels : What `Record.detrend` subtracts from outputs and inputs, by name.
+    slopes : What it subtracts more per second after `begin`, by name; empty for means.
+    begin : Time in s at which straight lines have their levels; for dates since 1970.
     """
 
-    begin: float
-    levels: Numbers
-    slopes: Numbers
-    input_levels: Numbers = ()
-    input_slopes: Numbers = ()
+    missing: tuple[str, ...] = ()
+    step: float | None = None
+    periods: Mapping[str, float] = field(default_factory=dict)
+    limits: Limits = field(default_factory=dict)
+    levels: Mapping[str, float] = field(default_factory=dict)
+    slopes: Mapping[str, float] = field(default_factory=dict)
+    begin: float = 0.0
 
     @property
-    def timed(self) -> bool:
-        """Return whether it removes straight lines."""
-        return any((*self.slopes, *self.input_slopes))
+    def units(self) -> tuple[Any, ...]:
+        """Return what the values of samples depend on; it is the same for records alike."""
+        return self.periods, self.limits, self.levels, self.slopes, self.begin
 
-    @classmethod
-    def of(cls, record: Record, order: int) -> Detrended:
-        """Fit means (order 0) or straight lines (order 1) to a record."""
-        time = seconds(record)
-        begin = float(time[0]) if order else 0.0
-        fits = [
-            _line(time - begin, signal, order)
-            for of in (record.y_with_gaps, record.u)
-            if of is not None
-            for signal in of.T
-        ]
-        levels, slopes = zip(*fits, strict=True)
-        ny = record.ny
-        return cls(begin, levels[:ny], slopes[:ny], levels[ny:], slopes[ny:])
+    def label(self, name: str) -> str:
+        """Return the name of a channel with its unit, as "tank (minus 20.3)"."""
+        said = [f"unwrapped by {self.periods[name]:.6g}"] if name in self.periods else []
+        if name in self.limits:
+            said.append("limited from {:.6g} to {:.6g}".format(*self.limits[name]))
+        if name in self.levels:
+            said.append(f"minus {self.levels[name]:.6g}")
+        if name in self.slopes:
+            said[-1] += f" and {self.slopes[name]:.6g} per s after {self.begin:.10g} s"
+        return f"{name} ({', '.join(said)})" if said else name
 
-    def transform(self, what: What, signal: Array, time: Array) -> Array:
-        """Return a signal without its trend."""
-        return signal - self._lines(what, time)
-
-    def undo(self, what: Literal["y", "u"], signal: Array, time: Array) -> Array:
-        """Return a signal with its trend."""
-        return signal + self._lines(what, time)
-
-    def counted_from(self, begin: float) -> Detrended:
-        """Return the same trend for times counted from `begin`."""
-        return replace(self, begin=self.begin - begin)
-
-    def _lines(self, what: What, time: Array) -> Array:
-        """Return the straight lines of a signal at `time`, `(time, channels)`."""
-        of_inputs = self.input_levels, self.input_slopes
-        levels, slopes = of_inputs if what == "u" else (self.levels, self.slopes)
-        if not any(slopes):
-            return np.array([levels])
-        return np.array(levels) + (time - self.begin)[:, None] * np.array(slopes)
+    def __str__(self) -> str:
+        """Return the channels that are not as they were measured."""
+        names = dict.fromkeys([*self.periods, *self.limits, *self.levels])
+        return ", ".join(map(self.label, names)) or "as it was measured"
 
 
-@final
-@saved
-@dataclass(frozen=True)
-class Clipped(Preparation):
-    """Limit each output to a range.
+def decided(record: Record, method: str, **found: Any) -> Reading:
+    """Return what was decided for a record, and what a method of it has found.
 
-    `low` and `high` hold the limits of each output.
+    Raises ValueError for a method that has to come before what was done already.
     """
+    reading = record.reading
+    done = {"unwrap": reading.periods, "clip_outliers": reading.limits}
+    done |= {"resample": reading.step or {}, "detrend": reading.levels}
+    for later in [*done][[*done].index(method) :]:
+        if done[later]:
+            raise InputError(
+                f"{method} must come once, in the order {', '.join(done)}, got it after {later}"
+            )
+    return replace(reading, **found)
 
-    low: Numbers
-    high: Numbers
 
-    @classmethod
-    def of(cls, record: Record, deviations: float, columns: Sequence[str]) -> Clipped:
-        """Return limits of `deviations` robust standard deviations around the medians of columns.
+def of_channels(what: str, given: Mapping[str, Value], names: Sequence[str]) -> dict[str, Value]:
+    """Return values by the names of channels, which may be given without their units.
 
-        Others have none.
-        """
-        seen = record.y_with_gaps
-        middle = np.nanmedian(seen, axis=0)
+    Raises ValueError for a name that is not one of `names`.
+    """
+    found = dict[str, Value]()
+    for asked, value in given.items():
+        own = [asked] if asked in names else [name for name in names if bare_name(name) == asked]
+        if not own:
+            raise InputError(f"{what} must name one of {', '.join(names)}, got {asked}")
+        found |= dict.fromkeys(own, value)
+    return found
+
+
+def periods_of(record: Record, asked: Periods) -> dict[str, float]:
+    """Return the periods of angles and counters by name, where they are not given as they jump."""
+    given = [asked] if isinstance(asked, str) else asked
+    given = given if isinstance(given, Mapping) else dict.fromkeys(given)
+    signals, found = record.signals, dict[str, float]()
+    for name, value in of_channels("unwrap", given, [*signals]).items():
+        x = signals[name]
+        period = period_of(x) if value is None else value
+        if period is None:
+            raise InputError(
+                f"unwrap must give the period of {name!r}, which has no clear jumps, as in "
+                f"{{{name!r}: 360}} (--unwrap {bare_name(name)}=360)"
+            )
+        span = np.nanmax(x) - np.nanmin(x)
+        if not span <= period * (1 + 1e-6) < np.inf:
+            rule = f"give {name!r} a period of {span:g} at least, which is its range"
+            raise InputError(f"unwrap must {rule}, got {value}")
+        found[name] = float(period)
+    return found
+
+
+def limits_of(record: Record, deviations: float, columns: Sequence[str]) -> Limits:
+    """Return limits of `deviations` robust standard deviations around the medians of outputs."""
+    signals, found = record.signals, dict[str, tuple[float, float]]()
+    for name in of_channels("clip_outliers", dict.fromkeys(columns), record.columns):
+        middle = np.nanmedian(signals[name])
         # The factor turns the median deviation into the standard deviation of a Gaussian.
-        reach = deviations * 1.4826 * np.nanmedian(abs(seen - middle), axis=0)
-        chosen = np.array([bool({name, bare_name(name)} & {*columns}) for name in record.columns])
-        reach = np.where(chosen & (reach > 0), reach, np.inf)
-        return cls(tuple(map(float, middle - reach)), tuple(map(float, middle + reach)))
-
-    def transform(self, what: What, signal: Array, time: Array) -> Array:
-        """Return measured samples limited to the range; NaN stays NaN."""
-        if what != "y":
-            return signal
-        clipped = np.clip(signal, np.array(self.low), np.array(self.high))
-        return np.where(np.isnan(signal), signal, clipped)
+        reach = deviations * 1.4826 * np.nanmedian(abs(signals[name] - middle))
+        if reach > 0:
+            found[name] = float(middle - reach), float(middle + reach)
+    return found
 
 
-@final
-@saved
-@dataclass(frozen=True)
-class Resampled(Preparation):
-    """Replace every `factor` samples by the mean of those measured, without looking ahead.
+def limits_given(name: str, given: Any) -> tuple[float, float]:
+    """Return the lowest and highest value of an output; raises ValueError for anything else."""
+    found = np.ravel(np.asarray(given, dtype=object))
+    if len(found) != 2 or not (low := as_float(found[0])) < (high := as_float(found[1])):
+        raise InputError(f"limits of {name!r} must be a lowest and a highest value, got {given}")
+    return low, high
 
-    Samples that are too few for a mean are dropped at the beginning of the record. The time stamp
-    of a mean is that of its last sample. Predictions, and the inputs given for them, have the new
-    sampling time.
 
-    `factor` is the number of samples per mean.
-    """
+def lines_of(record: Record, order: int) -> dict[str, Any]:
+    """Return what `detrend` decides: means (order 0), or straight lines (order 1) over time."""
+    time, levels, slopes = seconds(record), dict[str, float](), dict[str, float]()
+    for name, x in record.signals.items():
+        known = ~np.isnan(x)
+        if order:
+            slopes[name], levels[name] = map(
+                float, np.polyfit((time - time[0])[known], x[known], 1)
+            )
+        else:
+            levels[name] = float(x[known].mean())
+    return {"levels": levels, "slopes": slopes, "begin": float(time[0]) if order else 0.0}
 
-    factor: int
 
-    def apply(self, record: Record) -> Record:
-        """Return the resampled record."""
-        k = self.factor
-        if len(record) < 2 * k:
-            raise InputError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
-        first = len(record) % k
-        changed: dict[str, Any] = {}
-        for field, signal in signals_of(record).items():
-            kept = signal[first : len(signal) - (len(signal) - first) % k]
-            changed[field] = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
-        if record.measured is not None:
-            known = record.y_with_gaps[first:].reshape(-1, k, record.ny)
-            count = np.isfinite(known).sum(axis=1)
-            means = np.nansum(known, axis=1) / np.maximum(count, 1)
-            changed |= {"y": np.where(count > 0, means, changed["y"]), "measured": count > 0}
-        step, start = record.sampling_time, record.start
-        if start is not None:
-            start = stamp_after(start, (first + k - 1) * step)
-        return replace(record, sampling_time=k * step, start=start, **changed)
+def unwrapped(record: Record, periods: Mapping[str, float]) -> Record:
+    """Return a record without jumps by these periods; see `Record.unwrap`."""
+    first = dict(zip(record.columns, record.y[0], strict=True))
+
+    def change(kind: str, name: str, x: Array) -> Array:
+        if name not in periods:
+            return x
+        whole = going_on(x, periods[name])
+        return in_turn(whole, first[name], periods[name]) if kind in ("y_sim", "y_true") else whole
+
+    return _changed(record, change, decided(record, "unwrap", periods=periods))
+
+
+def going_on(x: Array, period: float) -> Array:
+    """Return an angle or counter, `(time,)`, without jumps, which begins as it did."""
+    whole, known = np.array(x), np.isfinite(x)
+    whole[known] = np.unwrap(x[known], period=period)
+    return whole
+
+
+def in_turn(x: Array, beside: float, period: float) -> Array:
+    """Return an angle or counter, `(time,)`, that begins in the turn of another value."""
+    return np.asarray(x + period * np.round((beside - x[0]) / period))
+
+
+def clipped(record: Record, limits: Limits) -> Record:
+    """Return a record whose measured samples are limited; see `Record.clip_outliers`."""
+
+    def change(kind: str, name: str, x: Array) -> Array:
+        return np.clip(x, *limits[name]) if kind == "y" and name in limits else x
+
+    return _changed(record, change, decided(record, "clip_outliers", limits=limits))
+
+
+def detrended(
+    record: Record, levels: Mapping[str, float], slopes: Mapping[str, float], begin: float
+) -> Record:
+    """Return a record without levels, and without straight lines; see `Record.detrend`."""
+    if slopes and record.start is None:
+        raise InputError(
+            f"{record.name or 'the record'} must have time stamps for straight lines over time, "
+            "or nothing tells where on them it is"
+        )
+    since, step = seconds(record)[0] - begin, record.sampling_time
+
+    def change(kind: str, name: str, x: Array) -> Array:
+        rise = slopes.get(name, 0.0) * (since + step * np.arange(len(x)))
+        return x - (levels.get(name, 0.0) + rise)
+
+    reading = decided(record, "detrend", levels=levels, slopes=slopes, begin=begin)
+    return _changed(record, change, reading)
+
+
+def resampled(record: Record, k: int) -> Record:
+    """Return a record of the means of each `k` samples; see `Record.resample`."""
+    if len(record) < 2 * k:
+        raise InputError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
+    step, first = record.sampling_time, len(record) % k
+    changed: dict[str, Any] = {"reading": decided(record, "resample", step=step)}
+    for name, signal in signals_of(record).items():
+        kept = signal[first : len(signal) - (len(signal) - first) % k]
+        changed[name] = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
+    if record.measured is not None:
+        known = record.y_with_gaps[first:].reshape(-1, k, record.ny)
+        count = np.isfinite(known).sum(axis=1)
+        means = np.nansum(known, axis=1) / np.maximum(count, 1)
+        changed |= {"y": np.where(count > 0, means, changed["y"]), "measured": count > 0}
+    if record.start is not None:
+        changed["start"] = stamp_after(record.start, (first + k - 1) * step)
+    return replace(record, sampling_time=k * step, **changed)
+
+
+def check_level(record: Record, name: str) -> None:
+    """Raise ValueError for a detrended record, whose level a simulator that is run cannot have."""
+    if record.reading.levels:
+        raise InputError(
+            f"the record must not be detrended for {name}, whose simulator runs at the measured "
+            "level; output that is given with the record (y_sim) is detrended as well"
+        )
 
 
 def signals_of(record: Record) -> dict[str, Array]:
@@ -259,10 +251,14 @@ def seconds(record: Record) -> Array:
     return np.asarray(begin + record.sampling_time * np.arange(float(len(record))))
 
 
-def _line(time: Array, signal: Array, order: int) -> tuple[float, float]:
-    """Fit the level and slope of the measured samples."""
-    known = ~np.isnan(signal)
-    if not order:
-        return float(signal[known].mean()), 0.0
-    slope, level = np.polyfit(time[known], signal[known], 1)
-    return float(level), float(slope)
+def _changed(
+    record: Record, change: Callable[[str, str, Array], Array], reading: Reading
+) -> Record:
+    """Return a record with each column changed, by its field and name; NaN must stay NaN."""
+    new = dict[str, Array]()
+    for kind, signal in (signals_of(record) | {"y": record.y_with_gaps}).items():
+        names = record.inputs if kind == "u" else record.columns
+        columns = [change(kind, name, x) for name, x in zip(names, signal.T, strict=True)]
+        new[kind] = np.column_stack(columns)
+    whole: Any = new | {"y": refilled(record.y, new["y"])}
+    return replace(record, reading=reading, **whole)

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
-from splitband.data.preparation import Periods
+from splitband.data.preparation import Periods, Reading
 from splitband.data.record import Record
 from splitband.data.remedies import Table, check_other_clock
 from splitband.data.signals import (
@@ -169,7 +169,8 @@ def read(  # noqa: PLR0913
         names = (_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured)
         called = path.stem.removesuffix(".csv") if frame is None else ""
         named = {"columns": names, "inputs": tuple(picked.known), "name": called}
-        record = Record.with_gaps(y, spaced.step, u=u, start=spaced.start, **named)
+        how = {"start": spaced.start, "reading": Reading(missing=words)}
+        record = Record.with_gaps(y, spaced.step, u=u, **named, **how)
         record = record.unwrap(unwrap) if unwrap else record
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error

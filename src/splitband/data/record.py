@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,17 +13,23 @@ import pandas as pd
 
 from splitband.data.plausibility import warnings_of
 from splitband.data.preparation import (
-    Clipped,
-    Detrended,
+    Limits,
     Periods,
-    Preparation,
-    Resampled,
-    Unwrapped,
+    Reading,
+    clipped,
+    detrended,
+    limits_given,
+    limits_of,
+    lines_of,
+    of_channels,
+    periods_of,
+    resampled,
     signals_of,
+    unwrapped,
 )
 from splitband.data.signals import (
     ReadingWarning,
-    bare_name,
+    as_float,
     channel_names,
     described,
     filled,
@@ -75,8 +80,8 @@ class Record:
         every comparison. None: everywhere.
     start : time stamp of the first sample, seconds or a date. None for a record without time
         stamps: other signals are then assumed to begin with it.
-    prepared : the steps of `unwrap`, `detrend`, `clip_outliers` and `resample` so far, in their
-        order.
+    reading : what reading, `unwrap`, `clip_outliers`, `resample` and `detrend` have decided:
+        periods, limits, step and levels, in which units the samples are.
     simulator : description of the simulator that computed y_sim, where splitband ran it: a saved
         model knows it again by it.
 
@@ -104,7 +109,7 @@ class Record:
     inputs: tuple[str, ...] = ()
     measured: Flags | None = None
     start: Stamp | None = None
-    prepared: tuple[Preparation, ...] = ()
+    reading: Reading = field(default_factory=Reading)
     simulator: Any = None
 
     def __post_init__(self) -> None:
@@ -223,61 +228,45 @@ class Record:
     def unwrap(self, periods: Periods) -> Record:
         """Return the record with angles and counters that go on where they jump.
 
-        A model of the record does the same with a history. Its predictions go on beyond a turn, and
-        a stream takes and returns values that do.
+        Predictions of a model go on beyond a turn, too. It comes before all other preparation.
 
         Parameters
         ----------
         periods : Periods of outputs and inputs, by name: {"heading": 360}. None, or a name alone,
-            takes the period that the jumps show.
+            takes the period that the jumps show, which `reading.periods` reports.
         """
-        if self.prepared:
-            raise InputError("unwrap must come before detrend, clip_outliers and resample")
-        return self._with(Unwrapped.of(self, periods))
+        return unwrapped(self, periods_of(self, periods))
 
-    def detrend(self, order: int = 0) -> Record:
-        """Return the record without the means, or straight lines, of its outputs and inputs.
-
-        A model of the record stores them. It subtracts them from a raw history, and adds them to
-        the prediction.
+    def clip_outliers(
+        self,
+        deviations: float = 5.0,
+        columns: Sequence[str] | None = None,
+        limits: Limits | None = None,
+    ) -> Record:
+        """Return the record with outputs limited to a range, which `reading.limits` reports.
 
         Parameters
         ----------
-        order : 0 for means, 1 for straight lines, which needs time stamps.
-        """
-        if order not in (0, 1):
-            raise InputError(f"order must be 0 (means) or 1 (straight lines), got {order}")
-        if order and self.start is None:
-            raise InputError(
-                "order must be 0 for a record without time stamps, where nothing tells how far "
-                f"along a line a part of it lies, got {order}"
-            )
-        return self._with(Detrended.of(self, order))
-
-    def clip_outliers(
-        self, deviations: float = 5.0, columns: Sequence[str] | None = None
-    ) -> Record:
-        """Return the record with outputs, or those named, limited around their medians.
-
-        The limits are `deviations` deviations away, each 1.4826 times the median absolute
-        deviation, which is robust to outliers. A model of the record applies the same limits to a
-        history, but not to predictions.
+        deviations : Distance of the limits from the median, in deviations, each 1.4826 times the
+            median absolute deviation, which is robust to outliers.
+        columns : The outputs to limit, by default all.
+        limits : Lowest and highest values by name, such as those of another record; then
+            `deviations` and `columns` do not count.
         """
         if not deviations > 0:
             raise InputError(f"deviations must be above 0, got {deviations}")
-        columns = self.columns if columns is None else columns
-        if unknown := {*columns} - {*self.columns, *map(bare_name, self.columns)}:
-            raise InputError(
-                f"columns must be outputs ({', '.join(self.columns)}), got {unknown.pop()}"
-            )
-        return self._with(Clipped.of(self, deviations, columns))
+        if limits is None:
+            columns = self.columns if columns is None else columns
+            return clipped(self, limits_of(self, deviations, columns))
+        given = of_channels("limits", limits, self.columns)
+        return clipped(self, {name: limits_given(name, each) for name, each in given.items()})
 
     def resample(self, sampling_time: float) -> Record:
         """Return the record with a longer sampling time, a multiple of its own.
 
         Each new sample is the mean of the measured samples since the previous one, so nothing looks
-        ahead; without any, it is not measured. A model of the record resamples a history in the
-        same way, and predicts at the new step.
+        ahead; without any, it is not measured. Samples that are too few for a mean are dropped at
+        the beginning. The time stamp of a mean is that of its last sample.
         """
         factor = round(positive_seconds(sampling_time) / self.sampling_time)
         if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):
@@ -285,48 +274,71 @@ class Record:
                 f"sampling_time must be a whole multiple of {self.sampling_time:g} s, "
                 f"got {sampling_time:g}"
             )
-        if factor > 1 and any(step.timed for step in self.prepared):
+        return resampled(self, factor) if factor > 1 else self
+
+    def detrend(self, order: int = 0, levels: Mapping[str, float] | None = None) -> Record:
+        """Return the record without the means, or straight lines, of its outputs and inputs.
+
+        A model of the record takes and returns samples without them. `reading.levels` reports them,
+        and `like` subtracts the same from another record.
+
+        Parameters
+        ----------
+        order : 0 for means, 1 for straight lines, which needs time stamps.
+        levels : What to subtract, by the names of outputs and inputs; by default their means.
+        """
+        if order not in (0, 1):
+            raise InputError(f"order must be 0 (means) or 1 (straight lines), got {order}")
+        if levels is None:
+            return detrended(self, **lines_of(self, order))
+        if order:
+            raise InputError(f"order must be left out where levels are given, got {order}")
+        given = of_channels("levels", levels, [*self.signals])
+        found = {name: as_float(level) for name, level in given.items()}
+        if np.isnan([*found.values()]).any():
+            raise InputError(f"levels must be numbers, got {levels}")
+        return detrended(self, found, {}, 0.0)
+
+    def like(self, other: Record) -> Record:
+        """Return the record, as it was measured, prepared like another one.
+
+        It is unwrapped, limited, resampled and detrended by what the `reading` of the other record
+        says, as the training record of a model, `model.fitted.record`, which takes a history in
+        its own units and step alone.
+
+        Raises ValueError if it has been prepared differently before, or lacks the time stamps of
+        straight lines.
+        """
+        found, wanted = self, other.reading
+        named = (self.columns, other.columns), (self.inputs, other.inputs)
+        if all(same_names(*names) for names in named):
+            found = replace(self, columns=other.columns, inputs=other.inputs)
+        if self.reading.units not in (Reading().units, wanted.units):
             raise InputError(
-                "sampling_time must be changed before detrend(1): straight lines over time are "
-                f"those of single samples, not of means, got {sampling_time:g}"
+                f"{self.name or 'the record'} must be given as it was measured, to be prepared "
+                f"like {other.name or 'the other'} ({wanted}), got {self.reading}"
             )
-        return self._with(Resampled(factor)) if factor > 1 else self
+        alike = self.reading.units == wanted.units
+        found = found if alike or not wanted.periods else unwrapped(found, wanted.periods)
+        found = found if alike or not wanted.limits else clipped(found, wanted.limits)
+        if wanted.step is not None and not near_sampling(self.sampling_time, other.sampling_time):
+            found = found.resample(other.sampling_time)
+        if alike or not wanted.levels:
+            return found
+        return detrended(found, wanted.levels, wanted.slopes, wanted.begin)
 
     @property
-    def detrended(self) -> bool:
-        """Return whether its means or straight lines have been removed."""
-        return any(isinstance(step, Detrended) for step in self.prepared)
-
-    def prepared_as(self, other: Record) -> Record:
-        """Return the record prepared like another one.
-
-        Raises ValueError if it has been prepared differently before.
-        """
-        if self.prepared == other.prepared:
-            return self
-        if self.prepared:
-            raise InputError(
-                f"{self.name or 'the record'} must be prepared like {other.name or 'the other'}, "
-                "or not at all (unwrap, detrend, clip_outliers, resample)"
-            )
-        if self.start is None and any(step.timed for step in other.prepared):
-            raise InputError(
-                f"{self.name or 'the record'} must have time stamps: straight lines over time were "
-                f"removed from {other.name or 'the other'}, and nothing tells where on them it is"
-            )
-        return functools.reduce(Record._with, other.prepared, self)
-
-    def _with(self, step: Preparation) -> Record:
-        return replace(step.apply(self), prepared=(*self.prepared, step))
+    def labels(self) -> tuple[list[str], list[str]]:
+        """Return the names of outputs and of inputs with their units, as "tank (minus 20.3)"."""
+        return [*map(self.reading.label, self.columns)], [*map(self.reading.label, self.inputs)]
 
     def __repr__(self) -> str:
         missing = int((~self.complete).sum())
         parts = [
             f"{len(self)} samples every {self.sampling_time:.6g} s",
-            described(self.columns, self.inputs),
+            described(*self.labels),
             *([f"{missing} with gaps"] if missing else []),
             *(["a simulator's output"] if self.y_sim is not None else []),
-            *(type(step).__name__.lower() for step in self.prepared),
         ]
         return f"<Record {self.name or 'without a name'}: {'; '.join(parts)}>"
 
@@ -403,8 +415,8 @@ def require_records(what: str, *given: Any) -> None:
 def check_alike(other: Record, record: Record, name: str) -> None:
     """Check that another record, called `name` in messages, can be of the same system.
 
-    Raises ValueError if the number, names or order of channels or inputs differ, or the
-    preparation, or the sampling time by more than 1 %. Default names match any others.
+    Raises ValueError if the number, names or order of channels or inputs differ, or the units
+    (`Reading`), or the sampling time by more than 1 %. Default names match any others.
     """
     if (other.ny, other.nu) != (record.ny, record.nu):
         raise InputError(
@@ -419,13 +431,15 @@ def check_alike(other: Record, record: Record, name: str) -> None:
                 f"{what} of {name} must be {order} of the training record, "
                 f"{', '.join(known)}, got {', '.join(names)}"
             )
-    if other.prepared != record.prepared:
+    way_out = "; Record.like does that: history.like(model.fitted.record)"
+    if other.reading.units != record.reading.units:
         raise InputError(
-            f"{name} must be prepared like the training record: use prepared_as (unwrap, "
-            "detrend, clip_outliers, resample)"
+            f"{name} must be prepared like the training record, {record.reading}, got "
+            f"{other.reading}{way_out}"
         )
     if not near_sampling(other.sampling_time, record.sampling_time):
         raise InputError(
             f"{name} must be sampled like the training record, every {record.sampling_time:g} s, "
             f"got every {other.sampling_time:g} s"
+            + ("" if record.reading.step is None else way_out)
         )

@@ -38,9 +38,10 @@ def _header(program: Program, precision: Precision) -> str:
         for leaf in program.leaves
         if leaf.begun.size
     ] or ["    char nothing;"]
-    signals = [f"y[{record.ny}]: {', '.join(record.columns)}"]
+    outputs, inputs = record.labels
+    signals = [f"y[{record.ny}]: {', '.join(outputs)}"]
     if "u" in program.given:
-        signals.append(f"u[{record.nu}]: {', '.join(record.inputs)}")
+        signals.append(f"u[{record.nu}]: {', '.join(inputs)}")
     if "y_sim" in program.given:
         shape = [*program.given["y_sim"]]
         both = ", then of the next one" * (shape[0] > 1)

@@ -129,7 +129,13 @@ def _ready(stream: Stream) -> State:
     u = np.zeros(stream.nu) if stream.nu else None
     simulated = np.zeros((1 + stream.steps.ahead, stream.ny)) if stream.steps.simulated else None
     stream.copy().step(u, simulated)
-    return stream.steps.warmed_up(stream.state)
+    state = stream.steps.warmed_up(stream.state)
+    if any(np.isnan(leaf).any() for leaf in leaves(state)):
+        raise InputError(
+            f"history must bring the simulator's output of the sample after its end for "
+            f"{stream.name}, whose slope needs it: a record whose y_sim is longer"
+        )
+    return state
 
 
 def _vector(state: State, kept: Sequence[int]) -> Array:

@@ -159,24 +159,25 @@ def port_name(label: str) -> str:
 def _numbers(program: Program) -> list[Variable]:
     """Return the real variables: outputs, inputs, the simulator's output, measured samples."""
     record, names = program.record, PortNames()
-    y, u = program.usual()
+    outputs, inputs = record.labels
 
     def channels(ending: str, description: str) -> list[Variable]:
+        listed = zip(record.columns, outputs, record.y[-1], record.units, strict=True)
         return [
-            Variable(names.new(each, ending), "input", f"{each}: {description}", float(start), unit)
-            for each, start, unit in zip(record.columns, y, record.units, strict=True)
+            Variable(names.new(each, ending), "input", f"{said}: {description}", float(start), unit)
+            for each, said, start, unit in listed
         ]
 
     found = [
-        Variable(names.new(each), "output", f"{each}: predicted, or as observed", None, unit, each)
-        for each, unit in zip(record.columns, record.units, strict=True)
+        Variable(names.new(each), "output", f"{said}: predicted, or as observed", None, unit, each)
+        for each, said, unit in zip(record.columns, outputs, record.units, strict=True)
     ]
-    if "u" in program.given:
+    if "u" in program.given and record.u is not None:
         found += [
             Variable(
-                names.new(each), "input", f"{each}: known input", float(start), unit_of(each), each
+                names.new(each), "input", f"{said}: known input", float(start), unit_of(each), each
             )
-            for each, start in zip(record.inputs, u, strict=True)
+            for each, said, start in zip(record.inputs, inputs, record.u[-1], strict=True)
         ]
     if "y_sim" in program.given:
         said = {

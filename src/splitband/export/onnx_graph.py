@@ -265,6 +265,7 @@ def _model(graph: Any, program: Program) -> bytes:
         "sampling_time": repr(float(record.sampling_time)),
         "columns": ",".join(record.columns),
         "inputs": ",".join(record.inputs),
+        "units": str(record.reading),
     }
     helper.set_model_props(model, facts)
     onnx.checker.check_model(model)

@@ -66,11 +66,6 @@ class Program:
             return f"{self.needed} sample(s) must then be observed before a step"
         return "in the model's initial state, and a step needs no observed sample"
 
-    def usual(self) -> tuple[Array, Array]:
-        """Return the record's last outputs `(ny,)` and inputs `(nu,)`."""
-        record = self.record
-        return record.y[-1], np.zeros(0) if record.u is None else record.u[-1]
-
 
 def program(
     forecaster: Forecaster, name: str, history: Record | None = None, other_record: bool = False
@@ -80,10 +75,8 @@ def program(
     Raises ValueError, naming the forecaster, if it cannot be exported.
     """
     steps = forecaster.steps()
-    record, state = (
-        forecaster.require_fitted().record,
-        begun(steps, forecaster, history, other_record),
-    )
+    record = forecaster.require_fitted().record
+    state = begun(steps, forecaster, history, other_record)
     cleared = steps.begin(None)
     given = {
         "y": (record.ny,),

@@ -28,8 +28,6 @@ from splitband.forecasters.prediction import (
     by_name,
     known_of,
     predicted,
-    prepared_like,
-    seconds_after,
 )
 from splitband.forecasters.saving import Saved, save
 from splitband.forecasters.steps import NotSteppedError, Steps
@@ -260,9 +258,9 @@ class Forecaster(WithRepr, Saved, ABC):
         steps : Number of samples.
         history : Measured samples up to the origin; by default the (first) training record. The
             initial state of the forecast is estimated from them. Its time stamps are compared with
-            those of the training record; without time stamps both are taken to begin together.
-            Where the training record was detrended, clipped or resampled and the history was not,
-            the same is done to the history and the inputs, and undone on the prediction.
+            those of the training record; without time stamps both are taken to begin together. It
+            must be in the units and at the step of the training record, see `Record.like`; so are
+            inputs and prediction.
         u : Known inputs of the forecast samples, `(steps or more, nu)`; required where the record
             has inputs. The columns of a DataFrame are found by their names, here and in `y_sim`.
         y_sim : Simulator output of the forecast samples, `(steps or more, ny)`; by default the
@@ -302,10 +300,6 @@ class Forecaster(WithRepr, Saved, ABC):
         for named in [fitted.record] if history is None else [fitted.record, history]:
             u = by_name("u", u, named.inputs)
             y_sim = by_name("y_sim", y_sim, named.columns)
-        if history is not None and history.prepared != fitted.record.prepared:
-            prepared, u, y_sim = prepared_like(fitted.record, history, steps, u, y_sim)
-            found = self.predict(steps, prepared, u, y_sim, level, other_record)
-            return found.restored(fitted.record.prepared, seconds_after(prepared, steps))
         known = known_of(self, steps, history, other_record, u, y_sim)
         prediction = predicted(self, known, fitted.record if history is None else history)
         if level is not None:
@@ -323,7 +317,8 @@ class Forecaster(WithRepr, Saved, ABC):
 
         Parameters
         ----------
-        history, other_record : See `predict`.
+        history, other_record : See `predict`. Samples are in the units and at the step of the
+            training record.
 
         Raises
         ------

@@ -10,9 +10,9 @@ from typing import Any, Unpack, final
 import numpy as np
 
 from splitband.data import Record
+from splitband.data.preparation import check_level
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
-from splitband.forecasters.simulation import check_level
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, State, Steps
 from splitband.metrics import rmse
 from splitband.runtime.arrays import Array

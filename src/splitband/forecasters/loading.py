@@ -9,6 +9,7 @@ from typing import Any
 
 from splitband.data import Record
 from splitband.data.alignment import log
+from splitband.data.preparation import check_level
 from splitband.forecasters import (  # noqa: F401  what can be loaded is defined there
     baselines,
     ensemble,
@@ -112,7 +113,8 @@ def _of_result(folder: Path) -> Path:
 def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
     """Set the simulator of a forecaster, with a warning if it differs from the saved one.
 
-    Raises ValueError if it begins at another time.
+    Raises ValueError if it begins at another time, and for one that was run beside a record that
+    was then detrended.
     """
     given = [*simulations(forecaster)]
     if not given:
@@ -122,6 +124,7 @@ def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
         other = simulator
         if each.simulator is None and each.fitted is not None:  # it was run beside the record
             record = each.fitted.record
+            check_level(record, each.name)
             other = matched(simulator, record.columns, record.inputs)
         if (saved := description_of(each)) is not None:
             differences.append(saved.difference(other))

@@ -350,6 +350,8 @@ class Network(Forecaster):
         except ValueError as error:
             raise NotSteppedError(f"{self.name} cannot be stepped: {error}") from None
         base = self._fitted_base
+        if base is not None and base.random:
+            raise NotSteppedError(f"{self.name} cannot be stepped: its base is a network")
         return NetworkSteps(self, model, None if base is None else base.steps_as_base())
 
     def describe(self) -> str:
@@ -373,9 +375,7 @@ class Network(Forecaster):
             return None
         if not isinstance(start, type(self)) or start.model is None:
             raise InputError(f"start must be a trained {self.name}, got {start!r}")
-        # Levels that were removed from its record may differ a little.
-        seen = replace(start.require_fitted().record, prepared=record.prepared)
-        check_alike(seen, record, "start")
+        check_alike(start.require_fitted().record, record, "start")
         return start
 
     def _seen(self, records: Sequence[Record], start: Self | None, how: Training) -> list[Record]:
@@ -487,8 +487,9 @@ class Network(Forecaster):
             assert self._prehistory is not None
             slow = None if base is None else base.trajectory(whole)
             return *self._prehistory.completed(self._trained(), y, u, slow), 0
-        measured = np.asarray(~np.isnan(y))
-        last = samples - int(measured.any(axis=1)[::-1].argmax()) if measured.any() else 0
+        measured = np.asarray(np.isfinite(y))
+        seen = np.asarray(measured.any(axis=1))
+        last = samples - int(seen[::-1].argmax()) if seen.any() else 0
         if last < length:
             raise InputError(
                 f"history must have {length} samples for {self.name} to warm up on, up to the last "

@@ -8,12 +8,12 @@ import numpy as np
 
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import DelayLine, State, Steps
-from splitband.models.stepping import Stepped
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond
 
 if TYPE_CHECKING:
     from splitband.forecasters.network import Network
+    from splitband.models.stepping import Stepped
 
 
 @final
@@ -46,21 +46,25 @@ class NetworkSteps(Steps):
             y, inputs, base, free = self.network.warmed_up(history, self.ahead)
             u = u if inputs is None else inputs
             slow = slow if base is None else base
-        missing = length + free + self.ahead - len(slow)  # where the output ends with the history
-        slow = np.concatenate([slow, np.repeat(slow[-1:], max(missing, 0), axis=0)])
+        # Where the output ends with the history, the next sample is given with the first `advance`.
+        unknown = max(length + free + self.ahead - len(slow), 0)
+        slow = np.concatenate([slow, np.repeat(slow[-1:], unknown, axis=0)])
         first = slow[: length + self.ahead]
         state: State = {
             "line": self.line.begin(None if history is None else history.u),
             "y": y,
             "u": u[:length],
             "run": model.begin(y, u[:length], first),
-            "fresh": np.zeros(()),
+            "fresh": np.array(float(unknown > 0 and not free)),
             "count": np.array(0.0 if history is None else float(length)),
         }
         if self.base is not None:
             state |= {"base": self.base.begin(history), "slow": first}
         for n in range(length, length + free):
             state, _ = self._moved(state, u[n], slow[n : n + 1 + self.ahead])
+        if unknown:
+            nothing = np.full((unknown, len(y[0])), np.nan)
+            state["slow"] = np.concatenate([state["slow"][:-unknown], nothing])
         return state
 
     def warmed_up(self, state: State) -> State:
@@ -89,6 +93,9 @@ class NetworkSteps(Steps):
 
     def advance(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
         """Return the state one sample later, and the prediction; NaN until it is warmed up."""
+        if self.base is not None and self.ahead:
+            _, slow = self.base.advance(state["base"], u, y_sim[:1])
+            state = state | {"slow": np.concatenate([state["slow"][:-1], slow[None]])}
         following, y = super().advance(state, u, y_sim)
         return following, np.where(state["count"] >= self.warmup, y, np.nan)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,9 +18,9 @@ import pandas as pd
 
 from splitband.data import Grid, Record, aligned, check_alike
 from splitband.data.alignment import log, reach
-from splitband.data.preparation import Preparation, seconds
+from splitband.data.preparation import in_turn
 from splitband.data.signals import same_names, signal_of
-from splitband.data.timing import same_sampling, stamps_at, zones_differ
+from splitband.data.timing import same_sampling, seconds_between, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -108,8 +108,9 @@ def inputs_after(
 ) -> Array:
     """Return the inputs after a record, `(steps or more, nu)`: the outputs of the `coming` record.
 
-    They are aligned by the time stamps of both records. Without any, or if they are not to count
-    (`stamped`), the first coming sample follows the last one of the past.
+    The coming record, as it was measured, is prepared like the past one. They are aligned by the
+    time stamps of both records. Without any, or if they are not to count (`stamped`), the first
+    coming sample follows the last one of the past.
 
     Raises
     ------
@@ -126,6 +127,7 @@ def inputs_after(
             "follow the last; with time_column='' (--time-column '') no stamps count, and it "
             "follows the last"
         )
+    coming = _means_after(past, coming, ahead).like(past)
     # Linear interpolation, as inputs may jump.
     u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
     if u.note:
@@ -134,10 +136,24 @@ def inputs_after(
         ahead = replace(ahead, samples=more)
         u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
     assert past.u is not None
-    whole = continued(name, past.u, u.values, steps)
-    for step in past.prepared:
-        whole = step.transform("u", whole, seconds(past)[0] + ahead.step * np.arange(len(whole)))
-    return whole[len(past) :]
+    values = np.array(u.values)
+    for i, each in enumerate(past.inputs):
+        if period := past.reading.periods.get(each):
+            values[:, i] = in_turn(values[:, i], past.u[-1, i], period)
+    return continued("u", past.u, values, steps)[len(past) :]
+
+
+def _means_after(past: Record, coming: Record, ahead: Grid) -> Record:
+    """Return the rows of a record of shorter step of which `resample` takes the means `ahead`."""
+    k = round(past.sampling_time / coming.sampling_time)
+    if past.reading.step is None or k < 2:
+        return coming
+    first = 0
+    if ahead.start is not None and coming.start is not None:
+        # A mean has the time stamp of its last row.
+        last = seconds_between(coming.start, ahead.start) / coming.sampling_time
+        first = (round(last) + 1) % k
+    return coming[first : len(coming) - (len(coming) - first) % k]
 
 
 def median_components(
@@ -212,27 +228,6 @@ class Prediction:
                 table[f"{column}, lower"] = self.lower[:, i]
                 table[f"{column}, upper"] = self.upper[:, i]
         return pd.DataFrame(table)
-
-    def restored(self, prepared: Sequence[Preparation], time: Array) -> Prediction:
-        """Return the prediction with the preparation of its record undone, at these times in s."""
-
-        def restored(signal: Array) -> Array:
-            for step in reversed(prepared):
-                signal = step.undo("y", signal, time)
-            return signal
-
-        y = restored(self.y)
-        trend = y - self.y
-        parts = dict(self.components)
-        if parts and trend.any():
-            parts["trend"] = trend + parts.get("trend", 0.0)
-        return replace(
-            self,
-            y=y,
-            lower=None if self.lower is None else restored(self.lower),
-            upper=None if self.upper is None else restored(self.upper),
-            components=parts,
-        )
 
     def __repr__(self) -> str:
         level = "" if self.level is None else f", with a {100 * self.level:g} % interval"
@@ -370,35 +365,6 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
         warnings=tuple(messages),
         doubts=tuple(doubts),
     )
-
-
-def prepared_like(
-    record: Record,
-    history: Record,
-    steps: int,
-    u: npt.ArrayLike | None,
-    y_sim: npt.ArrayLike | None,
-) -> tuple[Record, npt.ArrayLike | None, npt.ArrayLike | None]:
-    """Return a history, future inputs and future simulator output, prepared like a record."""
-    prepared = history.prepared_as(record)
-
-    def ahead(
-        name: Literal["u", "y_sim"], past: Array | None, given: npt.ArrayLike | None
-    ) -> npt.ArrayLike | None:
-        if past is None or given is None:
-            return given
-        signal = continued(name, past, given, steps)
-        time = seconds_after(prepared, len(signal) - len(past))
-        for step in record.prepared:  # also of the past, on which only the turn of an angle depends
-            signal = step.transform(name, signal, np.append(np.zeros(len(past)), time))
-        return signal[len(past) :]
-
-    return prepared, ahead("u", history.u, u), ahead("y_sim", history.y_sim, y_sim)
-
-
-def seconds_after(record: Record, samples: int) -> Array:
-    """Return the times of the `samples` that follow a record, in s."""
-    return np.asarray(seconds(record)[-1] + record.sampling_time * np.arange(1.0, samples + 1))
 
 
 def total(parts: Sequence[Array]) -> Array:

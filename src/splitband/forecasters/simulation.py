@@ -10,6 +10,7 @@ from typing import Any, Self, final
 import numpy as np
 
 from splitband.data import Grid, Record, check_alike
+from splitband.data.preparation import check_level
 from splitband.data.timing import stamp_after
 from splitband.filters import ComplementaryPair
 from splitband.forecasters.base import Forecaster, with_parts_changed
@@ -359,15 +360,6 @@ class SimulatorForecaster(Forecaster):
     def _needed(self, samples: int, train: int) -> int:
         """Return how many samples its own simulator must run for to cover `samples`."""
         return samples
-
-
-def check_level(record: Record, name: str) -> None:
-    """Raise ValueError for a detrended record, whose level its own simulator cannot have."""
-    if record.detrended:
-        raise InputError(
-            f"the record must not be detrended for {name}, whose simulator runs at the measured "
-            "level; output that is given with the record (y_sim) is detrended as well"
-        )
 
 
 @final

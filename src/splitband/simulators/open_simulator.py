@@ -8,8 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from splitband.data import Grid, Record, read
 from splitband.data.alignment import log
+from splitband.data.preparation import check_level, going_on, in_turn
 from splitband.data.reading import ColumnError
 from splitband.data.timing import in_words
 from splitband.runtime.arrays import Array
@@ -210,12 +213,13 @@ def simulated(
     Raises
     ------
     ValueError
-        As `simulators.run`.
+        As `simulators.run`, and for a detrended record.
     """
     least = len(record) + ahead
     samples = samples_needed(least, len(record)) if longer else least
     grid, u = Grid(record.start, record.sampling_time, samples), record.u if u is None else u
     known = as_known(simulator)
+    check_level(record, known.name)
     samples = min(samples, max(least, known.reach(grid)))
     if not known.own_times:
         known = matched(known, record.columns, record.inputs)
@@ -241,8 +245,12 @@ def simulated(
         if samples == least or isinstance(error.__cause__, SimulatorTimeoutError):
             raise
         y_sim = output(least)
-    for step in record.prepared:
-        y_sim = step.beside(record.y, y_sim)
+    if periods := record.reading.periods:
+        y_sim = np.array(y_sim)
+        for i, name in enumerate(record.columns):
+            if name in periods:
+                whole = going_on(y_sim[:, i], periods[name])
+                y_sim[:, i] = in_turn(whole, record.y[0, i], periods[name])
     return replace(record, y_sim=y_sim, simulator=known.description())
 
 
