@@ -35,7 +35,7 @@ from .forecasters.simulation import (
     Calibrated as Calibrated,
     Simulation as Simulation,
 )
-from .forecasters.stepping import Stream as Stream
+from .forecasters.stream import Stream as Stream
 from .metrics import (
     ExtrapolationWarning as ExtrapolationWarning,
     fit_percent as fit_percent,

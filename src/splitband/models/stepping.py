@@ -15,7 +15,7 @@ import scipy
 
 from splitband.filters import Band, ComplementaryPair
 from splitband.networks import Cell
-from splitband.networks.plain import in_numpy, values
+from splitband.networks.in_numpy import in_numpy, values
 from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import cond, scan
 

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.networks.in_numpy import dense
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 
@@ -101,7 +102,7 @@ class EulerMLP(WithRepr, nn.Module):
 
     def in_numpy(self) -> plain.PlainEulerMLP | None:
         """Return the cell in NumPy; None where its layers have been replaced."""
-        dynamics, recognition = plain.dense(self.dynamics), plain.dense(self.recognition)
+        dynamics, recognition = dense(self.dynamics), dense(self.recognition)
         if dynamics is None or recognition is None:
             return None
         return plain.PlainEulerMLP(dynamics, recognition, self.ny, self.warmup, self.step_size)

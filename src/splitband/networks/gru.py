@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.networks.in_numpy import values
 from splitband.runtime.options import WithRepr
 
 
@@ -70,7 +71,7 @@ class GRU(WithRepr, nn.Module):
             return None
         of_input, of_state = (cell.weight_ih, cell.bias_ih), (cell.weight_hh, cell.bias_hh)
         pairs = of_input, of_state, (out.weight, out.bias)
-        return plain.PlainGRU(*((plain.values(w), plain.values(b)) for w, b in pairs))
+        return plain.PlainGRU(*((values(w), values(b)) for w, b in pairs))
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""

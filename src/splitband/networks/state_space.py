@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
+from splitband.networks.in_numpy import dense, linear, values
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -227,14 +228,14 @@ class StateSpace(WithRepr, nn.Module):
 
     def in_numpy(self) -> plain.PlainStateSpace | None:
         """Return the cell in NumPy; None where its layers have been replaced."""
-        f, g = plain.dense(self.f), plain.dense(self.g)
+        f, g = dense(self.f), dense(self.g)
         moves, out = self.transition, self.observation
         if f is None or g is None or not are_plain((moves, nn.Linear), (out, nn.Linear)):
             return None
-        gain = plain.values(self.gain)
-        first = plain.values(self.first), plain.values(self.first_bias)
-        linear = plain.linear(moves), plain.linear(out)
-        return plain.PlainStateSpace(f, g, *linear, gain, first, self.encoded)
+        gain = values(self.gain)
+        first = values(self.first), values(self.first_bias)
+        layers = linear(moves), linear(out)
+        return plain.PlainStateSpace(f, g, *layers, gain, first, self.encoded)
 
     def fused_rollout(self, y_warmup: Tensor, steps: int, u: Tensor | None = None) -> Tensor:
         """Compute the rollout in one compiled call on the CPU."""
