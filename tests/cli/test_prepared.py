@@ -28,13 +28,15 @@ def table(seed: int, level: float) -> pd.DataFrame:
 
 @pytest.fixture
 def other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> pd.DataFrame:
-    """Another run of the tank, of another mean: its history has a spike, its file has none."""
+    """Another run of the tank, of another mean: its history has a spike and a word."""
     monkeypatch.chdir(tmp_path)
     table(1, 1.0)[300:].to_csv("train.csv", index=False)
     run = table(2, 2.0)
     run.to_csv("other.csv", index=False)
     history = run[:1203].copy()
     history.loc[1199, "tank"] = 900.0
+    history = history.astype({"tank": object})
+    history.loc[1100, "tank"] = "Bad"
     history.to_csv("history.csv", index=False)
     run[:1203].to_csv("clean.csv", index=False)
     return run
@@ -65,13 +67,13 @@ def test_a_history_of_another_mean_is_prepared_by_the_levels_of_the_training(
     np.testing.assert_allclose(found["tank"], expected[:, 0], atol=1e-5)
 
 
-def test_outliers_of_a_history_have_the_limits_of_the_training(other: pd.DataFrame) -> None:
-    call(f"{TRAIN} --clip-outliers tank", Path("model"))
-    call(AHEAD, Path("ahead.csv"))
+def test_a_history_has_the_limits_and_missing_words_of_the_training(other: pd.DataFrame) -> None:
+    call(f"{TRAIN} --clip-outliers tank --missing Bad", Path("model"))
+    call(f"{AHEAD} --gaps mask", Path("ahead.csv"))
     model = sb.load("model")
     assert model.fitted is not None
     record = model.fitted.record
-    past = sb.read("history.csv", columns="tank", inputs="flow")
+    past = sb.read("history.csv", columns="tank", inputs="flow", missing="Bad", gaps="mask")
     assert record.reading.limits["tank"][1] < 60
     known = past.clip_outliers(limits=record.reading.limits)
     u = other[["flow"]][1203:1223]

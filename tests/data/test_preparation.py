@@ -40,7 +40,7 @@ def test_lines_are_taken_from_another_record_too(start: object) -> None:
 @pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
 def test_a_model_of_a_detrended_record_predicts_one_of_another_mean(tmp_path: Path) -> None:
     """The units of answers are those of the training record, and its levels are arguments."""
-    whole = sb.Record(X + 100, DT, u=U, name="rig", columns=["tank"], inputs=["flow"])
+    whole = sb.Record(X + 100, DT, u=U, name="rig", columns=("tank",), inputs=("flow",))
     train = whole[:400].detrend()
     assert train.reading.levels == pytest.approx(
         {"tank": X[:400].mean() + 100, "flow": U[:400].mean()}
@@ -49,7 +49,7 @@ def test_a_model_of_a_detrended_record_predicts_one_of_another_mean(tmp_path: Pa
     model = sb.load(tmp_path / "model")
     u = U + 3.0
     y = scipy.signal.lfilter([0.5], [1.0, -0.8], u - 4.0) + 100
-    other = sb.Record(y, DT, u=u, columns=["tank"], inputs=["flow"])[100:]
+    other = sb.Record(y, DT, u=u, columns=("tank",), inputs=("flow",))[100:]
     assert model.fitted is not None
     reading = model.fitted.record.reading
     given = other.detrend(levels=reading.levels)
@@ -109,8 +109,8 @@ def test_a_longer_step_is_the_mean_of_the_samples_since_the_last_one() -> None:
         (lambda r: r.detrend().resample(0.5), "resample must come once, in the order unwrap, "),
         (lambda r: r.detrend().detrend(), "detrend must come once, .* got it after detrend"),
         (lambda r: r.clip_outliers(0), "deviations must be above 0"),
-        (lambda r: r.clip_outliers(limits={"y": (3, 1)}), "limits of 'y' must be a lowest and"),
-        (lambda r: r.clip_outliers(limits={"y": 3}), "limits of 'y' must be a lowest and"),
+        (lambda r: r.clip_outliers(limits={"y": (3, 1)}), "limits of 'y' must be lowest and"),
+        (lambda r: r.clip_outliers(limits={"y": 3}), "limits of 'y' must be lowest and"),
         (lambda r: r.detrend(levels={"x": 1}), "levels must name one of y, u, got x"),
         (lambda r: r.detrend(levels={"y": "much"}), "levels must be numbers"),
         (lambda r: r.detrend(1, levels={"y": 1}), "order must be left out where levels are given"),

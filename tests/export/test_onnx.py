@@ -55,7 +55,7 @@ def test_onnx_says_what_a_stream_says(
         assert np.allclose(found, predicted[n], rtol=1e-9, atol=1e-9 * scale, equal_nan=True)
 
 
-def test_the_sampling_time_is_not_rounded(tmp_path: Path) -> None:
-    sb.Mean().fit(sb.Record(np.arange(10.0), 1 / 3)).export(tmp_path / "rig.onnx")
+def test_the_sampling_time_is_not_rounded_and_units_are_said(tmp_path: Path) -> None:
+    sb.Mean().fit(sb.Record(np.arange(10.0), 1 / 3).detrend()).export(tmp_path / "rig.onnx")
     facts = session(tmp_path / "rig.onnx").get_modelmeta().custom_metadata_map
-    assert float(facts["sampling_time"]) == 1 / 3
+    assert (float(facts["sampling_time"]), facts["units"]) == (1 / 3, "y (minus 4.5)")

@@ -109,9 +109,13 @@ def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
 def _read(
     path: str | Path, rule: str, files: FileOptions, model: Record | None, **options: Any
 ) -> Record:
-    """Read a file as these options say; the error for a missing column names those of a model."""
+    """Read a file as these options say, and otherwise as the record of a model was read.
+
+    The error for a missing column names those of the model.
+    """
     _check_file(path, rule)
     options |= {"time_column": files.time_column, "gaps": files.gaps, **_layout(files, model)}
+    options |= {} if model is None else {"fallback_sampling_time": _step_of(model)}
     try:
         return read(path, **options)
     except ColumnError as error:
@@ -176,7 +180,7 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
     try:
         own = {"columns": record.columns, "inputs": record.inputs}
         rule = f"{option} must be a file"
-        past = _read(file, rule, files, record, fallback_sampling_time=_step_of(record), **own)
+        past = _read(file, rule, files, record, **own)
     except ColumnError as error:
         raise ColumnError(
             f"{error}; a simulation begins with {model.warmup or 'some'} measured samples of every "

@@ -72,22 +72,6 @@ class Reading:
         return ", ".join(map(self.label, names)) or "as it was measured"
 
 
-def decided(record: Record, method: str, **found: Any) -> Reading:
-    """Return what was decided for a record, and what a method of it has found.
-
-    Raises ValueError for a method that has to come before what was done already.
-    """
-    reading = record.reading
-    done = {"unwrap": reading.periods, "clip_outliers": reading.limits}
-    done |= {"resample": reading.step or {}, "detrend": reading.levels}
-    for later in [*done][[*done].index(method) :]:
-        if done[later]:
-            raise InputError(
-                f"{method} must come once, in the order {', '.join(done)}, got it after {later}"
-            )
-    return replace(reading, **found)
-
-
 def of_channels(what: str, given: Mapping[str, Value], names: Sequence[str]) -> dict[str, Value]:
     """Return values by the names of channels, which may be given without their units.
 
@@ -135,39 +119,41 @@ def limits_of(record: Record, deviations: float, columns: Sequence[str]) -> Limi
     return found
 
 
-def limits_given(name: str, given: Any) -> tuple[float, float]:
-    """Return the lowest and highest value of an output; raises ValueError for anything else."""
-    found = np.ravel(np.asarray(given, dtype=object))
-    if len(found) != 2 or not (low := as_float(found[0])) < (high := as_float(found[1])):
-        raise InputError(f"limits of {name!r} must be a lowest and a highest value, got {given}")
-    return low, high
+def limits_given(record: Record, given: Limits) -> Limits:
+    """Return the lowest and highest values of outputs; raises ValueError for anything else."""
+    found = dict[str, tuple[float, float]]()
+    for name, pair in of_channels("limits", given, record.columns).items():
+        ends = [as_float(end) for end in np.ravel(np.asarray(pair, dtype=object))]
+        if len(ends) != 2 or not ends[0] < ends[1]:
+            raise InputError(f"limits of {name!r} must be lowest and highest value, got {pair}")
+        found[name] = ends[0], ends[1]
+    return found
 
 
-def lines_of(record: Record, order: int) -> dict[str, Any]:
-    """Return what `detrend` decides: means (order 0), or straight lines (order 1) over time."""
+def lines_of(record: Record, order: int) -> Reading:
+    """Return the means (order 0) of outputs and inputs, or straight lines (order 1) over time."""
     time, levels, slopes = seconds(record), dict[str, float](), dict[str, float]()
     for name, x in record.signals.items():
         known = ~np.isnan(x)
         if order:
-            slopes[name], levels[name] = map(
-                float, np.polyfit((time - time[0])[known], x[known], 1)
-            )
+            slope, level = np.polyfit((time - time[0])[known], x[known], 1)
+            slopes[name], levels[name] = float(slope), float(level)
         else:
             levels[name] = float(x[known].mean())
-    return {"levels": levels, "slopes": slopes, "begin": float(time[0]) if order else 0.0}
+    return Reading(levels=levels, slopes=slopes, begin=float(time[0]) if order else 0.0)
 
 
-def unwrapped(record: Record, periods: Mapping[str, float]) -> Record:
-    """Return a record without jumps by these periods; see `Record.unwrap`."""
+def unwrapped(record: Record, by: Reading) -> Record:
+    """Return a record without jumps by the periods of a reading; see `Record.unwrap`."""
     first = dict(zip(record.columns, record.y[0], strict=True))
 
     def change(kind: str, name: str, x: Array) -> Array:
-        if name not in periods:
+        if name not in by.periods:
             return x
-        whole = going_on(x, periods[name])
-        return in_turn(whole, first[name], periods[name]) if kind in ("y_sim", "y_true") else whole
+        whole, period = going_on(x, by.periods[name]), by.periods[name]
+        return in_turn(whole, first[name], period) if kind in ("y_sim", "y_true") else whole
 
-    return _changed(record, change, decided(record, "unwrap", periods=periods))
+    return _changed(record, change, "unwrap", periods=by.periods)
 
 
 def going_on(x: Array, period: float) -> Array:
@@ -182,32 +168,30 @@ def in_turn(x: Array, beside: float, period: float) -> Array:
     return np.asarray(x + period * np.round((beside - x[0]) / period))
 
 
-def clipped(record: Record, limits: Limits) -> Record:
+def clipped(record: Record, by: Reading) -> Record:
     """Return a record whose measured samples are limited; see `Record.clip_outliers`."""
 
     def change(kind: str, name: str, x: Array) -> Array:
-        return np.clip(x, *limits[name]) if kind == "y" and name in limits else x
+        return np.clip(x, *by.limits[name]) if kind == "y" and name in by.limits else x
 
-    return _changed(record, change, decided(record, "clip_outliers", limits=limits))
+    return _changed(record, change, "clip_outliers", limits=by.limits)
 
 
-def detrended(
-    record: Record, levels: Mapping[str, float], slopes: Mapping[str, float], begin: float
-) -> Record:
-    """Return a record without levels, and without straight lines; see `Record.detrend`."""
-    if slopes and record.start is None:
+def detrended(record: Record, by: Reading) -> Record:
+    """Return a record without the levels and straight lines of a reading; see `Record.detrend`."""
+    if by.slopes and record.start is None:
         raise InputError(
             f"{record.name or 'the record'} must have time stamps for straight lines over time, "
             "or nothing tells where on them it is"
         )
-    since, step = seconds(record)[0] - begin, record.sampling_time
+    since, step = seconds(record)[0] - by.begin, record.sampling_time
 
     def change(kind: str, name: str, x: Array) -> Array:
-        rise = slopes.get(name, 0.0) * (since + step * np.arange(len(x)))
-        return x - (levels.get(name, 0.0) + rise)
+        rise = by.slopes.get(name, 0.0) * (since + step * np.arange(len(x)))
+        return x - (by.levels.get(name, 0.0) + rise)
 
-    reading = decided(record, "detrend", levels=levels, slopes=slopes, begin=begin)
-    return _changed(record, change, reading)
+    lines = {"levels": by.levels, "slopes": by.slopes, "begin": by.begin}
+    return _changed(record, change, "detrend", **lines)
 
 
 def resampled(record: Record, k: int) -> Record:
@@ -215,7 +199,7 @@ def resampled(record: Record, k: int) -> Record:
     if len(record) < 2 * k:
         raise InputError(f"record must have {2 * k} samples to be resampled, got {len(record)}")
     step, first = record.sampling_time, len(record) % k
-    changed: dict[str, Any] = {"reading": decided(record, "resample", step=step)}
+    changed: dict[str, Any] = {"reading": _decided(record.reading, "resample", step=step)}
     for name, signal in signals_of(record).items():
         kept = signal[first : len(signal) - (len(signal) - first) % k]
         changed[name] = kept.reshape(-1, k, signal.shape[1]).mean(axis=1)
@@ -252,13 +236,30 @@ def seconds(record: Record) -> Array:
 
 
 def _changed(
-    record: Record, change: Callable[[str, str, Array], Array], reading: Reading
+    record: Record, change: Callable[[str, str, Array], Array], method: str, **found: Any
 ) -> Record:
-    """Return a record with each column changed, by its field and name; NaN must stay NaN."""
-    new = dict[str, Array]()
+    """Return a record with each column changed, by its field and name; NaN must stay NaN.
+
+    It is the record itself where a method of it has found nothing.
+    """
+    if not any(found.values()):
+        return record
+    reading, new = _decided(record.reading, method, **found), dict[str, Array]()
     for kind, signal in (signals_of(record) | {"y": record.y_with_gaps}).items():
         names = record.inputs if kind == "u" else record.columns
         columns = [change(kind, name, x) for name, x in zip(names, signal.T, strict=True)]
         new[kind] = np.column_stack(columns)
     whole: Any = new | {"y": refilled(record.y, new["y"])}
     return replace(record, reading=reading, **whole)
+
+
+def _decided(reading: Reading, method: str, **found: Any) -> Reading:
+    """Return a reading with what a method has found; raises ValueError if that comes too late."""
+    done: dict[str, Any] = {"unwrap": reading.periods, "clip_outliers": reading.limits}
+    done |= {"resample": reading.step, "detrend": reading.levels}
+    order = [*done]
+    if late := next(filter(done.get, order[order.index(method) :]), None):
+        raise InputError(
+            f"{method} must come once, in the order {', '.join(order)}, got it after {late}"
+        )
+    return replace(reading, **found)

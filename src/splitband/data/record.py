@@ -235,7 +235,7 @@ class Record:
         periods : Periods of outputs and inputs, by name: {"heading": 360}. None, or a name alone,
             takes the period that the jumps show, which `reading.periods` reports.
         """
-        return unwrapped(self, periods_of(self, periods))
+        return unwrapped(self, Reading(periods=periods_of(self, periods)))
 
     def clip_outliers(
         self,
@@ -257,9 +257,8 @@ class Record:
             raise InputError(f"deviations must be above 0, got {deviations}")
         if limits is None:
             columns = self.columns if columns is None else columns
-            return clipped(self, limits_of(self, deviations, columns))
-        given = of_channels("limits", limits, self.columns)
-        return clipped(self, {name: limits_given(name, each) for name, each in given.items()})
+            limits = limits_of(self, deviations, columns)
+        return clipped(self, Reading(limits=limits_given(self, limits)))
 
     def resample(self, sampling_time: float) -> Record:
         """Return the record with a longer sampling time, a multiple of its own.
@@ -290,14 +289,14 @@ class Record:
         if order not in (0, 1):
             raise InputError(f"order must be 0 (means) or 1 (straight lines), got {order}")
         if levels is None:
-            return detrended(self, **lines_of(self, order))
+            return detrended(self, lines_of(self, order))
         if order:
             raise InputError(f"order must be left out where levels are given, got {order}")
         given = of_channels("levels", levels, [*self.signals])
         found = {name: as_float(level) for name, level in given.items()}
         if np.isnan([*found.values()]).any():
             raise InputError(f"levels must be numbers, got {levels}")
-        return detrended(self, found, {}, 0.0)
+        return detrended(self, Reading(levels=found))
 
     def like(self, other: Record) -> Record:
         """Return the record, as it was measured, prepared like another one.
@@ -309,23 +308,22 @@ class Record:
         Raises ValueError if it has been prepared differently before, or lacks the time stamps of
         straight lines.
         """
-        found, wanted = self, other.reading
-        named = (self.columns, other.columns), (self.inputs, other.inputs)
-        if all(same_names(*names) for names in named):
-            found = replace(self, columns=other.columns, inputs=other.inputs)
-        if self.reading.units not in (Reading().units, wanted.units):
+        wanted = other.reading
+        near = near_sampling(self.sampling_time, other.sampling_time)
+        if self.reading.units == wanted.units and (near or wanted.step is None):
+            return self
+        if self.reading.units != Reading().units:
             raise InputError(
                 f"{self.name or 'the record'} must be given as it was measured, to be prepared "
                 f"like {other.name or 'the other'} ({wanted}), got {self.reading}"
             )
-        alike = self.reading.units == wanted.units
-        found = found if alike or not wanted.periods else unwrapped(found, wanted.periods)
-        found = found if alike or not wanted.limits else clipped(found, wanted.limits)
-        if wanted.step is not None and not near_sampling(self.sampling_time, other.sampling_time):
-            found = found.resample(other.sampling_time)
-        if alike or not wanted.levels:
-            return found
-        return detrended(found, wanted.levels, wanted.slopes, wanted.begin)
+        found = self
+        named = (self.columns, other.columns), (self.inputs, other.inputs)
+        if all(same_names(*names) for names in named):  # numbered names match any others
+            found = replace(self, columns=other.columns, inputs=other.inputs)
+        found = clipped(unwrapped(found, wanted), wanted)
+        found = found if near or wanted.step is None else found.resample(other.sampling_time)
+        return detrended(found, wanted)
 
     @property
     def labels(self) -> tuple[list[str], list[str]]:

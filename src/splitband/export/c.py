@@ -45,7 +45,8 @@ def _header(program: Program, precision: Precision) -> str:
     if "y_sim" in program.given:
         shape = [*program.given["y_sim"]]
         both = ", then of the next one" * (shape[0] > 1)
-        signals.append(f"y_sim{shape}: the simulator's output of this sample{both}")
+        units = ", in the units of y" * (outputs != [*record.columns])
+        signals.append(f"y_sim{shape}: the simulator's output of this sample{both}{units}")
     listed = "\n".join(f" *   {_comment(signal)}" for signal in signals)
     given = [signal for signal in program.given if signal != "y"]
     others = "".join(f", const {precision} *{signal}" for signal in given)
