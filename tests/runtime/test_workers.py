@@ -13,6 +13,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -137,7 +138,7 @@ def test_a_large_array_that_never_changes_is_sent_once_and_comes_back_as_itself(
 class Large:
     """A result of which a process knows how many it has."""
 
-    kept = weakref.WeakSet[object]()
+    kept: ClassVar[weakref.WeakSet[object]] = weakref.WeakSet()
 
     def __init__(self) -> None:
         self.kept.add(self)
