@@ -1,7 +1,8 @@
 """The linear model, against linear systems of SciPy."""
 
 import itertools
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 from unittest.mock import patch
 
@@ -16,8 +17,10 @@ import splitband as sb
 from benchmarks.driven import drawn
 from benchmarks.linear import PLANTS
 from splitband.baselines.identification import identified
+from splitband.baselines.kalman import states
 from splitband.baselines.linear import LinearModel
 from splitband.baselines.refinement import Blocks
+from splitband.baselines.subspace import subspace
 from splitband.data.named import overhead_crane
 from splitband.metrics import fit_percent
 from splitband.runtime.deadlines import Deadline, current, within
@@ -446,3 +449,20 @@ def test_a_slow_pole_that_the_record_does_not_determine_is_no_integrator() -> No
     with pytest.warns(sb.ExtrapolationWarning):  # the test's input goes a little beyond
         y = model.predict(len(test) - 50, test[:50], **known_after(test, 50), other_record=True).y
     assert fit_percent(test.y[50:], y)[0] > 60
+
+
+def peak(work: Callable[[], object]) -> int:
+    """Most bytes that arrays take in addition to those of before."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_long_record_takes_the_memory_of_its_states_or_windows_once() -> None:
+    u, rows = inputs(40_000, 4), 10
+    assert peak(lambda: states(0.9 * np.eye(4), u, np.zeros(4))) < 1.5 * u.nbytes
+    of_windows = 2 * rows * u.nbytes
+    assert peak(lambda: subspace([(u[:, :2], u[:, 2:])], rows)) < 1.5 * of_windows

@@ -9,9 +9,11 @@ import subprocess
 import sys
 import tempfile
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -131,6 +133,26 @@ def test_a_large_array_that_never_changes_is_sent_once_and_comes_back_as_itself(
                 np.testing.assert_array_equal(theirs, ours)
                 assert np.shares_memory(theirs, ours) == (ours is not free)
         assert len([*tmp_path.glob("splitband-*/*.npy")]) == 1
+
+
+class Large:
+    """A result of which a process knows how many it has."""
+
+    kept: ClassVar[weakref.WeakSet[object]] = weakref.WeakSet()
+
+    def __init__(self) -> None:
+        self.kept.add(self)
+
+
+def results_kept(_: object) -> tuple[Large, int]:
+    """A result, and how many of earlier jobs the process still has."""
+    before = len(Large.kept)
+    return Large(), before
+
+
+def test_a_worker_keeps_no_result_of_an_earlier_job() -> None:
+    with Workers(1) as workers:
+        assert [workers.submit(results_kept, job).result()[1] for job in range(2)] == [0, 0]
 
 
 def test_a_job_that_another_process_cannot_import_is_done_here() -> None:

@@ -196,12 +196,18 @@ def _model_of(
     (a, b, c, d), ny = at.matrices(), len(at.scale)
     drift = blocks.matrices()[1][:, -1] if blocks.constant else np.zeros(len(a))
     first = [x.ravel()[blocks.kept.ravel()] for x in at.first]
-    x = [states(a, u @ b.T + drift, start) for u, start in zip(inputs, first, strict=True)]
-    into, out = whitening(np.concatenate(x))
+
+    def visited() -> Array:
+        """Return the states of all records, one record after the other."""
+        runs = zip(inputs, first, strict=True)
+        return np.concatenate([states(a, u @ b.T + drift, start) for u, start in runs])
+
+    into, out = whitening(visited())
     a, b, c, drift = into @ a @ out, into @ b, c @ out, into @ drift
-    x = [states(a, u @ b.T + drift, into @ start) for u, start in zip(inputs, first, strict=True)]
-    visited = np.clip(np.nan_to_num(np.concatenate(x)), -1e150, 1e150)
-    centre, spread = visited.mean(axis=0), np.cov(visited.T, bias=True).reshape(a.shape)
+    first = [into @ start for start in first]
+    x = visited()
+    np.clip(np.nan_to_num(x, copy=False), -1e150, 1e150, out=x)
+    centre, spread = x.mean(axis=0), np.cov(x.T, bias=True).reshape(a.shape)
     cuts = windows(runs, MOST_SAMPLES)
     errors = [at.errors[i][:, begin:end].T for i, begin, end in cuts]
     measured = [runs[i].measured[:, begin:end].T for i, begin, end in cuts]
@@ -212,7 +218,7 @@ def _model_of(
     alike = np.clip(alike, 0, _MOST_CORRELATED)
     system = a, b, c, d, blocks.offset, drift, gain, covariance(a, c, gain, errors, measured)
     of_u = np.zeros(len(delays)), tuple(enumerate(delays)), (max(delays, default=0),) * ny
-    begin = into @ first[0], into @ first[0], centre, root_of(spread)
+    begin = first[0], first[0], centre, root_of(spread)
     left = at.scale, np.diag(at.scale**2 * (1 + alike) / (1 - alike)), np.ones(ny)
     integrators = int(2 * blocks.fixed.sum() - (blocks.fixed & blocks.single).sum())
     angles = tuple(silent(np.linalg.eigvals(a).astype(np.complex128), runs))

@@ -50,23 +50,21 @@ def states(a: Array, forced: Array, first: Array) -> Array:
     time, n = forced.shape
     length = max(int(np.sqrt(time)), 1)
     count = -(-time // length)
-    padded = np.zeros((count * length, n))
-    padded[:time] = forced
-    rows = np.ascontiguousarray(padded.reshape(count, length, n).transpose(1, 0, 2))
+    rows = np.zeros((count, length, n))
+    rows.reshape(-1, n)[:time] = forced
     with np.errstate(over="ignore", invalid="ignore"):
         ends = np.zeros((count, n))
-        for row in rows:
-            ends = ends @ a.T + row
+        for i in range(length):
+            ends = ends @ a.T + rows[:, i]
         power, begins = np.linalg.matrix_power(a, length), np.empty((count, n))
         x = first
         for i, end in enumerate(ends):
             begins[i] = x
             x = power @ x + end
-        found, x = np.empty_like(rows), begins
-        for i, row in enumerate(rows):
-            found[i] = x
-            x = x @ a.T + row
-    return np.ascontiguousarray(found.transpose(1, 0, 2)).reshape(-1, n)[:time]
+        x = begins
+        for i in range(length):  # the states in place of the forces, which take as much memory
+            rows[:, i], x = x, x @ a.T + rows[:, i]
+    return rows.reshape(-1, n)[:time]
 
 
 def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:

@@ -174,9 +174,10 @@ class LinearModel:
         """
         if not len(tapped):
             return np.zeros((0, self.ny)), first
-        forced = tapped @ self.b.T + self.drift
-        ages = age + np.arange(len(tapped))[:, None]
-        forced += np.where(ages < self.held, away - self.a @ away, 0.0)
+        forced = tapped @ self.b.T
+        forced += self.drift
+        ages = age + np.arange(len(tapped))[: max(max(self.late) - age, 0), None]
+        forced[: len(ages)] += np.where(ages < self.held, away - self.a @ away, 0.0)
         x = states(self.a, forced, first)
         return x @ self.c.T + tapped @ self.d.T + self.offset, self.a @ x[-1] + forced[-1]
 
@@ -268,7 +269,9 @@ class LinearModel:
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
         left = y - tapped @ self.d.T - self.offset
-        forced = tapped @ self.b.T + self.drift + left @ self.gain.T
+        forced = tapped @ self.b.T
+        forced += self.drift
+        forced += left @ self.gain.T
         a = self.a - self.gain @ self.c
         x = states(a, forced, first)
         return left - x @ self.c.T, a @ x[-1] + forced[-1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -86,7 +87,6 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
             both = both[:kept].reshape(-1, stride, ny + nu).mean(axis=1)
         if len(both) >= 2 * rows:
             seen.append(both)
-    views = [np.lib.stride_tricks.sliding_window_view(both, 2 * rows, axis=0) for both in seen]
     # Where a window begins that has no gap.
     begins = [_without_gaps(both, 2 * rows) for both in seen]
     count = sum(map(len, begins))
@@ -94,16 +94,21 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
         return None
     thin = int(np.ceil(2 * count * width**2 / _WORK))
     thin = thin if count // thin >= 2 * width else 1
-    windows = np.concatenate([view[at[::thin]] for view, at in zip(views, begins, strict=True)])
-    n = len(windows)
-    # (samples, signals, time) -> columns [future u, past u and y, future y]
-    future_u = windows[:, :nu, rows:].transpose(0, 2, 1).reshape(n, -1)
-    past = windows[:, :, :rows].transpose(0, 2, 1).reshape(n, -1)
-    future_y = windows[:, nu:, rows:].transpose(0, 2, 1).reshape(n, -1)
-    data = np.hstack([future_u, past, future_y])
-    size = np.linalg.norm(data, axis=0)
-    data /= np.where(size > 0, size, 1.0)
-    r = scipy.linalg.qr(data, mode="r", overwrite_a=True, check_finite=False)[0][:width]
+    taken = [at[::thin] for at in begins]
+    # Columns [future u, past u and y, future y] by sample and signal, one by one: many windows fill
+    # the memory that LAPACK works in, and no other.
+    past, future = range(rows), range(rows, 2 * rows)
+    columns = [
+        *product(future, range(nu)),
+        *product(past, range(nu + ny)),
+        *product(future, range(nu, nu + ny)),
+    ]
+    data, size = np.empty((sum(map(len, taken)), width), order="F"), np.empty(width)
+    for k, (late, signal) in enumerate(columns):
+        x = np.concatenate([both[at + late, signal] for both, at in zip(seen, taken, strict=True)])
+        size[k] = np.sqrt(np.cumsum(x**2)[-1])
+        data[:, k] = x / (size[k] or 1.0)
+    r = scipy.linalg.qr(data, mode="raw", overwrite_a=True, check_finite=False)[1]
     lower = (r * size).T
     i, j = nu * rows, (2 * nu + ny) * rows
     found, noise = lower[j:, i:j], lower[j:, j:]

@@ -370,7 +370,8 @@ def _span(x: Array, least: float) -> Array:
 
 def _outside(basis: Array, x: Array) -> Array:
     """Return what is orthogonal to an orthonormal basis."""
-    return np.asarray(x - basis @ (basis.T @ x))
+    inside = basis @ (basis.T @ x)
+    return np.asarray(np.subtract(x, inside, out=inside))
 
 
 def _correlated(of: str, r: Array, samples: int, p: float) -> Correlation:

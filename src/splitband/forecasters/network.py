@@ -315,6 +315,8 @@ class Network(Forecaster):
 
     def unfiltered(self, **known: Any) -> dict[str, Array]:
         """Return the signals before the model's filters by name; empty for one without filters."""
+        if self.bands is None:
+            return {}
         return self._run(self._trained().simulate_unfiltered, known_of(self, **known))
 
     def trajectory(self, known: ForecastContext) -> Array:

@@ -27,6 +27,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline
+from splitband.runtime.memory import return_freed
 from splitband.runtime.system import interrupts_blocked, start_resource_tracker
 from splitband.runtime.threads import one_thread
 
@@ -180,11 +181,26 @@ def _mapped(path: str, begin: int, end: int) -> Array:
 
 def _unpacked(packed: bytes) -> Any:
     """Do a job in a worker process, where what it consists of has to be found again."""
+    return_freed()
     try:
         fn, args, kwargs = ForkingPickler.loads(packed)
     except Exception as error:
         raise NotSentError(str(error)) from error
-    return fn(*args, **kwargs)
+    return _Sent(fn(*args, **kwargs))
+
+
+class _Sent:
+    """Hold a result until it is sent: the pool would keep it as long as the next job runs."""
+
+    def __init__(self, result: Any) -> None:
+        self._result = result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _itself, (vars(self).pop("_result"),)
+
+
+def _itself(result: Any) -> Any:
+    return result
 
 
 def _end_with_parent(folder: str) -> None:
