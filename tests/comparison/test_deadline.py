@@ -76,10 +76,8 @@ def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:
 
     with ThreadPoolExecutor(2) as executor:
         try:
-            result = compare(
-                RECORD, TRAIN, [Endless(), "mean", "gru"], cores=2, executor=executor,
-                watch=watch, budget=6.0, **SMALL,
-            )  # fmt: skip
+            how: dict[str, Any] = {"cores": 2, "executor": executor, "watch": watch, **SMALL}
+            result = compare(RECORD, TRAIN, [Endless(), "mean", "gru"], budget=6.0, **how)
         finally:
             RELEASED.set()
     assert seen["baselines"] == {"mean"}

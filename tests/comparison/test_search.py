@@ -114,8 +114,8 @@ def test_as_many_go_on_as_keep_all_cores_busy() -> None:
 def test_what_does_not_improve_stops_and_other_seeds_follow_until_all_is_settled() -> None:
     search, trainer = searching(["gru"]), Trainer(lambda job, n: 1.0 - 0.001 * n)
     trainer.run(search)
-    assert all(trainer.done[id(job.start)] == 1 for jobs in trainer.rounds for job in jobs
-               if job.start is not None)  # fmt: skip
+    started = [job.start for jobs in trainer.rounds for job in jobs if job.start is not None]
+    assert all(trainer.done[id(start)] == 1 for start in started)
     seeds = [{job.seed for job in jobs} for jobs in trainer.rounds if jobs[0].start is None]
     assert seeds[-1] == {SEEDS - 1}
     assert search.converged
