@@ -38,6 +38,7 @@ from benchmarks.page import spread
 from splitband import Record
 from splitband.cli.options import seconds
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.data.named import overhead_crane
 from splitband.filters import Band
 from splitband.forecasters.bands import Bands
@@ -184,10 +185,10 @@ def measured(row: Row, folder: Path) -> Row:
         simulated = Record(record.y_sim, record.sampling_time, columns=record.columns)
         words += ["--simulator", *written(simulated, folder / "simulator.csv")]
     else:
-        names = [*plan(record).names, "split-gru", "split-gru-conditioned"]
+        names = [*plan(PlanRequest(record)).names, "split-gru", "split-gru-conditioned"]
         words += ["--methods", ",".join(names)]
     if row["times"] is not None:
-        planned = plan(record)
+        planned = plan(PlanRequest(record))
         method = next(name for name in planned.names if name.startswith("filtered"))
         cutoff = (planned.high if "-high-" in method else planned.bands).cutoff
         assert cutoff is not None

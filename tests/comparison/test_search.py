@@ -15,6 +15,7 @@ from splitband.comparison.candidates import FINAL_SHARE, FIRST_ROUND
 from splitband.comparison.jobs import Job
 from splitband.comparison.methods import Sizes
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.search import SEEDS, Search
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.prediction import Prediction
@@ -69,7 +70,7 @@ class Trainer:
 
 def searching(methods: list[str], cores: int = 1, **options: object) -> Search:
     settings = {"warmup": 10}
-    found = plan(RECORD, TRAIN, methods, settings=settings, rounds=9, **options)  # type: ignore[arg-type]
+    found = plan(PlanRequest(RECORD, TRAIN, methods, settings=settings, rounds=9, **options))  # type: ignore[arg-type]
     return Search(found, cores)
 
 
@@ -183,7 +184,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
 
 
 def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
-    found = plan(RECORD, TRAIN, ["gru"], settings=QUICK, seeds=3)
+    found = plan(PlanRequest(RECORD, TRAIN, ["gru"], settings=QUICK, seeds=3))
     assert found.budget is None
     search, trainer = Search(found), Trainer(lambda job, n: 1 / n)
     trainer.run(search)
