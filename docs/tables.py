@@ -18,7 +18,7 @@ import argparse
 import json
 import re
 import statistics
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -546,14 +546,8 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
-WITH_SIMULATOR = [kind for kind in families.COLUMNS if kind != "split"]
-"""Kinds of methods on records with a simulator."""
-
-
-def families_table(file: str, with_simulator: bool, kinds: Sequence[str] = families.COLUMNS) -> str:
-    """Return what the families of drawn records came to, with a simulator or without."""
-    named = [name for name in families.FAMILIES if (name in families.SPLIT) != with_simulator]
-    return families.table(clock.read(page.OUT / file), named, kinds)
+def _families() -> str:
+    return families.table(clock.read(page.OUT / families.FILE))
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -566,9 +560,7 @@ TABLES: dict[str, Callable[[], str]] = {
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
-    "families": partial(families_table, families.FILE, True, WITH_SIMULATOR),
-    "families-before": partial(families_table, families.BEFORE, True, families.COLUMNS[:2]),
-    "families-split": partial(families_table, families.FILE, False),
+    "families": _families,
 }  # fmt: skip
 """The files of docs/tables, without their suffix."""
 COMPUTED: dict[str, Callable[[], Any]] = {
