@@ -1,15 +1,12 @@
 """Families of drawn records on which a filter should pay, or not, and what `compare` finds there.
 
     python -m benchmarks.families [--families crane "drifting sensor"] [--draws 10] [--development]
-    python -m benchmarks.families --times 0.25 0.5 1 2 4 --budget 30s [--draws 3]
     python -m benchmarks.families --table
 
 Each run is the plain command with a drawn record and its simulator's output, as in
-`benchmarks.clock`, or without one with split models beside the default methods; a run is a line of
-OUT, and what is there is not run again. Errors are those of the forecast of the last quarter.
-`--times` runs the filtered hybrid alone, with the chosen cut-off times these factors; `--table`
-prints all of it as Markdown and draws the picture. Code is changed by what is found on
-`--development` draws alone.
+`benchmarks.clock`; a run is a line of OUT, and what is there is not run again. Errors are those of
+the forecast of the last quarter. `--table` prints all of it as Markdown and draws the picture. Code
+is changed by what is found on `--development` draws alone.
 """
 
 from __future__ import annotations
@@ -33,11 +30,10 @@ from matplotlib.ticker import LogLocator, StrMethodFormatter
 from benchmarks import clock, page
 from benchmarks.clock import Row
 from benchmarks.commands import written
-from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED
+from benchmarks.kinds import DEVELOPMENT, REPORTED
 from benchmarks.page import spread
 from splitband import Record
 from splitband.cli.options import seconds
-from splitband.comparison.plan import plan
 from splitband.data.named import overhead_crane
 from splitband.filters import Band
 from splitband.forecasters.bands import Bands
@@ -45,8 +41,7 @@ from splitband.metrics import rmse
 
 Array = npt.NDArray[np.float64]
 Generator = np.random.Generator
-FILE, BEFORE = "families.jsonl", "families-before.jsonl"
-"""Results, and those of commit 280ec1e7, before `compare` was changed by development draws."""
+FILE = "families.jsonl"
 PICTURE = Path(__file__).parents[1] / "docs/img/filter-pays.png"
 SAMPLES, STEP = 2000, 0.1
 """Of a drawn record: its samples, and its sampling time in s."""
@@ -123,14 +118,7 @@ def oscillator(rng: Generator) -> Record:
     return _measured(solved(damping, force), solved(0.76 * damping, 0.0), rng, STEP / 2)
 
 
-def without_simulator(kind: str, rng: Generator) -> Record:
-    """A record without a simulator, for two networks or one."""
-    return Record(KINDS[kind](rng)[:SAMPLES], STEP)
-
-
-SPLIT = "five tones", "trend and season", "beating", "driven van der Pol", "Mackey-Glass"
-"""Kinds of records without a simulator that have a slow and a fast part."""
-COLUMNS = "filtered", "residual", "network", "split", "simulator", "baseline"
+COLUMNS = "filtered", "residual", "network", "simulator", "baseline"
 """Kinds of methods in the table; of several of a kind, the one with the lowest error counts."""
 NETWORKS = "gru", "state-space"
 LABELS = {
@@ -154,7 +142,6 @@ FAMILIES: dict[str, Callable[[Generator], Record]] = {
     "drifting sensor": drifting_sensor,
     "crane": crane,
     "van der Pol": oscillator,
-    **{kind: partial(without_simulator, kind) for kind in SPLIT},
 }
 
 
@@ -166,8 +153,7 @@ def bands_of(settings: Row) -> dict[Band, Row]:
 
 def floors(record: Record, settings: Row) -> dict[str, float]:
     """Return the forecast error with a perfect network: H(y) + L(y_s), and L(y) + H(y_s)."""
-    if record.y_sim is None:
-        return {}
+    assert record.y_sim is not None
     wrong, found = record.y_sim - record.y, dict[str, float]()
     for band, of in bands_of(settings).items():
         pair = Bands(of["cutoff"], of["order"]).one_way_pair(record.sampling_rate, band)
@@ -180,18 +166,9 @@ def measured(row: Row, folder: Path) -> Row:
     """Run the command, and return the row with the error of each method, regret and floors."""
     record = FAMILIES[row["family"]](np.random.default_rng(row["draw"]))
     words = written(record, folder / "record.csv")
-    if record.y_sim is not None:
-        simulated = Record(record.y_sim, record.sampling_time, columns=record.columns)
-        words += ["--simulator", *written(simulated, folder / "simulator.csv")]
-    else:
-        names = [*plan(record).names, "split-gru", "split-gru-conditioned"]
-        words += ["--methods", ",".join(names)]
-    if row["times"] is not None:
-        planned = plan(record)
-        method = next(name for name in planned.names if name.startswith("filtered"))
-        cutoff = (planned.high if "-high-" in method else planned.bands).cutoff
-        assert cutoff is not None
-        words += ["--methods", method, "--cutoff", f"{row['times'] * cutoff:.4g}"]
+    assert record.y_sim is not None
+    simulated = Record(record.y_sim, record.sampling_time, columns=record.columns)
+    words += ["--simulator", *written(simulated, folder / "simulator.csv")]
     row = clock.measured(words, row, folder)
     found = json.loads((folder / "out" / "results.json").read_text(encoding="utf-8"))
     every = {name: of for name, of in found["methods"].items() if "failed" not in of}
@@ -219,9 +196,8 @@ def best_of(rows: Iterable[Row], kind: str) -> list[float]:
 
 
 def pays(row: Row) -> bool:
-    """Return whether a filter is better than the residual hybrid, or one network, tried as well."""
-    kinds = ("filtered", "residual") if "simulator" in row["errors"] else ("split", "network")
-    filtered, other = (best_of([row], kind) for kind in kinds)
+    """Return whether a filtered hybrid is better than the residual one, tried as well."""
+    filtered, other = (best_of([row], kind) for kind in ("filtered", "residual"))
     return bool(filtered and other) and filtered < other
 
 
@@ -230,43 +206,28 @@ def middle(values: Sequence[float]) -> str:
     return f"{statistics.median(values):.3g}" if values else ""
 
 
-def costs_of_choice(rows: Sequence[Row]) -> list[float]:
-    """Return, by draw, the hybrid's error at the chosen cut-off over that at the best one."""
-    by_draw: dict[int, dict[float, float]] = {}
-    for row in rows:
-        if row["times"] is not None:
-            by_draw.setdefault(row["draw"], {})[row["times"]] = min(row["errors"].values())
-    return [of[1.0] / min(of.values()) for of in by_draw.values() if 1.0 in of and len(of) > 1]
-
-
-def table(
-    rows: Sequence[Row], names: Iterable[str] = FAMILIES, kinds: Sequence[str] = COLUMNS
-) -> str:
+def table(rows: Sequence[Row]) -> str:
     """Return what each family came to in Markdown: errors, what was recommended, and its regret."""
-    found = {name: [row for row in rows if row["family"] == name] for name in names}
-    plain = {name: [row for row in of if row["times"] is None] for name, of in found.items()}
-    shown = {name: of for name, of in plain.items() if of}
-    kinds = [k for k in kinds if any(best_of(of, k) for of in shown.values())]
+    found = {name: [row for row in rows if row["family"] == name] for name in FAMILIES}
     lines = []
-    for name, of in shown.items():
+    for name, of in found.items():
+        if not of:
+            continue
         chosen = statistics.multimode(kind_of(row["recommended"]) for row in of)
         floors = [min(row["floors"].values()) for row in of if row["floors"]]
-        errors = [spread(best_of(of, k)) for k in kinds]
-        regret, cost = (row["regret"] for row in of), costs_of_choice(found[name])
+        errors = [spread(best_of(of, kind)) for kind in COLUMNS]
         error = (row["errors"][row["recommended"]] for row in of)
-        advised = [", ".join(chosen), spread(error), spread(regret), f"{sum(map(pays, of))}"]
-        lines.append([name, *advised, *errors, middle(floors), spread(cost)])
-    heads = ["family", "recommended", "its error", "regret", "filter pays"]
-    heads += [*kinds, "perfect network", "cut-off"]
-    used = [i for i in range(len(heads)) if any(line[i] for line in lines)]
-    return page.table([heads[i] for i in used], [[line[i] for i in used] for line in lines])
+        regret = spread(row["regret"] for row in of)
+        advised = [", ".join(chosen), spread(error), regret, f"{sum(map(pays, of))}"]
+        lines.append([name, *advised, *errors, middle(floors)])
+    heads = ["family", "recommended", "its error", "regret", "filter pays", *COLUMNS]
+    return page.table([*heads, "perfect network"], lines)
 
 
 def drawn(rows: Sequence[Row]) -> Figure:
     """Draw the errors over the frequency above which a simulator is wrong: median and range."""
     figure, axis = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
-    plain = [row for row in rows if row["times"] is None]
-    of_edge = {edge: [row for row in plain if row["family"] == above(edge)] for edge in EDGES}
+    of_edge = {edge: [row for row in rows if row["family"] == above(edge)] for edge in EDGES}
     for kind, label in LABELS.items():
         points = [(edge, best_of(of, kind)) for edge, of in of_edge.items() if of]
         if kind == "perfect network":
@@ -296,7 +257,6 @@ def main() -> None:
     parser.add_argument("--families", nargs="+", default=[*FAMILIES], choices=[*FAMILIES])
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--development", action="store_true")
-    parser.add_argument("--times", nargs="+", type=float, default=[None], metavar="FACTOR")
     parser.add_argument("--budget", default="2m")
     parser.add_argument("--out", type=Path, default=page.OUT / FILE)
     parser.add_argument("--table", action="store_true", help="print the table, and run nothing")
@@ -309,8 +269,7 @@ def main() -> None:
     shared = {"asked": seconds(given.budget), "seed": 0, "beside": 0}
     # Draw by draw, so that an early end leaves all families.
     every: list[Row] = [
-        {"family": family, "draw": draw, "times": times} | shared
-        for draw, family, times in product(draws, given.families, given.times)
+        {"family": family, "draw": draw} | shared for draw, family in product(draws, given.families)
     ]
     clock.complete(given.out, every, measured)
 

@@ -74,7 +74,8 @@ from benchmarks.clock import Row
 from benchmarks.families import SAMPLES, STEP, Array, Generator
 from splitband import models
 from splitband.comparison.defaults import chosen_bands, high_bands
-from splitband.comparison.plan import TRAINING_SHARE, plan
+from splitband.comparison.plan import plan
+from splitband.comparison.request import TRAINING_SHARE, PlanRequest
 from splitband.comparison.run import run
 from splitband.data.public import drill_string
 from splitband.filters import Band
@@ -227,7 +228,9 @@ def measured(row: Row) -> Row:
             told["error"] = rmse(record.truth[ahead], y[ahead])
         else:
             method, seen = arm(row, record, bands)
-            planned = plan(seen, None, [method], rounds=row["rounds"], seed=row["seed"])
+            planned = plan(
+                PlanRequest(seen, None, [method], rounds=row["rounds"], seed=row["seed"])
+            )
             # Sizes are searched, as for the method that a name stands for.
             sized = {method.name: row["cell"] != "gru"}
             result = run(replace(planned, searched=sized))

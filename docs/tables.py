@@ -18,7 +18,7 @@ import argparse
 import json
 import re
 import statistics
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -97,10 +97,17 @@ NUMBERS: tuple[tuple[str, str], ...] = (
     *(
         (
             "docs/results/beyond.md",
-            before.format(*(f"{{results/beyond/{row}[methods][{name}][total_rmse_mean]:.3f}}" for
-                            name in ("filtered-gru", "filtered-gru-calibrated",
-                                     "filtered-gru-conditioned",
-                                     "filtered-gru-calibrated-conditioned"))),
+            before.format(
+                *(
+                    f"{{results/beyond/{row}[methods][{name}][total_rmse_mean]:.3f}}"
+                    for name in (
+                        "filtered-gru",
+                        "filtered-gru-calibrated",
+                        "filtered-gru-conditioned",
+                        "filtered-gru-calibrated-conditioned",
+                    )
+                )
+            ),
         )
         for row, before in (
             ("v", "Filtered GRU on (v): {}, calibrated {}, conditioned {}, both {}"),
@@ -189,7 +196,7 @@ NUMBERS: tuple[tuple[str, str], ...] = (
         "its training loss is {row[ii][split-gru-hp][loss of high band]} on (ii), against "
         "{row[ii][split-gru][loss of high band]} without",
     ),
-)  # fmt: skip
+)
 """Pages, and sentences of them whose numbers come from result files."""
 
 
@@ -427,34 +434,37 @@ def beyond() -> str:
         errors = {method: facts["total_rmse_mean"] for method, facts in methods.items()}
         errors[recommended] = together
         first = min(errors, key=errors.__getitem__)
-        rows.append([
-            title, f"`{recommended}`", f"{best['total_rmse_mean']:.3f}",
-            f"{best['forecast_rmse_mean']:.3f}", f"{together:.3f}", papers.get(name, ""),
-            f"`{first}` {errors[first]:.3f}", f"{together / errors[first]:.2f}",
-            f"{best['interval']['covers']:.0%}",
-        ])  # fmt: skip
-    heads = ["system", "recommended", "from the start", "forecast", "seeds together",
-             "the paper's best", "best row", "ratio", "in interval"]  # fmt: skip
-    return _table(heads, rows, 2)
+        found = best["total_rmse_mean"], best["forecast_rmse_mean"], together
+        row = [title, f"`{recommended}`", *(f"{error:.3f}" for error in found)]
+        row += [
+            papers.get(name, ""),
+            f"`{first}` {errors[first]:.3f}",
+            f"{together / errors[first]:.2f}",
+        ]
+        rows.append([*row, f"{best['interval']['covers']:.0%}"])
+    heads = ["system", "recommended", "from the start", "forecast", "seeds together"]
+    return _table([*heads, "the paper's best", "best row", "ratio", "in interval"], rows, 2)
 
 
 def speed_training() -> str:
     """Return the time of a training step, as multiples of ours, on one thread and on two."""
     rows = []
     rollout = _read("benchmarks/rollout")
+    gru, mlp = "GRU of 64 units, batch 50, window 150", "EulerMLP 4-500-500-4, batch 50, window 200"
+    of_gru = {
+        "a loop over `torch.nn.GRU`, step by step": ["nn.GRU, step by step"],
+        "tsfast, autoregressive GRU": ["tsfast AR_Model"],
+        "JAX `scan`, compiled whole, always on two threads": ["JAX scan"],
+    }
+    backends = ["tsfast NeuralStateSpace, eager", "tsfast NeuralStateSpace, C"]
+    of_mlp = {
+        "the loop in torch": ["plain loop"],
+        "tsfast, neural state space, its faster backend": backends,
+    }
     for network, title, digits, peers in (
-        ("GRU", "GRU of 64 units, batch 50, window 150: ours", 1, {
-            "a loop over `torch.nn.GRU`, step by step": ["nn.GRU, step by step"],
-            "tsfast, autoregressive GRU": ["tsfast AR_Model"],
-            "JAX `scan`, compiled whole, always on two threads": ["JAX scan"],
-        }),
-        ("EulerMLP", "EulerMLP 4-500-500-4, batch 50, window 200: ours", 0, {
-            "the loop in torch": ["plain loop"],
-            "tsfast, neural state space, its faster backend": [
-                "tsfast NeuralStateSpace, eager", "tsfast NeuralStateSpace, C",
-            ],
-        }),
-    ):  # fmt: skip
+        ("GRU", f"{gru}: ours", 1, of_gru),
+        ("EulerMLP", f"{mlp}: ours", 0, of_mlp),
+    ):
         found = [rollout[f"{network}, {threads} threads"] for threads in (1, 2)]
         rows.append([title, *(f"{each['kernel, ms']:.{digits}f} ms" for each in found)])
         for peer, names in peers.items():
@@ -473,11 +483,10 @@ def speed_state_space() -> str:
                 f"{states} states, {units} units, batch {batch}, window {window}"
             ]
             times = [f"{found[f'{peer} / kernel']:.1f}" for peer in peers]
-            rows.append([f"{states}, {units}", f"{batch}, {window:,}",
-                         f"{found['kernel, ms']:.1f} ms", *times])  # fmt: skip
-    heads = ["states, units", "batch, window", "ours", "products by `torch.mm`", "JAX `scan`",
-             "GRU of as many units"]  # fmt: skip
-    return _table(heads, rows, 2)
+            sizes = f"{states}, {units}", f"{batch}, {window:,}"
+            rows.append([*sizes, f"{found['kernel, ms']:.1f} ms", *times])
+    heads = ["states, units", "batch, window", "ours"]
+    return _table([*heads, "products by `torch.mm`", "JAX `scan`", peers[-1]], rows, 2)
 
 
 _EXPORTED = {
@@ -492,9 +501,9 @@ _EXPORTED = {
 def speed_steps() -> str:
     """Return the microseconds of a step, by model and by where it runs."""
     formats = {
-        "stream": ".0f", "C, double": ".2g", "C, float": ".2g",
-        "onnxruntime, step by step": ".0f", "onnxruntime, a simulation": ".0f",
-    }  # fmt: skip
+        **{"stream": ".0f", "C, double": ".2g", "C, float": ".2g"},
+        **dict.fromkeys(("onnxruntime, step by step", "onnxruntime, a simulation"), ".0f"),
+    }
     rows = []
     for title, name in _EXPORTED.items():
         found = _read("benchmarks/export")[name]["microseconds a step"]
@@ -546,38 +555,30 @@ def _intervals(methods: str) -> str:
     return recommendation.table(json.loads(path.read_text(encoding="utf-8")))
 
 
-WITH_SIMULATOR = [kind for kind in families.COLUMNS if kind != "split"]
-"""Kinds of methods on records with a simulator."""
-
-
-def families_table(file: str, with_simulator: bool, kinds: Sequence[str] = families.COLUMNS) -> str:
-    """Return what the families of drawn records came to, with a simulator or without."""
-    named = [name for name in families.FAMILIES if (name in families.SPLIT) != with_simulator]
-    return families.table(clock.read(page.OUT / file), named, kinds)
+def _families() -> str:
+    return families.table(clock.read(page.OUT / families.FILE))
 
 
 TABLES: dict[str, Callable[[], str]] = {
     **{
         function.__name__.replace("_", "-"): function
         for function in (
-            beyond, fuzz, memory, physics_wrong, speed_accuracy,
-            speed_state_space, speed_steps, speed_training,
+            *(beyond, fuzz, memory, physics_wrong),
+            *(speed_accuracy, speed_state_space, speed_steps, speed_training),
         )
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
-    "families": partial(families_table, families.FILE, True, WITH_SIMULATOR),
-    "families-before": partial(families_table, families.BEFORE, True, families.COLUMNS[:2]),
-    "families-split": partial(families_table, families.FILE, False),
-}  # fmt: skip
+    "families": _families,
+}
 """The files of docs/tables, without their suffix."""
 COMPUTED: dict[str, Callable[[], Any]] = {
     function.__name__: cache(function)
     for function in (
-        calibration, conditioning, few_samples, over_best, own_warmup, parameters, published,
-        readme_benchmarks, usual, *statements.FIGURES,
+        *(calibration, conditioning, few_samples, over_best, own_warmup, parameters, published),
+        *(readme_benchmarks, usual, *statements.FIGURES),
     )
-}  # fmt: skip
+}
 
 
 def written() -> Iterator[tuple[Path, str]]:

@@ -97,9 +97,8 @@ def test_many_records_are_compared_one_by_one_and_summed_up(
     for index in "011":
         monkeypatch.setattr(sys, "argv", ["many_records.py", "records", "results", index])
         runpy.run_path(str(EXAMPLES / "many_records.py"), run_name="__main__")
-    assert capsys.readouterr().out.splitlines() == [
-        "arm.csv: linear", "pump.csv: linear", "pump.csv: is there",
-    ]  # fmt: skip
+    said = capsys.readouterr().out.splitlines()
+    assert said == ["arm.csv: linear", "pump.csv: linear", "pump.csv: is there"]
     assert main(["summary", "results/arm", "results/pump", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["record"] for row in rows] == ["arm", "pump"]

@@ -70,9 +70,9 @@ def test_the_commands_warn_of_it(
     assert results(tmp_path / "spectrum")["simulator"]["training"]["nothing_to_learn"] == trap
     assert ("warning: nothing to learn" in said) == trap
     assert ("there is something to learn" in said) == trap
-    call(f"compare {options} --train 150 --methods filtered-gru,residual-gru --seeds 1 "
-         "--recipe constant-rate --epochs 1 --hidden 2,2 --window 30 --warmup 10 --jobs 1",
-         tmp_path / "compared")  # fmt: skip
+    quick = "--recipe constant-rate --epochs 1 --hidden 2,2 --window 30 --warmup 10 --jobs 1"
+    hybrids = "--train 150 --methods filtered-gru,residual-gru --seeds 1"
+    call(f"compare {options} {hybrids} {quick}", tmp_path / "compared")
     said = capsys.readouterr().out
     assert ("(filtered-gru): nothing to learn" in said) == trap
     assert "(residual-gru): nothing" not in said

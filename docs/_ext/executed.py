@@ -157,10 +157,9 @@ def _executed(
     shown = {"COLUMNS": "100", "MPLBACKEND": "agg", "NO_COLOR": "1"}
     with TemporaryDirectory() as folder:
         shutil.copytree(ROOT / "examples", Path(folder, "examples"))
-        done = subprocess.run(
-            [sys.executable, str(WORKER)], input=json.dumps(asked), cwd=folder, text=True,
-            capture_output=True, env={**os.environ, **paths, **shown}, check=False,
-        )  # fmt: skip
+        how: dict[str, Any] = {"text": True, "capture_output": True, "cwd": folder}
+        how |= {"input": json.dumps(asked), "env": {**os.environ, **paths, **shown}}
+        done = subprocess.run([sys.executable, str(WORKER)], check=False, **how)
         if done.returncode:
             raise ExtensionError(f"{page}: a block failed:\n{done.stderr}\n{done.stdout}")
         results: list[dict[str, str]] = json.loads(done.stdout)

@@ -61,10 +61,8 @@ def _code(block: Mapping[str, str], result: Mapping[str, str], kept: Path) -> li
 
 
 def _cell(code: str) -> dict[str, Any]:
-    return {
-        "cell_type": "code", "execution_count": None, "metadata": {}, "outputs": [],
-        "source": code,
-    }  # fmt: skip
+    made: dict[str, Any] = {"cell_type": "code", "execution_count": None, "metadata": {}}
+    return {**made, "outputs": [], "source": code}
 
 
 def _shown(data: Mapping[str, str]) -> dict[str, Any]:

@@ -195,22 +195,17 @@ def _boxes(
 ) -> None:
     axes.set(title=title, xlim=(-0.05, 1.05), ylim=(-0.06, 1.0))
     axes.axis("off")
+    middle: dict[str, Any] = {"ha": "center", "va": "center"}
+    box = {"boxstyle": "round,pad=0.4", "ec": "0.4"}
     drawn = {
-        name: axes.text(
-            x, y, text, ha="center", va="center", fontsize=9,
-            bbox={"boxstyle": "round,pad=0.4", "fc": colour, "ec": "0.4"},
-        )
+        name: axes.text(x, y, text, fontsize=9, bbox={**box, "fc": colour}, **middle)
         for name, (x, y, text, colour) in boxes.items()
-    }  # fmt: skip
+    }
     for arrow in arrows:
         begin, end = arrow.split("-")
-        axes.annotate(
-            "", xy=boxes[end][:2], xytext=boxes[begin][:2], zorder=0,
-            arrowprops={
-                "arrowstyle": "->", "color": "0.4", "shrinkA": 4, "shrinkB": 4,
-                "patchA": drawn[begin].get_bbox_patch(), "patchB": drawn[end].get_bbox_patch(),
-            },
-        )  # fmt: skip
+        ends = {"patchA": drawn[begin].get_bbox_patch(), "patchB": drawn[end].get_bbox_patch()}
+        style = {"arrowstyle": "->", "color": "0.4", "shrinkA": 4, "shrinkB": 4, **ends}
+        axes.annotate("", xy=boxes[end][:2], xytext=boxes[begin][:2], zorder=0, arrowprops=style)
 
 
 FIGURES: tuple[Callable[[], Figure], ...] = (pair, bands, drift, calibration, trap, growth, scheme)

@@ -10,6 +10,7 @@ import splitband as sb
 from splitband.cli.options import RecordOptions, SimulatorOrBaseOptions
 from splitband.cli.requests import Request, planned
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from tests.cli.support import QUICK, SIMULATED, TRAIN, WARMUP, A, call, results
 from tests.records import rms
 
@@ -30,7 +31,7 @@ def test_python_takes_what_the_command_line_names(simulator: str) -> None:
     asked = Request("record.csv", reading, SimulatorOrBaseOptions(simulator))
     asked = replace(asked, methods=",".join(methods), calibrate=simulator != "periodic")
     record = sb.read("record.csv", columns="a")
-    found = plan(record, None, methods, simulator=simulator, calibrate=asked.calibrate)
+    found = plan(PlanRequest(record, None, methods, simulator=simulator, calibrate=asked.calibrate))
     expected = planned(asked)
     assert found.names == expected.names
     assert found.bands.cutoff == expected.bands.cutoff

@@ -13,6 +13,7 @@ from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import Sizes
 from splitband.comparison.plan import plan
 from splitband.comparison.recommendation import Trial
+from splitband.comparison.request import PlanRequest
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.held_out import Origin
 from splitband.forecasters.network import Network
@@ -82,7 +83,7 @@ def test_the_plan_looks_at_nothing_after_the_training_part(simulated: bool) -> N
     r = record() if simulated else replace(record(), y_sim=None)
     y = r.y.copy()
     y[TRAIN:] += 100
-    found, expected = (plan(each, TRAIN) for each in (replace(r, y=y), r))
+    found, expected = (plan(PlanRequest(each, TRAIN)) for each in (replace(r, y=y), r))
     assert found.as_json() == expected.as_json()
     assert found.names == expected.names
 
@@ -92,45 +93,47 @@ def test_bands_that_are_given_hold_on_every_base(base: str | None) -> None:
     """Also where the fit of a base chooses what is not given."""
     method: Any
     r = record() if base is None else replace(record(), y_sim=None)
-    (method,) = plan(r, TRAIN, "filtered-gru", bands=Bands(1.5), simulator=base).methods
+    (method,) = plan(
+        PlanRequest(r, TRAIN, "filtered-gru", bands=Bands(1.5), simulator=base)
+    ).methods
     assert method.bands.cutoff == 1.5
 
 
 def test_a_simulator_that_does_not_help_leaves_what_needs_none_and_no_bands() -> None:
     useless = np.random.default_rng(1).standard_normal((LENGTH, 1))
     r = replace(record(), y_sim=useless)
-    planned, alone = plan(r, TRAIN), plan(replace(r, y_sim=None), TRAIN)
+    planned, alone = plan(PlanRequest(r, TRAIN)), plan(PlanRequest(replace(r, y_sim=None), TRAIN))
     assert planned.bands.choice is not None
     assert planned.bands.choice.simulator_helps is False
     assert planned.bands.cutoff is None
     assert {*planned.names} - {*alone.names} == {"simulator", "simulator-calibrated"}
     assert planned.names[0] == alone.names[0] == "gru"
-    assert plan(record(), TRAIN).names == default_names(with_simulator=True)
+    assert plan(PlanRequest(record(), TRAIN)).names == default_names(with_simulator=True)
 
 
 def test_two_networks_are_compared_by_name_alone() -> None:
     alone = replace(record(), y_sim=None)
     driven = replace(alone, u=np.cumsum(alone.y, axis=0))
     for r in (alone, driven, record()):
-        assert not [name for name in plan(r, TRAIN).names if name.startswith("split")]
-    assert plan(alone, TRAIN).bands == Bands()
+        assert not [name for name in plan(PlanRequest(r, TRAIN)).names if name.startswith("split")]
+    assert plan(PlanRequest(alone, TRAIN)).bands == Bands()
     says = r"cutoff must be left out .* two bands, got 0\.6: methods .* such as split-gru"
     with pytest.raises(sb.InputError, match=says):
-        plan(alone, TRAIN, bands=Bands(0.6))
-    (method,) = plan(alone, TRAIN, "split-gru", bands=Bands(0.6)).methods
+        plan(PlanRequest(alone, TRAIN, bands=Bands(0.6)))
+    (method,) = plan(PlanRequest(alone, TRAIN, "split-gru", bands=Bands(0.6))).methods
     assert method.get_params()["bands"].cutoff == 0.6
 
 
 def test_a_simulator_that_helps_in_the_high_band_alone_is_tried_there() -> None:
     r = record()
     drifting = replace(r, y_sim=r.y + 0.5 * r.time[:, None])
-    planned = plan(drifting, TRAIN)
+    planned = plan(PlanRequest(drifting, TRAIN))
     above, kept = "filtered-high-state-space-conditioned", default_names(with_simulator=True)
     assert planned.names == [above if name.startswith("filtered") else name for name in kept]
     assert planned.as_json()["high"]["cutoff"] == planned.high.cutoff
     (method,) = (m for m in planned.methods if "high" in m.name)
     assert method.get_params()["bands"] is planned.high
-    (alone,) = plan(drifting, TRAIN, "filtered-high-gru", bands=Bands(order=2)).methods
+    (alone,) = plan(PlanRequest(drifting, TRAIN, "filtered-high-gru", bands=Bands(order=2))).methods
     assert alone.get_params()["bands"].order == 2
 
 
@@ -143,14 +146,14 @@ class Damped:
 
 def test_a_simulator_is_run_beside_the_record_and_longer_where_it_is_calibrated() -> None:
     r = replace(record(), y_sim=None)
-    usual = plan(r, TRAIN, ["simulator"], simulator=Damped())
+    usual = plan(PlanRequest(r, TRAIN, ["simulator"], simulator=Damped()))
     assert usual.record.y_sim is not None
     np.testing.assert_allclose(usual.record.y_sim[:, 0], Damped().simulate(r.time))
-    calibrated = plan(r, TRAIN, ["simulator"], simulator=Damped(), calibrate=True)
+    calibrated = plan(PlanRequest(r, TRAIN, ["simulator"], simulator=Damped(), calibrate=True))
     assert calibrated.names == ["simulator", "simulator-calibrated"]
     assert calibrated.record.y_sim is not None
     assert len(calibrated.record.y_sim) > LENGTH
-    hybrid = plan(r, TRAIN, ["filtered-gru"], simulator="harmonic", conditioned=True)
+    hybrid = plan(PlanRequest(r, TRAIN, ["filtered-gru"], simulator="harmonic", conditioned=True))
     assert hybrid.names == ["filtered-harmonic-gru", "filtered-harmonic-gru-conditioned"]
 
 
@@ -169,13 +172,13 @@ def test_a_simulator_is_run_beside_the_record_and_longer_where_it_is_calibrated(
 )
 def test_what_cannot_be_is_refused_before_anything_runs(asked: dict[str, Any], says: str) -> None:
     with pytest.raises((ValueError, FileNotFoundError), match=says):
-        plan(replace(record(), y_sim=None), TRAIN, **asked)
+        plan(PlanRequest(replace(record(), y_sim=None), TRAIN, **asked))
 
 
 def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
     u = np.random.default_rng(2).standard_normal((LENGTH, 1))
     r = replace(record(), u=u)
-    methods = plan(r, TRAIN).names
+    methods = plan(PlanRequest(r, TRAIN)).names
     assert sorted(methods) == sorted(default_names(with_simulator=True, with_inputs=True))
     driven = replace(r, y=np.cumsum(0.3 * u - 0.1, axis=0), y_true=None)
     (found,) = compare(driven, ["linear"], SETUP).fits["linear"]
@@ -183,9 +186,9 @@ def test_a_record_with_inputs_is_compared_with_a_linear_model_too() -> None:
 
 
 def test_methods_without_a_simulator_get_the_pair_they_would_get_without_one() -> None:
-    alone = plan(replace(record(), y_sim=None), TRAIN, ["split-gru"]).bands
-    assert plan(record(), TRAIN, ["split-gru", "mean"]).bands == alone
-    assert plan(record(), TRAIN, ["filtered-gru"]).bands != alone
+    alone = plan(PlanRequest(replace(record(), y_sim=None), TRAIN, ["split-gru"])).bands
+    assert plan(PlanRequest(record(), TRAIN, ["split-gru", "mean"])).bands == alone
+    assert plan(PlanRequest(record(), TRAIN, ["filtered-gru"])).bands != alone
 
 
 def test_what_forecasts_the_held_out_part_best_is_recommended() -> None:
@@ -247,4 +250,4 @@ def test_fits_to_too_few_samples_do_not_widen_an_interval() -> None:
 def test_a_simulator_beside_a_record_that_has_the_output_of_one_is_refused() -> None:
     beside = sb.Recorded(record().y, DT)
     with pytest.raises(sb.InputError, match=r"simulator must be left out .*y_sim.* got both"):
-        plan(record(), TRAIN, ["mean"], simulator=beside)
+        plan(PlanRequest(record(), TRAIN, ["mean"], simulator=beside))

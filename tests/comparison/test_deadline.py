@@ -15,6 +15,7 @@ from splitband import Forecaster
 from splitband.comparison.clock import MOST_OF_BASELINE, Clock
 from splitband.comparison.jobs import late
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.run import compare, run
 from splitband.comparison.running import RunningComparison
 from splitband.forecasters.prediction import ForecastContext
@@ -76,10 +77,8 @@ def test_networks_have_their_rounds_while_a_baseline_never_ends() -> None:
 
     with ThreadPoolExecutor(2) as executor:
         try:
-            result = compare(
-                RECORD, TRAIN, [Endless(), "mean", "gru"], cores=2, executor=executor,
-                watch=watch, budget=6.0, **SMALL,
-            )  # fmt: skip
+            how: dict[str, Any] = {"cores": 2, "executor": executor, "watch": watch, **SMALL}
+            result = compare(RECORD, TRAIN, [Endless(), "mean", "gru"], budget=6.0, **how)
         finally:
             RELEASED.set()
     assert seen["baselines"] == {"mean"}
@@ -104,7 +103,7 @@ def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
 ) -> None:
     """Each look at the clock takes a second."""
     clock = slowed(monkeypatch, 1.0)
-    planned = plan(RECORD, TRAIN, [Patient(), "mean", "gru"], budget=1e6, **SMALL)
+    planned = plan(PlanRequest(RECORD, TRAIN, [Patient(), "mean", "gru"], budget=1e6, **SMALL))
     result = run(planned, clock=Clock(1000.0, clock.at))
     assert {*result.fits} == {"patient", "mean", "gru"}
     assert vars(result.fits["patient"][0].fitted)["steps"] <= MOST_OF_BASELINE
@@ -113,10 +112,10 @@ def test_a_baseline_has_a_part_of_the_time_where_there_is_one_process(
 
 
 def test_a_fit_that_would_take_too_long_again_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("splitband.comparison.running.MOST_OF_BASELINE", 1e6)
-    monkeypatch.setattr("splitband.comparison.running.BASELINE_SHARE", 0.9)
+    monkeypatch.setattr("splitband.comparison.clock.MOST_OF_BASELINE", 1e6)
+    monkeypatch.setattr("splitband.comparison.clock.BASELINE_SHARE", 0.9)
     clock = slowed(monkeypatch, 1.0)
-    planned = plan(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL)
+    planned = plan(PlanRequest(RECORD, TRAIN, [Patient(), "mean"], budget=1e6, **SMALL))
     result = run(planned, clock=Clock(300.0, clock.at))
     assert len(result.fits["patient"][0].fitted.require_fitted().record) < TRAIN
     (note,) = result.clock.notes

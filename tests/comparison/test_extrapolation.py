@@ -69,9 +69,9 @@ def test_commands_warn_of_inputs_beyond_training(
     said = "input force is beyond its range in training"
     quick = "--epochs 1 --window 30 --warmup 10"
     ahead = "--future-inputs future.csv --steps 40"
+    few = "--seeds 1 --jobs 1 --methods gru,mean"
 
-    call(f"compare record.csv --inputs force --train {TRAIN} {quick} --seeds 1 --jobs 1 "
-         "--methods gru,mean", Path("out"))  # fmt: skip
+    call(f"compare record.csv --inputs force --train {TRAIN} {quick} {few}", Path("out"))
     shown = capsys.readouterr().out
     assert said in shown
     assert "from sample 20 of the prediction on, up to 50" in shown

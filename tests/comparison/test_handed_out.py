@@ -53,8 +53,8 @@ def test_a_method_is_handed_out_as_it_was_trained(name: str, tmp_path: Path) -> 
     assert loaded.lower is not None
     again = model.untrained()
     assert again.fitted is None
-    np.testing.assert_allclose(again.fit(record()[:TRAIN], seed=0).predict(40).y,
-                               compared().medians[name].ahead, atol=1e-12)  # fmt: skip
+    ahead = again.fit(record()[:TRAIN], seed=0).predict(40).y
+    np.testing.assert_allclose(ahead, compared().medians[name].ahead, atol=1e-12)
 
 
 def widths(prediction: sb.Prediction) -> Array:

@@ -246,10 +246,9 @@ def test_an_interval_is_limited_by_the_spread_of_what_was_measured() -> None:
 def test_an_interval_is_narrow_or_wide_where_chance_does_not_explain_what_it_holds() -> None:
     """Of 100 independent samples one standard deviation is 3 % of them, of 1,000 it is 1 %."""
     interval = Interval((1.0,), (0.0,), (None,))
-    for inside, samples, expected in (
-        (0.52, 20, "narrow"), (0.85, 1000, "narrow"), (0.85, 40, ""), (0.88, 100_000, ""),
-        (0.9, 1000, ""), (0.99, 1000, "wide"), (1.0, 1000, "wide"), (1.0, 20, ""),
-    ):  # fmt: skip
+    narrow, fits = [(0.52, 20), (0.85, 1000)], [(0.85, 40), (0.88, 100_000), (0.9, 1000), (1.0, 20)]
+    cases = {"narrow": narrow, "": fits, "wide": [(0.99, 1000), (1.0, 1000)]}
+    for expected, inside, samples in ((word, *each) for word in cases for each in cases[word]):
         size = np.where(np.arange(samples) < inside * samples, 0.5, 2.0)
         size -= 0.1 * np.random.default_rng(0).uniform(size=samples)
         left = np.random.default_rng(1).permutation(size)[:, None]

@@ -11,6 +11,7 @@ import pytest
 from splitband import Record
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.result import Comparison
 from splitband.comparison.run import compare, fit, run
 from splitband.comparison.running import RunningComparison
@@ -75,7 +76,7 @@ def test_there_is_a_result_whatever_the_deadline(
     looks: int, methods: list[str], refit: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = slowed(monkeypatch, 1.0)
-    planned = plan(RECORD, TRAIN, methods, budget=1e6, refit=refit, **SMALL)  # type: ignore[arg-type]
+    planned = plan(PlanRequest(RECORD, TRAIN, methods, budget=1e6, refit=refit, **SMALL))  # type: ignore[arg-type]
     result = run(planned, clock=Clock(float(looks), clock.at))
     assert {"mean", "persistence"} & {*methods} <= {*result.fits}
     assert {*result.table.index} == {*methods}
@@ -140,11 +141,11 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption() -> None:
 )
 def test_limits_are_checked_before_anything_runs(options: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        plan(RECORD, TRAIN, METHODS, **options)  # type: ignore[arg-type]
+        plan(PlanRequest(RECORD, TRAIN, METHODS, **options))  # type: ignore[arg-type]
 
 
 def test_a_fit_searches_and_ends_with_one_training() -> None:
-    planned = plan(RECORD, len(RECORD), ["gru"], horizon=0, rounds=2, **SMALL)  # type: ignore[arg-type]
+    planned = plan(PlanRequest(RECORD, len(RECORD), ["gru"], horizon=0, rounds=2, **SMALL))  # type: ignore[arg-type]
     model = fit(planned)
     assert model.name == "gru"
     # Its interval is that of the search, and a copy is trained as long as all rounds together.

@@ -15,6 +15,7 @@ from splitband.comparison.candidates import FINAL_SHARE, FIRST_ROUND
 from splitband.comparison.jobs import Job
 from splitband.comparison.methods import Sizes
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.search import SEEDS, Search
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.prediction import Prediction
@@ -69,7 +70,7 @@ class Trainer:
 
 def searching(methods: list[str], cores: int = 1, **options: object) -> Search:
     settings = {"warmup": 10}
-    found = plan(RECORD, TRAIN, methods, settings=settings, rounds=9, **options)  # type: ignore[arg-type]
+    found = plan(PlanRequest(RECORD, TRAIN, methods, settings=settings, rounds=9, **options))  # type: ignore[arg-type]
     return Search(found, cores)
 
 
@@ -114,8 +115,8 @@ def test_as_many_go_on_as_keep_all_cores_busy() -> None:
 def test_what_does_not_improve_stops_and_other_seeds_follow_until_all_is_settled() -> None:
     search, trainer = searching(["gru"]), Trainer(lambda job, n: 1.0 - 0.001 * n)
     trainer.run(search)
-    assert all(trainer.done[id(job.start)] == 1 for jobs in trainer.rounds for job in jobs
-               if job.start is not None)  # fmt: skip
+    started = [job.start for jobs in trainer.rounds for job in jobs if job.start is not None]
+    assert all(trainer.done[id(start)] == 1 for start in started)
     seeds = [{job.seed for job in jobs} for jobs in trainer.rounds if jobs[0].start is None]
     assert seeds[-1] == {SEEDS - 1}
     assert search.converged
@@ -183,7 +184,7 @@ def test_the_median_of_the_best_is_handed_out_and_goes_on_on_all_samples() -> No
 
 
 def test_settings_that_are_given_are_trained_once_as_they_are() -> None:
-    found = plan(RECORD, TRAIN, ["gru"], settings=QUICK, seeds=3)
+    found = plan(PlanRequest(RECORD, TRAIN, ["gru"], settings=QUICK, seeds=3))
     assert found.budget is None
     search, trainer = Search(found), Trainer(lambda job, n: 1 / n)
     trainer.run(search)

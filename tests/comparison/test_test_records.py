@@ -12,6 +12,7 @@ import scipy.signal
 import splitband as sb
 from splitband import Bands, Record, TrainingSettings
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.metrics import rmse
 from tests.records import Setup
 from tests.support import compare, known_after
@@ -53,7 +54,7 @@ def test_a_warm_up_that_is_left_open_leaves_most_of_a_short_test_record(
     samples: int, asked: dict[str, int], warmup: int
 ) -> None:
     tests = [driven(samples, 1)]
-    found = plan(driven(400, 0), methods=[sb.Mean()], tests=tests, settings=asked)
+    found = plan(PlanRequest(driven(400, 0), methods=[sb.Mean()], tests=tests, settings=asked))
     assert found.settings.warmup == warmup
 
 
@@ -208,7 +209,7 @@ def test_test_records_of_one_name_are_told_apart() -> None:
 
 def test_a_test_record_is_told_apart_from_the_record_by_its_name() -> None:
     tests = [replace(test, name=name) for test, name in zip(TESTS, ("run", ""), strict=True)]
-    planned = plan(replace(driven(TRAIN, 0), name="run"), methods="mean", tests=tests)
+    planned = plan(PlanRequest(replace(driven(TRAIN, 0), name="run"), methods="mean", tests=tests))
     assert [test.name for test in planned.tests] == ["run (2)", "2"]
 
 

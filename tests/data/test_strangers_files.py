@@ -74,7 +74,12 @@ SKIP = {"skip_rows": 1, "time_column": 0}
 @pytest.mark.parametrize(
     ("text", "words", "remedy", "step"),
     [
-        (BAD, "line 2 holds 'Bad' where line 3", {"skip_rows": 2, "header_row": 1}, 1),
+        (
+            BAD,
+            "line 2 holds 'Mon Jan 1 9:00:00 2024' and 'Bad'",
+            {"skip_rows": 2, "header_row": 1},
+            1,
+        ),
         (THREE, "line 1 holds 2 names, line 2 3 cells", SKIP, 1),
         (FIVES, "'(ms)' where a name is due", {"header_row": 1, "columns": "y"}, 1),
         (HALVES, f"{NUMBERS}: header_row=1", {"header_row": 1, "time_column": "0"}, 1),

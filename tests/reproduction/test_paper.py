@@ -249,8 +249,8 @@ def test_bad_arguments_are_named(
 
 def test_every_table_and_every_published_value_has_its_runs() -> None:
     for name, spec in SPECS.items():
-        found = {(line.system if line.value is None else line.value, line.method)
-                 for line in lines(name)}  # fmt: skip
+        shown = [*lines(name)]
+        found = {(x.system if x.value is None else x.value, x.method) for x in shown}
         wanted = {(key, method) for key, row in spec.published.items() for method in row}
         if spec.shows != "quantiles" and not spec.own_warmup:
             assert wanted <= found, name

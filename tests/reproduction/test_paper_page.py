@@ -17,11 +17,11 @@ from splitband.metrics import rmse
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "paper.md"
 RESULTS = ROOT / "docs" / "results"
-EQUATIONS = {
-    1: "dynamics", 2: "observation", 3: "complementarity", 4: "recurrence", 5: "decomposition",
-    6: "joint recurrence", 7: "recurrent model", 8: "rollout", 9: "down-sampling", 10: "training",
-    11: "prediction", 12: "hybrid loss",
-}  # fmt: skip
+NAMED = (
+    "dynamics, observation, complementarity, recurrence, decomposition, joint recurrence, "
+    "recurrent model, rollout, down-sampling, training, prediction, hybrid loss"
+)
+EQUATIONS = dict(enumerate(NAMED.split(", "), 1))
 """The numbered equations of the paper's main text."""
 MENTION = re.compile(r"\bEqs?\.\s+(\d+)(?:, ([a-z][a-z-]*(?: (?:loss|model|recurrence))?))?")
 

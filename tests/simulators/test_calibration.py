@@ -10,6 +10,7 @@ import pytest
 from splitband import Record
 from splitband.comparison.methods import named
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.data import drill_string
 from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
@@ -111,7 +112,7 @@ def test_noise_above_the_band_of_a_hybrid_does_not_change_its_gain() -> None:
     assert whole.gain is not None
     assert whole.gain[0] < 1.0  # least squares with an uncertain regressor
     assert below.gain == pytest.approx([1.7], rel=0.05)
-    (planned,) = plan(noisy, TRAIN, "filtered-gru-calibrated").methods
+    (planned,) = plan(PlanRequest(noisy, TRAIN, "filtered-gru-calibrated")).methods
     assert planned.get_params()["base"].below == planned.get_params()["bands"].cutoff
 
 

@@ -8,6 +8,7 @@ import torch
 
 from splitband import GRU, Record
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.forecasters.held_out import Origin
 from splitband.models import Recurrent
 from splitband.training.windows import joined, select, windows, windows_in
@@ -55,7 +56,7 @@ def test_several_records_train_another_model_than_each_alone() -> None:
 )
 def test_other_records_must_be_of_the_same_kind(other: Record, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        plan(record(), TRAIN, ["gru"], others=[other], **SETUP.options)
+        plan(PlanRequest(record(), TRAIN, ["gru"], others=[other], **SETUP.options))
 
 
 def test_a_network_without_a_simulator_trains_on_records_with_and_without_one() -> None:

@@ -38,28 +38,28 @@ from splitband.runtime.errors import InputError
 LONGEST_DELAY = 100_000
 """Longest delay in samples that a file may ask for: bounds the memory of a stream."""
 _PAST = 12
-"""Order of the models that whiten the signals. Checked by `benchmarks.sensitivity`."""
+"""Order of the models that whiten the signals. Checked by halving and doubling."""
 _SIGNIFICANT = 5.5
 """Correlation of an input with effect, in standard deviations of those without. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _OF_LARGEST = (0.35, 0.7, 1.0)
 """A candidate is the first lag with this share of the largest correlation: as levels that are held
 for some samples are correlated by chance, the first significant one may be early. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _ARX_PAST = 30
 """Past samples of each signal in the ARX model that tests earlier lags. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _ARX_ROWS = 8000
 """Samples of a record in it, at even distances in longer ones. Bounds time and memory."""
 _CHANCE = 1e-6
 """Probability that regressors without effect are significant. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _EFFECT = 0.02
 """Share of what other regressors leave that tested ones explain at least, as models are but nearly
-right. Checked by `benchmarks.sensitivity`."""
+right. Checked by halving and doubling."""
 _SHARE = 0.4
 """Longest delay that is searched, as a share of the longest record. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 FEWEST_MOVES = 3.0
 """Fewest moves of an input that show a delay: one or two may be followed by anything. By eye."""
 _ALIKE = 1.05
@@ -67,7 +67,7 @@ _ALIKE = 1.05
 it that needs more poles. By eye."""
 SHORTEST = 2
 """Shortest first estimate, in samples, that is not taken to be 0: many systems answer one sample
-late. Checked by `benchmarks.sensitivity`."""
+late. Checked by halving and doubling."""
 
 _ROWS = 10
 """Block rows of the subspace models that compare delays. Bounds the time."""

@@ -60,9 +60,9 @@ _GROWTH = 100.0
 factor: over the whole record they leave the range of numbers. By eye."""
 _FITS = 0.5
 """A simulation fits if its RMS error is below this share of the standard deviation, and far better
-than another one below this share of its error. Checked by `benchmarks.sensitivity`."""
+than another one below this share of its error. Checked by halving and doubling."""
 _LAGS = 16
-"""Past samples from which an input is predicted. Checked by `benchmarks.sensitivity`."""
+"""Past samples from which an input is predicted. Checked by halving and doubling."""
 _ROWS = 20_000
 """Most samples of all records for this. Bounds the time."""
 

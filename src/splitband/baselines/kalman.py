@@ -29,7 +29,7 @@ _PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
 """OrderCandidate factors of the prior covariance of an initial state. Bounds the time."""
 _SURPRISING = 8.0
 """Rise of twice the log-likelihood that a factor other than the usual one must bring. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 EXACT = 1e-5
 """Smallest standard deviation of an error, as a share of the output's in training: with smaller
 ones the normal equations would lose the state to rounding."""

@@ -41,7 +41,7 @@ SEGMENTS = 10
 _MOST, _MOST_FOR_SEVERAL = 40, 60
 """Largest order for one output and for several. The largest published benchmark needs 44."""
 _SAMPLES_EACH = 6
-"""Fewest samples per parameter. Checked by `benchmarks.sensitivity`."""
+"""Fewest samples per parameter. Checked by halving and doubling."""
 _STRIDES = (1, 4, 16, 64)
 """Samples that are averaged for subspace estimates of slow systems. Bounds the time."""
 ITERATIONS = 12
@@ -51,7 +51,7 @@ _MISSES = 4
 _MOST_REDUCED = 8
 """Largest order that is reduced by leaving out each of its poles: where inputs wander, a subspace
 has a pole near 1 in the place of a pair, from which no refinement finds back: the linear model of
-the demo then has half as much again of error. Checked by `benchmarks.sensitivity`."""
+the demo then has half as much again of error. Checked by halving and doubling."""
 _NEAR = 0.7
 """Orders above 8 are tried from this share of the one that the singular values show. Bounds the
 time."""
@@ -65,7 +65,7 @@ _MOST_AVERAGED = 8
 docs/results/rules.md."""
 _TOLERANCE = 0.01
 """Difference of the logarithms of held-out errors that never decides. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _NEGLIGIBLE = 1e-6
 """Held-out RMS error, in standard deviations of the output, below which it is rounding.
 Rounding."""
@@ -75,7 +75,7 @@ _DAMPED = 1e-6
 """Damping of the step to the model without a segment. Rounding."""
 _SLOW = 15.0
 """A pole whose time constant exceeds the longest record divided by this may be an integrator.
-Checked by `benchmarks.sensitivity`."""
+Checked by halving and doubling."""
 _DECAYED = 3.0
 """A vibration decays over the longest record by at least exp(-3): what decays more slowly cannot be
 told from what lasts, and would answer to whatever comes later. Without a limit, 3 of 30 records of

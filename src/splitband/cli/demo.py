@@ -12,6 +12,7 @@ from splitband.cli import INTERRUPTED, options, printing
 from splitband.cli.compare import compared
 from splitband.comparison.methods import Sizes
 from splitband.comparison.plan import plan
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.result import Comparison
 from splitband.data.named import overhead_crane
 from splitband.report.predictions import run_of
@@ -49,7 +50,7 @@ def demo(
         f"{record.name}: {len(record)} samples of the position of a swinging load, "
         f"{TRAIN} of them for training"
     )
-    found = plan(record, TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES)
+    found = plan(PlanRequest(record, TRAIN, METHODS, seeds=1, settings=RECIPE, sizes=SIZES))
     result = compared(context, found, out, jobs)
     if {*METHODS} <= {*result.medians}:  # Ctrl-C may have left some out
         _tell(result)

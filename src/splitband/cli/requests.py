@@ -10,6 +10,7 @@ from splitband.cli.usage import REPLACED_BY_LIKE
 from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import TRAINED, Sizes, forecasters
 from splitband.comparison.plan import Plan, plan
+from splitband.comparison.request import PlanRequest
 from splitband.data.named import RECORDS
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
@@ -95,19 +96,21 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
     elif train is None and not tests and asked.record in RECORDS:
         train = RECORDS[asked.record].train
     found = plan(
-        record,
-        train,
-        chosen,
-        horizon=0 if fitting else asked.horizon,
-        others=others,
-        tests=tests,
-        initial=test.initial,
-        simulator=simulator,
-        calibrate=calibrate,
-        conditioned=conditioned,
-        seeds=asked.seeds,
-        refit=asked.refit,
-        **_of_model(asked.model),
+        PlanRequest(
+            record,
+            train,
+            chosen,
+            horizon=0 if fitting else asked.horizon,
+            others=others,
+            tests=tests,
+            initial=test.initial,
+            simulator=simulator,
+            calibrate=calibrate,
+            conditioned=conditioned,
+            seeds=asked.seeds,
+            refit=asked.refit,
+            **_of_model(asked.model),
+        )
     )
     for said in found.warnings:
         printing.warn(said)

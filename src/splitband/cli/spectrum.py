@@ -14,7 +14,7 @@ from splitband.cli.usage import command_of, usage
 from splitband.comparison.checks import check_train
 from splitband.comparison.defaults import chosen_bands
 from splitband.comparison.methods import forecasters
-from splitband.comparison.plan import TRAINING_SHARE
+from splitband.comparison.request import TRAINING_SHARE
 from splitband.data import Record
 from splitband.data.named import RECORDS
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram

@@ -13,25 +13,6 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.training.settings import default_warmup
 
-LARGEST_SEED = 2**32 - 1
-"""Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
-
-
-def check_limits(budget: float | None, rounds: int | None, seed: int, seeds: int | None) -> None:
-    """Check limits of time and work, and seeds."""
-    if budget is not None and not budget > 0:
-        raise InputError(f"budget must be a positive number of seconds, got {budget}")
-    if budget is not None and rounds is not None:
-        raise InputError(
-            f"budget and rounds exclude each other (the one limits the time, the other the work), "
-            f"got {budget} and {rounds}"
-        )
-    if rounds is not None:
-        whole("rounds", rounds)
-    whole("seed", seed, 0, LARGEST_SEED)
-    if seeds is not None:
-        whole("seeds", seeds)
-
 
 def check_needs(methods: Sequence[Forecaster], record: Record, others: Sequence[Record]) -> None:
     """Raise ValueError if a record lacks a signal that a method needs."""

@@ -5,6 +5,7 @@ What a thing costs is what it took when it was last done, on this machine, under
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,6 +61,18 @@ class Clock:
     def left(self) -> float:
         """Return the seconds until then, at least 0; infinite without a limit."""
         return max(self.deadline.left, 0.0)
+
+    @property
+    def shared(self) -> Deadline:
+        """Return the deadline of what does not train networks, where others do."""
+        return Deadline.after(MOST_OF_TIME_LEFT * self.left)
+
+    @property
+    def of_baseline(self) -> float:
+        """Return the seconds of a fit without networks; without a limit they do not end it."""
+        if self.limit is None:
+            return math.inf
+        return min(BASELINE_SHARE * self.limit, MOST_OF_BASELINE)
 
     def as_json(self) -> dict[str, Any]:
         """Return the entries of result files."""

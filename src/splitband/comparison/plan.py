@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from splitband.comparison.backtest import BacktestSpec, first_origin
-from splitband.comparison.checks import check_limits, check_needs, check_train
+from splitband.comparison.checks import check_needs, check_train
 from splitband.comparison.defaults import bands_of, default_names, usual_methods
 from splitband.comparison.methods import BASES, GREY_BOX, Sizes, built, forecasters, is_built
-from splitband.data import Record, check_alike, require_records
+from splitband.comparison.request import PlanRequest
+from splitband.data import Record, check_alike
 from splitband.data.signals import first_after
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, with_parts_changed
@@ -22,7 +23,7 @@ from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.held_out import Origin, beginning, first_held_out, held_out_origins
 from splitband.forecasters.network import Network, with_defaults
-from splitband.runtime.arguments import check_device, whole
+from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
 from splitband.simulators.base import matched
@@ -30,10 +31,8 @@ from splitband.simulators.identification import check_runs
 from splitband.simulators.open_simulator import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
 from splitband.training import TrainingSettings
-from splitband.training.settings import Recipe, default_warmup, recipe_settings
+from splitband.training.settings import default_warmup, recipe_settings
 
-TRAINING_SHARE = 0.75
-"""Default share of a record to train on."""
 BUDGET = 120.0
 """Default wall time of a comparison that searches how to train its networks, in s."""
 UNFITTED_SIMULATOR = "simulator-as-given"
@@ -147,52 +146,23 @@ class Plan:
         )
 
 
-def plan(  # noqa: PLR0913
-    record: Record,
-    train: int | None = None,
-    methods: Sequence[Forecaster | str] | str | None = None,
-    *,
-    horizon: int | None = None,
-    others: Sequence[Record] = (),
-    tests: Sequence[Record] = (),
-    initial: int | None = None,
-    settings: TrainingSettings | Mapping[str, Any] | None = None,
-    recipe: Recipe = "default",
-    bands: Bands | None = None,
-    sizes: Sizes | None = None,
-    simulator: Simulator | Adjustable | str | None = None,
-    calibrate: bool = False,
-    conditioned: bool = False,
-    budget: float | None = None,
-    rounds: int | None = None,
-    seed: int = 0,
-    seeds: int | None = None,
-    refit: bool = False,
-    device: str = "cpu",
-) -> Plan:
+def plan(asked: PlanRequest) -> Plan:
     """Plan a comparison, and check everything, before anything is fitted; see `compare`."""
-    _check_arguments(record, others, tests, initial)
-    check_limits(budget, rounds, seed, seeds)
-    check_device(device)
-    if train is None:
-        train = len(record) if tests else int(TRAINING_SHARE * len(record))
-    base, fitted, beside = _roles(simulator, record)
-    default = methods is None
-    if methods is None:
-        with_simulator = simulator is not None or record.y_sim is not None
-        methods = default_names(with_simulator, record.nu > 0)
-    made_by_name = sizes or (Sizes(32, 16) if recipe == "default" else Sizes())
-    listed = forecasters(methods, made_by_name, base, calibrate, conditioned)
+    base, fitted, beside = _roles(asked.simulator, asked.record)
+    sizes = asked.sizes or (Sizes(32, 16) if asked.recipe == "default" else Sizes())
+    train, named, default = asked.samples, asked.methods, False
+    if named is None:
+        with_simulator = asked.simulator is not None or asked.record.y_sim is not None
+        named, default = default_names(with_simulator, asked.record.nu > 0), True
+    listed = forecasters(named, sizes, base, asked.calibrate, asked.conditioned)
     if beside is not None:
-        record = simulated(record, beside, longer=any(each.calibrates for each in listed))
-        others, tests = ([_driven(each, beside) for each in several] for several in (others, tests))
-    tried = horizon != 0 or bool(tests)
-    record, horizon = _cut_to_horizon(record, train, horizon, refit)
-    training, given = beginning(record, train), bands or OPEN
-    decided, search = _settings(settings, recipe, training, others, tests)
-    usual = default and not (base or calibrate or conditioned)
+        asked = _beside(asked, beside, longer=any(each.calibrates for each in listed))
+    record, horizon = _cut_to_horizon(asked, train)
+    training, given, others = beginning(record, train), asked.bands or OPEN, asked.others
+    decided, search = _settings(asked, training)
+    usual = default and not (base or asked.calibrate or asked.conditioned)
     if usual:
-        listed, low, high = usual_methods(given, training, decided, made_by_name)
+        listed, low, high = usual_methods(given, training, decided, sizes)
     else:
         check_needs(listed, record, others)
         low, high = bands_of(listed, given, training, decided)
@@ -204,53 +174,43 @@ def plan(  # noqa: PLR0913
             listed.insert(at, GreyBox(middle, name=UNFITTED_SIMULATOR))
         listed = [with_parts_changed(each, partial(_with_simulator, fitted)) for each in listed]
     searched = {
-        method.name: sizes is None and not is_built(method)
+        method.name: asked.sizes is None and not is_built(method)
         for method in listed
         if search and isinstance(method, Network) and method.settings is None
     }
-    complete = (with_defaults(method, decided, low, given, high) for method in listed)
-    if rounds is not None and not searched:
-        raise InputError(f"rounds must be left out where no training is searched, got {rounds}")
-    if budget is None and rounds is None and searched:
+    if asked.rounds is not None and not searched:
+        raise InputError(
+            f"rounds must be left out where no training is searched, got {asked.rounds}"
+        )
+    budget = asked.budget
+    if budget is None and asked.rounds is None and searched:
         budget = BUDGET
+    complete = (with_defaults(method, decided, low, given, high) for method in listed)
     planned = Plan(
         record,
         train,
         horizon,
-        tuple(each if device == "cpu" else each.to(device) for each in complete),
+        tuple(each if asked.device == "cpu" else each.to(asked.device) for each in complete),
         decided,
         low,
-        made_by_name,
+        sizes,
         searched,
         extended=usual and bool(searched),
         others=tuple(others),
-        tests=tuple(tests),
-        initial=initial,
+        tests=tuple(asked.tests),
+        initial=asked.initial,
         simulator=fitted,
         budget=None if budget in (None, math.inf) else float(budget),
-        rounds=rounds,
-        seed=seed,
-        seeds=seeds,
-        refit=refit,
+        rounds=asked.rounds,
+        seed=asked.seed,
+        seeds=asked.seeds,
+        refit=asked.refit,
         high=high,
     )
     check(planned)
-    if tried:
+    if asked.horizon != 0 or asked.tests:
         check_trial(planned)
-    return replace(planned, tests=_with_distinct_names(tests, record.name))
-
-
-def _check_arguments(
-    record: Record, others: Sequence[Record], tests: Sequence[Record], initial: int | None
-) -> None:
-    """Check the kinds of records, and that an initial part is for test records."""
-    require_records("record", record)
-    for name, several in (("others", others), ("tests", tests)):
-        if isinstance(several, Record):
-            raise TypeError(f"{name} must be a list of records, got a single one: write [record]")
-        require_records(name, *several)
-    if initial is not None and not tests:
-        raise InputError(f"initial must be used with test records, got {initial}")
+    return replace(planned, tests=_with_distinct_names(asked.tests, record.name))
 
 
 def _roles(
@@ -282,34 +242,36 @@ def _with_simulator(simulator: Adjustable, part: Forecaster) -> Forecaster:
     return part.clone().set_params(simulator=simulator) if lacks_it else part
 
 
-def _driven(further: Record, simulator: Simulator) -> Record:
-    """Return a further record with the output of a simulator that its inputs drive, if it lacks it.
+def _beside(asked: PlanRequest, simulator: Simulator, longer: bool) -> PlanRequest:
+    """Return the request with the output of a simulator in its records.
 
-    A function of time alone says nothing of another record.
+    Further records have it where they lack one and the inputs drive the simulator: a function of
+    time alone says nothing of another record.
     """
-    if further.y_sim is not None:
-        return further
-    running: Any = matched(simulator, further.columns, further.inputs)
-    return simulated(further, running, longer=True) if running.driven else further
+
+    def driven(further: Record) -> Record:
+        if further.y_sim is not None:
+            return further
+        running: Any = matched(simulator, further.columns, further.inputs)
+        return simulated(further, running, longer=True) if running.driven else further
+
+    record = simulated(asked.record, simulator, longer=longer)
+    others, tests = [driven(each) for each in asked.others], [driven(each) for each in asked.tests]
+    return replace(asked, record=record, others=others, tests=tests)
 
 
-def _settings(
-    given: TrainingSettings | Mapping[str, Any] | None,
-    recipe: Recipe,
-    training: Record,
-    others: Sequence[Record],
-    tests: Sequence[Record],
-) -> tuple[TrainingSettings, bool]:
+def _settings(asked: PlanRequest, training: Record) -> tuple[TrainingSettings, bool]:
     """Return the settings of trainings, and whether more of them are searched.
 
     Where some are given, others follow from these.
     """
-    if isinstance(given, TrainingSettings):
-        return given, False
-    usual, changes = recipe_settings(recipe, training, others), {**(given or {})}
-    searched = recipe == "default" and not {*changes} - {"warmup"}
+    if isinstance(asked.settings, TrainingSettings):
+        return asked.settings, False
+    usual = recipe_settings(asked.recipe, training, asked.others)
+    changes = {**(asked.settings or {})}
+    searched = asked.recipe == "default" and not {*changes} - {"warmup"}
     longest = min(
-        [default_warmup(len(test)) for test in tests if "warmup" not in changes], default=None
+        [default_warmup(len(test)) for test in asked.tests if "warmup" not in changes], default=None
     )
     if "window" in changes:
         changes.setdefault("warmup", default_warmup(changes["window"], usual.warmup))
@@ -323,10 +285,9 @@ def _settings(
     return found if longest is None else replace(found, warmup=min(found.warmup, longest)), searched
 
 
-def _cut_to_horizon(
-    record: Record, train: int, horizon: int | None, refit: bool
-) -> tuple[Record, int]:
+def _cut_to_horizon(asked: PlanRequest, train: int) -> tuple[Record, int]:
     """Return the record up to its last sample to predict, and the horizon."""
+    record, horizon = asked.record, asked.horizon
     check_train(record, train)
     if horizon is None:
         return record, len(record) - train
@@ -336,7 +297,7 @@ def _cut_to_horizon(
             f"horizon must end within the record: at most {len(record) - train} samples after the "
             f"{train} of train, got {horizon}; `splitband forecast` predicts beyond it"
         )
-    if refit and train + horizon < len(record):
+    if asked.refit and train + horizon < len(record):
         raise InputError(
             f"refit must be left out where horizon leaves out samples of the record, got {horizon} "
             f"after the {train} of train: fit the recommended method to all {len(record)} "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from splitband.comparison.clock import Clock
@@ -12,6 +12,7 @@ from splitband.comparison.jobs import Runner
 from splitband.comparison.methods import Sizes, built
 from splitband.comparison.plan import Plan, plan
 from splitband.comparison.recommendation import judged
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.result import Comparison
 from splitband.comparison.running import RunningComparison, Watch
 from splitband.data import Record
@@ -112,29 +113,9 @@ def compare(  # noqa: PLR0913
     >>> list(result.table["forecast fit %"].round(1))
     [100.0, -0.3, -77.9]
     """
-    planned = plan(
-        record,
-        train,
-        methods,
-        horizon=horizon,
-        others=others,
-        tests=tests,
-        initial=initial,
-        settings=settings,
-        recipe=recipe,
-        bands=bands,
-        sizes=sizes,
-        simulator=simulator,
-        calibrate=calibrate,
-        conditioned=conditioned,
-        budget=budget,
-        rounds=rounds,
-        seed=seed,
-        seeds=seeds,
-        refit=refit,
-        device=device,
-    )
-    return run(planned, cores=cores, executor=executor, watch=watch)
+    given = locals()
+    asked = PlanRequest(**{each.name: given[each.name] for each in fields(PlanRequest)})
+    return run(plan(asked), cores=cores, executor=executor, watch=watch)
 
 
 def run(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from splitband.comparison import estimates
 from splitband.comparison.backtest import BacktestSpec, Fit
-from splitband.comparison.clock import BASELINE_SHARE, MOST_OF_BASELINE, MOST_OF_TIME_LEFT, Clock
+from splitband.comparison.clock import Clock
 from splitband.comparison.jobs import GRACE, Bases, Job, Runner, held_out_job, late
+from splitband.comparison.method_state import MethodState, reason_of
 from splitband.comparison.methods import BASES
 from splitband.comparison.plan import Plan
 from splitband.comparison.recommendation import Trial, by_reason, judged, without_failed
@@ -29,55 +31,6 @@ if TYPE_CHECKING:
 
 
 Watch = Callable[["RunningComparison"], None]
-
-
-@dataclass(eq=False)
-class MethodState:
-    """Hold a method of a comparison, and how far it is.
-
-    Attributes
-    ----------
-    method : As planned, with its own simulator.
-    ready : The same with its simulator run and, once networks are trained, its cells built; None
-        where the simulator fails.
-    job : Of a method without networks the job that has begun and not ended.
-    trial : Fits to three quarters of the training part.
-    final : Fits by their jobs: to the whole training part or, where none of these has a model,
-        those of the trial with forecasts beyond the training part.
-    failure : The last fit that has no model.
-    """
-
-    method: Forecaster
-    ready: Forecaster | None = None
-    job: Job | None = None
-    trial: Sequence[Fit] = ()
-    final: dict[Job, Fit] = field(default_factory=dict)
-    failure: Fit | None = None
-
-    @property
-    def note(self) -> str:
-        """Return in words why results are of a fit to three quarters, if they are."""
-        if all(job.trains for job in self.final):
-            return ""
-        how, why = "trained on" if self.method.random else "fitted to", _reason(self.failure)
-        said = f"could not be {how} the whole training part {why}"
-        return f"{said}; results are of three quarters of it"
-
-    def end(self, fits: Mapping[Job, Fit]) -> None:
-        """Take the fits of all final trainings; a note names those without a model."""
-        self.final = {job: fit for job, fit in fits.items() if fit.model is not None}
-        failed = [fit for fit in fits.values() if fit.model is None]
-        if not self.final:
-            self.failure = failed[-1]
-        elif failed:
-            said = [f"seed {f.seed} {'' if f.cut else 'failed: '}{f.failure}" for f in failed]
-            job, first = next(iter(self.final.items()))
-            self.final[job] = replace(first, notes=(*first.notes, *said))
-
-
-def _reason(failure: Fit | None) -> str:
-    """Return in words why a fit could not be made; None and one that was cut: for lack of time."""
-    return "in time" if failure is None or failure.cut else f"({failure.failure})"
 
 
 class RunningComparison:
@@ -402,7 +355,7 @@ class RunningComparison:
         if not models:
             self.clock.notes.append(
                 f"{name}: could not be refitted to the whole record "
-                f"{_reason(fits[0] if fits else None)}; its model is that of the training part"
+                f"{reason_of(fits[0] if fits else None)}; its model is that of the training part"
             )
             return None
         for model in models:
@@ -452,7 +405,8 @@ class RunningComparison:
         jobs = [self._bases.given_to(job) for job in jobs]
         fits: dict[Job, Fit] = {}
         try:
-            self._runner.begin(jobs, until, self._patience(until))
+            patience = estimates.patience(until, self.clock.deadline, self._forecasting())
+            self._runner.begin(jobs, until, patience)
             self._report(f"{doing}, 0 of {len(jobs)} trainings")
             for job, fit in self._ended(jobs):
                 fits[job] = fit
@@ -472,44 +426,23 @@ class RunningComparison:
 
     def _half(self) -> Deadline:
         """Return the deadline of what does not train networks, where others do."""
-        share = MOST_OF_TIME_LEFT if any(f.random for f in self._ready) else 1.0
-        return Deadline.after(share * self.clock.left)
+        return self.clock.shared if any(f.random for f in self._ready) else self.clock.deadline
 
     def _limit(self, forecaster: Forecaster) -> float:
-        """Return the seconds of a fit without networks; results by --rounds do not depend on it."""
-        if self.clock.limit is None or forecaster.fits_simulator:
-            return math.inf
-        return min(BASELINE_SHARE * self.clock.limit, MOST_OF_BASELINE)
+        """Return the seconds of a fit without networks."""
+        return math.inf if forecaster.fits_simulator else self.clock.of_baseline
 
     def _reserve(self, search: Search) -> float:
         """Return the seconds that the final trainings of what is best so far will take."""
         jobs = search.finals()
-        again = [job for job in jobs if self.plan.refit and job.method == jobs[0].method]
-        every = [job.seconds for job in [*jobs, *again]]
-        if self.plan.refit and self.finals:
-            every += [fit.seconds for fit in self.finals.get(self.trial.recommended, [])]
-        longest = max(every, default=0.0)
-        return max(longest, sum(every) / self._runner.cores) + self._forecasting()
-
-    def _patience(self, until: Deadline) -> Deadline:
-        """Return when trainings are ended that have not forecast yet; of the first, at the end."""
-        took = self._forecasting()
-        least = until.earlier(-max(GRACE, 2 * took))
-        return least if took else max(least, self.clock.deadline)
+        seconds = [job.seconds for job in jobs]
+        if self.plan.refit:
+            seconds += [job.seconds for job in jobs if job.method == jobs[0].method]
+            if self.finals:
+                seconds += [fit.seconds for fit in self.finals.get(self.trial.recommended, [])]
+        longest = max(seconds, default=0.0)
+        return max(longest, sum(seconds) / self._runner.cores) + self._forecasting()
 
     def _forecasting(self) -> float:
-        """Return the seconds that the forecasts of a final training take, by those of the trial.
-
-        There, three forecasts have together twice the length of the held-out part (1 + 2/3 + 1/3),
-        and three horizons.
-        """
-        plan = self.plan
-        took = [
-            fit.seconds - fit.report.seconds
-            for fits in self.trials.values()
-            for fit in fits
-            if fit.fitted.random
-        ]
-        samples = 2 * len(plan.record) + sum(map(len, plan.tests))
-        # The least one, as the first forecasts of a process also load or compile what they need.
-        return min(took, default=0.0) * samples / (plan.train / 2 + 3 * plan.horizon)
+        """Return the seconds that the forecasts of a final training take."""
+        return estimates.forecasting(self.plan, self.trials.values())

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 _RADIUS = 0.95
 """Absolute value of the poles of a cell that begins with random weights. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _TURN = 0.3
 """Standard deviation of its random rotation angles, in radians per sample. Checked by
-`benchmarks.sensitivity`."""
+halving and doubling."""
 _OBSERVED = 0.5
 """Share of a prediction error by which its observer moves the predicted output. By eye."""
 MOST_LAYERS = 100

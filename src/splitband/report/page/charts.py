@@ -248,15 +248,15 @@ class Chart:
         return ", ".join(f"{self.axis.values[i]:g}: {number(float(y[i]))}" for i in rows)
 
     def line(
-        self, y: Array, name: str, tags: Sequence[str], held: bool = False, **style: Any
+        self, y: Array, name: str, tags: Sequence[str], stepped: bool = False, **style: Any
     ) -> None:
         """Add a curve in the colour of its first tag: `measured`, `truth`, `c0`...
 
-        With `held`, each value stays until the next sample, where every sample is drawn.
+        With `stepped`, each value stays until the next sample, where every sample is drawn.
         """
         self._curves.append((name, [*tags], self._told(y)))
         column = self._kept(self.axis.thinned(self._within(y)))
-        if held and self.axis.whole:
+        if stepped and self.axis.whole:
             self._add(Step(x=X, y=column, mode="after", **style), name, tags)
         else:
             self._add(Line(x=X, y=column, **style), name, tags)

@@ -104,7 +104,7 @@ class OverTime:
         for name, values in zip(record.inputs, u.T, strict=True):
             scale, small = limits([values[self.shown.first :]]), record.nu > MAX_TALL_CHANNELS
             chart = Chart(self.axis, name, scale, f"Input {name}", SMALL, small=small)
-            chart.line(values, name, ["truth"], held=True, line_width=1.0)
+            chart.line(values, name, ["truth"], stepped=True, line_width=1.0)
             plots.append(chart)
         return plots
 

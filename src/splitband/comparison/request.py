@@ -1,0 +1,81 @@
+"""Hold what is asked of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+from splitband.comparison.methods import Sizes
+from splitband.data import Record, require_records
+from splitband.forecasters.bands import Bands
+from splitband.forecasters.base import Forecaster
+from splitband.runtime.arguments import check_device, whole
+from splitband.runtime.errors import InputError
+from splitband.simulators import Simulator
+from splitband.simulators.parameters import Adjustable
+from splitband.training import TrainingSettings
+from splitband.training.settings import Recipe
+
+TRAINING_SHARE = 0.75
+"""Default share of a record to train on."""
+LARGEST_SEED = 2**32 - 1
+"""Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRequest:
+    """Hold the arguments of `compare` that say what is computed, which documents them.
+
+    Raises ValueError for those that are wrong whatever the others are.
+    """
+
+    record: Record
+    train: int | None = None
+    methods: Sequence[Forecaster | str] | str | None = None
+    _: KW_ONLY
+    horizon: int | None = None
+    others: Sequence[Record] = ()
+    tests: Sequence[Record] = ()
+    initial: int | None = None
+    settings: TrainingSettings | Mapping[str, Any] | None = None
+    recipe: Recipe = "default"
+    bands: Bands | None = None
+    sizes: Sizes | None = None
+    simulator: Simulator | Adjustable | str | None = None
+    calibrate: bool = False
+    conditioned: bool = False
+    budget: float | None = None
+    rounds: int | None = None
+    seed: int = 0
+    seeds: int | None = None
+    refit: bool = False
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        require_records("record", self.record)
+        for name, several in (("others", self.others), ("tests", self.tests)):
+            if isinstance(several, Record):
+                raise TypeError(f"{name} must be a list of records: write [record]")
+            require_records(name, *several)
+        if self.initial is not None and not self.tests:
+            raise InputError(f"initial must be used with test records, got {self.initial}")
+        if self.budget is not None and not self.budget > 0:
+            raise InputError(f"budget must be a positive number of seconds, got {self.budget}")
+        if self.budget is not None and self.rounds is not None:
+            raise InputError(
+                "budget and rounds exclude each other (the one limits the time, the other the "
+                f"work), got {self.budget} and {self.rounds}"
+            )
+        whole("seed", self.seed, 0, LARGEST_SEED)
+        for name, number in (("rounds", self.rounds), ("seeds", self.seeds)):
+            if number is not None:
+                whole(name, number)
+        check_device(self.device)
+
+    @property
+    def samples(self) -> int:
+        """Return how many samples train."""
+        if self.train is not None:
+            return self.train
+        return len(self.record) if self.tests else int(TRAINING_SHARE * len(self.record))
