@@ -14,7 +14,6 @@ from splitband.data.signals import bare_name, refilled
 from splitband.data.timing import seconds_of, stamp_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 if TYPE_CHECKING:
     from splitband.data.record import Record
@@ -64,7 +63,6 @@ class Preparation:
 
 
 @final
-@saved
 @dataclass(frozen=True)
 class Unwrapped(Preparation):
     """Let angles and counters go on where they jump by a period; predictions go on, too.
@@ -117,7 +115,6 @@ class Unwrapped(Preparation):
 
 
 @final
-@saved
 @dataclass(frozen=True)
 class Detrended(Preparation):
     """Remove means, or straight lines over time, from outputs and inputs.
@@ -177,7 +174,6 @@ class Detrended(Preparation):
 
 
 @final
-@saved
 @dataclass(frozen=True)
 class Clipped(Preparation):
     """Limit each output to a range.
@@ -211,7 +207,6 @@ class Clipped(Preparation):
 
 
 @final
-@saved
 @dataclass(frozen=True)
 class Resampled(Preparation):
     """Replace every `factor` samples by the mean of those measured, without looking ahead.

@@ -6,7 +6,7 @@ import functools
 import warnings
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -48,10 +48,8 @@ from splitband.data.timing import (
 )
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 
-@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """Represent one evenly sampled record.
@@ -105,7 +103,7 @@ class Record:
     measured: Flags | None = None
     start: Stamp | None = None
     prepared: tuple[Preparation, ...] = ()
-    simulator: Any = None
+    simulator: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         y = signal_of("y", self.y)

@@ -134,13 +134,11 @@ class Ensemble(Forecaster):
             member.to(device)
         return super().to(device)
 
-    @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the saved ensemble; raises ValueError where `count` does not match the members."""
-        new = super().from_dict(found)
-        if new.fitted is not None and len(new.members) != whole("count", new.count):
-            raise InputError(f"count must be {len(new.members)}, got {new.count}")
-        return new
+    def complete(self) -> None:
+        """Check the number of members as well; see `Forecaster.complete`."""
+        super().complete()
+        if len(self.members) != self.count:
+            raise InputError(f"count must be {len(self.members)}, got {self.count}")
 
     def untrained(self) -> Forecaster:
         """Return it not fitted, with the settings and bands that its members' fits have chosen."""

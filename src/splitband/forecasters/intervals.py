@@ -19,7 +19,6 @@ import scipy
 from splitband.forecasters.prediction import Prediction
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 EXPONENTS = np.linspace(0, 1, 11)
 """Candidate exponents of the growth of errors with the horizon, from 0 (constant) to 1 (a drift).
@@ -113,7 +112,6 @@ def _share(inside: Flags, errors: Array) -> float:
     return float(known.mean()) if len(known) else np.nan
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Hold the errors of held-out forecasts, from which the interval of any level follows.

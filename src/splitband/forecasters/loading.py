@@ -1,30 +1,63 @@
-"""Load what was saved, with the simulator that it was fitted with."""
+"""Load what was saved, with the simulator that it was fitted with.
+
+Loading runs no code from a file, and none that a file names. The names of classes are looked up
+among those of the package and in the modules that are loaded: nothing is imported. The class has to
+be that of a forecaster, a cell (a module with a method `sized`), settings, bands, recorded output
+or the description of a simulator. Its constructor gets values of JSON and arrays, and so does
+`from_state`.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import re
+import sys
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+import safetensors.numpy
+
+import splitband
+from splitband import networks
 from splitband.data import Record
 from splitband.data.alignment import log
-from splitband.forecasters import (  # noqa: F401  what can be loaded is defined there
-    baselines,
-    ensemble,
-    grey_box,
-    hybrid,
-    linear,
-    simulation,
-)
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.saving import FILE, read
+from splitband.forecasters.saving import (
+    COMMON,
+    DIGITS,
+    FILE,
+    FORMAT,
+    WEIGHTS,
+    check_attribute,
+    of_package,
+    read_description,
+)
 from splitband.forecasters.simulation import description_of, simulations
+from splitband.networks.cell import Template
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
-from splitband.simulators import Simulator
-from splitband.simulators.base import KnownSimulator, Recorded, as_known, matched
+from splitband.runtime.states import Arrays, by_part, rebuilt
+from splitband.simulators import Simulator, base
+from splitband.simulators.base import Absent, KnownSimulator, Recorded, as_known, matched
 from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
+from splitband.training import TrainingSettings
+
+OPTIONS = TrainingSettings, Bands, Recorded, Absent
+"""What options may be, beside forecasters, cells and values of JSON."""
+LARGEST_NUMBER = 1_000_000
+"""Largest whole number that a cell's constructor gets: a larger one in a file is a forgery."""
+_UNFIT = (
+    *(RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError),
+    *(MemoryError, AssertionError, safetensors.SafetensorError),
+)
+"""Errors that a forged or damaged description may raise."""
+_AGAIN = "train it again, with `splitband fit` or fit(record), and save it"
 
 
 def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
@@ -58,7 +91,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
     True
     """
-    loaded = read(_of_result(Path(folder)))
+    loaded = _read(_of_result(Path(folder)))
     if simulator is not None:
         _give(loaded, as_known(simulator))
     return loaded
@@ -129,3 +162,155 @@ def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
         warnings.warn(said, stacklevel=3)
     for each in given:
         each.simulator = simulator
+
+
+def _read(folder: Path) -> Forecaster:
+    """Return the forecaster of a folder, without its simulator."""
+    if not (folder / FILE).is_file():
+        old = f"; its model.json is of version 0.1 or 0.2: {_AGAIN}"
+        said = old if (folder / "model.json").is_file() else ""
+        raise FileNotFoundError(f"no model in {folder}: {FILE} is missing{said}")
+    try:
+        facts = read_description(folder)
+    except _UNFIT as error:
+        raise InputError(f"{folder / FILE} is damaged: {error!r}") from None
+    if facts.get("format") != FORMAT:
+        raise InputError(
+            f"{folder / FILE} has format {facts.get('format')!r}, this version reads {FORMAT}; "
+            + _AGAIN
+        )
+    arrays = _arrays(folder, facts)
+    try:
+        return _forecaster(facts["forecaster"], arrays, "")
+    except KeyError as error:
+        raise InputError(f"{folder / FILE} holds no forecaster: {error} is missing") from None
+    except _UNFIT as error:
+        raise InputError(f"{folder / FILE} holds no forecaster that can be read: {error}") from None
+
+
+def _arrays(folder: Path, facts: Mapping[str, Any]) -> Arrays:
+    """Return the arrays that belong to a description."""
+    digest = facts.get("weights_sha256")
+    if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
+        raise InputError(f"{folder / FILE} is damaged: weights_sha256 must be a SHA-256")
+    path = folder / WEIGHTS.format(digest[:DIGITS])
+    if not path.is_file():
+        raise FileNotFoundError(f"no model in {folder}: {path.name} is missing")
+    content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise InputError(f"{path} is damaged: its checksum is not that of the model")
+    try:
+        return {name: np.array(x) for name, x in safetensors.numpy.load(content).items()}
+    except _UNFIT as error:
+        raise InputError(f"{path} is damaged: {error}") from None
+
+
+def _forecaster(said: Mapping[str, Any], arrays: Arrays, place: str) -> Forecaster:
+    """Return the forecaster that was saved under a place of the arrays."""
+    kind = _kind(said, Forecaster)
+    options = {name: _option(value, arrays) for name, value in said["options"].items()}
+    of_others = tuple(f"{place}{name}/" for name in ("options", *said["parts"]))
+    found = {name: _fact(value) for name, value in said["facts"].items()}
+    for name, array in arrays.items():
+        if name.startswith(place) and not name.startswith(of_others):
+            found[name.removeprefix(place)] = array
+    common = {name: part for name, part in by_part(found).items() if name in COMMON}
+    own = {name: array for name, array in found.items() if name.partition(".")[0] not in COMMON}
+    new: Forecaster = kind.from_state(options, own)
+    for name, hint in COMMON.items():
+        vars(new)[name] = rebuilt(hint, common.get(name, {}), name)
+    for name, part in said["parts"].items():
+        check_attribute(kind, name)
+        at = f"{place}{name}/"
+        vars(new)[name] = (
+            [_forecaster(each, arrays, f"{at}{i}/") for i, each in enumerate(part)]
+            if isinstance(part, list)
+            else _forecaster(part, arrays, at)
+        )
+    new.complete()
+    return new
+
+
+def _fact(value: Any) -> Any:
+    """Return the array of a text, several texts or a number."""
+    several = isinstance(value, list) and all(isinstance(each, str) for each in value)
+    if not several and not isinstance(value, bool | int | float | str):
+        raise InputError(f"facts must be texts and numbers, got {str(value)[:60]}")
+    return np.array(value, dtype=str if several else None)
+
+
+def _option(value: Any, arrays: Arrays) -> Any:
+    """Return the option that JSON describes."""
+    if isinstance(value, list):
+        return [_option(part, arrays) for part in value]
+    if not isinstance(value, dict):
+        return value
+    if "kind" in value:
+        kind = _kind(value, (Forecaster, *OPTIONS), cells=True)
+        given = {name: _option(part, arrays) for name, part in value["options"].items()}
+        return kind(**given) if issubclass(kind, (Forecaster, *OPTIONS)) else _cell(kind, given)
+    ((word, inner),) = value.items()
+    match word:
+        case "number":
+            return float(inner)
+        case "date":
+            return pd.Timestamp(inner)
+        case "array":
+            return arrays[inner]
+        case "tuple":
+            return tuple(_option(part, arrays) for part in inner)
+        case "dict":
+            return {name: _option(part, arrays) for name, part in inner.items()}
+    raise InputError(f"options hold {word[:60]}, which is not known")
+
+
+def _kind(said: Mapping[str, Any], kinds: Any, cells: bool = False) -> Any:
+    """Return the class that is named, if it is one of these kinds or, among `cells`, of a cell.
+
+    It is the one of that name in its module, or the only one of that name elsewhere: what was saved
+    in a script may be loaded by one that imports it.
+    """
+    name, module = said["kind"], said.get("module")
+
+    def inside(holder: Any) -> Any:
+        """Return the class that the holder has by this name, if it is one that may be loaded."""
+        for part in name.split("."):
+            holder = getattr(holder, part, None) if module is None else _own(holder, part)
+        if not isinstance(holder, type) or of_package(holder) != (module is None):
+            return None
+        torch: Any = sys.modules.get("torch")  # without it, nothing is a cell
+        cell = cells and torch is not None and issubclass(holder, torch.nn.Module)
+        fits = issubclass(holder, kinds) or (cell and issubclass(holder, Template))
+        return holder if fits else None
+
+    first = (splitband, networks, base) if module is None else (sys.modules.get(module),)
+    found = {*map(inside, first)} - {None}
+    if not found and module is not None:
+        found = {*map(inside, [*sys.modules.values()])} - {None}
+    if len(found) == 1:
+        return found.pop()
+    where = (
+        ""
+        if module is None
+        else f" here: import {module[:60]} first, which defined it where the model was saved"
+    )
+    raise InputError(f"the class {name[:60]} is not known{where}")
+
+
+def _own(holder: Any, name: str) -> Any:
+    """Return what a module or a class of the user has by a name, without running its code."""
+    return getattr(holder, "__dict__", {}).get(name)
+
+
+def _cell(kind: Any, given: Mapping[str, Any]) -> Any:
+    """Return a template of a cell: on the meta device, where weights take no memory."""
+    import torch  # noqa: PLC0415  just what has networks needs it
+
+    for name, part in given.items():
+        if isinstance(part, int) and abs(part) > LARGEST_NUMBER:
+            raise InputError(f"{name} must be a whole number up to {LARGEST_NUMBER}, got {part}")
+    try:
+        with torch.device("meta"):
+            return kind(**given)
+    except RuntimeError:  # a user's cell may need values, which the meta device does not have
+        return kind(**given)

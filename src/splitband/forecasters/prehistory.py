@@ -20,7 +20,6 @@ from splitband import models
 from splitband.data import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 from splitband.training.settings import window_starts
 
 if TYPE_CHECKING:
@@ -37,7 +36,6 @@ SMALLEST_ERROR = 1e-3
 training error is too optimistic. By eye."""
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Prehistory:
     """Hold the distribution of warm-ups in the training records, as the model sees them.

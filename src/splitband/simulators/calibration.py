@@ -18,7 +18,6 @@ from splitband.metrics import rmse, spread
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.deadlines import check
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 Term = Literal["gain", "offset", "delay", "clock"]
 TERMS: tuple[Term, ...] = get_args(Term)
@@ -41,7 +40,6 @@ _SETS: tuple[tuple[Term, ...], ...] = (
 )
 
 
-@saved
 @dataclass(frozen=True)
 class Calibration:
     """Map a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).

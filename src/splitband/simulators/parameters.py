@@ -18,7 +18,7 @@ import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import WithRepr, saved
+from splitband.runtime.options import WithRepr
 from splitband.simulators.base import KnownSimulator
 
 Given = Mapping[str, float | tuple[float, float]]
@@ -244,7 +244,6 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
 # ---------------------------------------------------------------- estimates
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Hold the values of fitted parameters, with standard errors.
@@ -265,7 +264,7 @@ class Estimate:
 
     values: dict[str, float] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
-    correlations: Any = field(default_factory=lambda: np.empty((0, 0)))
+    correlations: Array = field(default_factory=lambda: np.empty((0, 0)))
     rmse: tuple[float, ...] = ()
     remarks: tuple[str, ...] = ()
     window: int = 0
