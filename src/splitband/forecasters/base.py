@@ -172,9 +172,10 @@ class Forecaster(WithRepr, ABC):
     def state(self) -> Arrays:
         """Return what `learn` has found: arrays by name, from which `from_state` restores it.
 
-        By default these are all attributes that are no options: arrays, numbers and texts, and what
-        the class lists in `state_types`. Fitted forecasters among them are saved by themselves. Raises
-        ValueError for any other attribute; such a forecaster defines `state` and `from_state`.
+        By default these are all attributes that are no options: arrays, numbers and texts, what the
+        class lists in `state_types`, and None where the class has this default. Fitted forecasters
+        among them are saved by themselves. Raises ValueError for any other attribute; a forecaster
+        with such ones defines `state` and `from_state`.
         """
         return state_of(self)
 

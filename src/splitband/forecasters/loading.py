@@ -42,7 +42,7 @@ from splitband.forecasters.simulation import description_of, simulations
 from splitband.networks.cell import Template
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
-from splitband.runtime.states import Arrays, by_part, rebuilt
+from splitband.runtime.states import Arrays, array_of, by_part, rebuilt
 from splitband.simulators import Simulator, base
 from splitband.simulators.base import Absent, KnownSimulator, Recorded, as_known, matched
 from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
@@ -210,7 +210,10 @@ def _forecaster(said: Mapping[str, Any], arrays: Arrays, place: str) -> Forecast
     kind = _kind(said, Forecaster)
     options = {name: _option(value, arrays) for name, value in said["options"].items()}
     of_others = tuple(f"{place}{name}/" for name in ("options", *said["parts"]))
-    found = {name: _fact(value) for name, value in said["facts"].items()}
+    found = {
+        name: array_of(np.array(fact, str if isinstance(fact, list) else None))
+        for name, fact in said["facts"].items()
+    }
     for name, array in arrays.items():
         if name.startswith(place) and not name.startswith(of_others):
             found[name.removeprefix(place)] = array
@@ -231,15 +234,7 @@ def _forecaster(said: Mapping[str, Any], arrays: Arrays, place: str) -> Forecast
     return new
 
 
-def _fact(value: Any) -> Any:
-    """Return the array of a text, several texts or a number."""
-    several = isinstance(value, list) and all(isinstance(each, str) for each in value)
-    if not several and not isinstance(value, bool | int | float | str):
-        raise InputError(f"facts must be texts and numbers, got {str(value)[:60]}")
-    return np.array(value, dtype=str if several else None)
-
-
-def _option(value: Any, arrays: Arrays) -> Any:
+def _option(value: Any, arrays: Arrays) -> Any:  # noqa: PLR0911  a line a kind
     """Return the option that JSON describes."""
     if isinstance(value, list):
         return [_option(part, arrays) for part in value]
@@ -272,10 +267,11 @@ def _kind(said: Mapping[str, Any], kinds: Any, cells: bool = False) -> Any:
     """
     name, module = said["kind"], said.get("module")
 
-    def inside(holder: Any) -> Any:
-        """Return the class that the holder has by this name, if it is one that may be loaded."""
+    def inside(holder: Any) -> type | None:
+        """Return the class of that name, if it may be loaded; of the user's nothing is imported."""
         for part in name.split("."):
-            holder = getattr(holder, part, None) if module is None else _own(holder, part)
+            own = getattr(holder, "__dict__", {}).get(part)
+            holder = getattr(holder, part, None) if module is None else own
         if not isinstance(holder, type) or of_package(holder) != (module is None):
             return None
         torch: Any = sys.modules.get("torch")  # without it, nothing is a cell
@@ -283,23 +279,13 @@ def _kind(said: Mapping[str, Any], kinds: Any, cells: bool = False) -> Any:
         fits = issubclass(holder, kinds) or (cell and issubclass(holder, Template))
         return holder if fits else None
 
-    first = (splitband, networks, base) if module is None else (sys.modules.get(module),)
-    found = {*map(inside, first)} - {None}
-    if not found and module is not None:
-        found = {*map(inside, [*sys.modules.values()])} - {None}
-    if len(found) == 1:
-        return found.pop()
-    where = (
-        ""
-        if module is None
-        else f" here: import {module[:60]} first, which defined it where the model was saved"
-    )
-    raise InputError(f"the class {name[:60]} is not known{where}")
-
-
-def _own(holder: Any, name: str) -> Any:
-    """Return what a module or a class of the user has by a name, without running its code."""
-    return getattr(holder, "__dict__", {}).get(name)
+    places: list[list[Any]] = [[sys.modules.get(module or "")], [*sys.modules.values()]]
+    for holders in [[splitband, networks, base]] if module is None else places:
+        found = {*map(inside, holders)} - {None}
+        if len(found) == 1:
+            return found.pop()
+    where = f" here: import {str(module)[:60]} first, which defined it where the model was saved"
+    raise InputError(f"the class {str(name)[:60]} is not known{where if module else ''}")
 
 
 def _cell(kind: Any, given: Mapping[str, Any]) -> Any:

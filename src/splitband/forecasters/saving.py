@@ -123,10 +123,10 @@ def _described(forecaster: Forecaster, arrays: Arrays, place: str) -> dict[str, 
     parts: dict[str, Any] = {}
     for name, part in forecaster.fitted_parts().items():
         at = f"{place}{name}/"
-        several = enumerate(part) if isinstance(part, list) else ()
-        parts[name] = [_described(each, arrays, f"{at}{i}/") for i, each in several] or _described(
-            part, arrays, at
-        )
+        if isinstance(part, list):
+            parts[name] = [_described(each, arrays, f"{at}{i}/") for i, each in enumerate(part)]
+        else:
+            parts[name] = _described(part, arrays, at)
     try:
         given = _encoded_parts(forecaster.saved_options(), arrays, f"{place}options/")
     except TypeError as error:  # of `options`
@@ -135,7 +135,7 @@ def _described(forecaster: Forecaster, arrays: Arrays, place: str) -> dict[str, 
 
 
 def state_of(forecaster: Forecaster, *others: str) -> Arrays:
-    """Return the arrays of the attributes of a fit, without some `others`; see `Forecaster.state`."""
+    """Return the arrays of the attributes of a fit but `others`, see `Forecaster.state`."""
     parts, kind = dict[str, Arrays](), type(forecaster)
     left = {*option_attributes(forecaster), *forecaster.fitted_parts(), *COMMON, *others}
     for name in vars(forecaster).keys() - left:

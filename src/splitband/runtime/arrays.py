@@ -15,7 +15,7 @@ Flags: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 def check_shape(name: str, array: Array | None, *shape: int | None) -> None:
     """Raise ValueError for an array that has not this shape; None stands for any length."""
-    found = np.shape(array)  # type: ignore[arg-type]  of None it is ()
+    found = () if array is None else array.shape
     fits = zip(found, shape, strict=False)
     if len(found) != len(shape) or any(n is not None and n != size for size, n in fits):
         raise InputError(f"{name} must have the shape {shape}, got {found}".replace("None", "any"))

@@ -57,7 +57,8 @@ def _attribute(kind: type, argument: str) -> str:
 
 def option_attributes(value: object) -> set[str]:
     """Return the names of the attributes that keep the constructor arguments of `value`."""
-    return {_attribute(type(value), parameter.name) for parameter in _parameters(type(value))}
+    kind: Any = type(value)
+    return {_attribute(kind, parameter.name) for parameter in _parameters(kind)}
 
 
 @cache  # a table of methods asks hundreds of times for the same few

@@ -1,9 +1,9 @@
 """Take frozen dataclasses apart into arrays by name, and build them again from these.
 
-A field holds what its annotation says: an array, a number or a text; several of these, or of
-dataclasses, in a tuple; a mapping from texts to one of these; or another dataclass. Names of parts
-are joined by dots. Texts are arrays, too. What is None or empty has no array, and neither has a
-field that `repr` leaves out. The classes are those of annotations, never those of a file.
+A field holds what its annotation says: an array, a number or a text; several of these or of
+dataclasses in a tuple; a mapping from texts to numbers or several; or another dataclass. Names of
+parts are joined by dots. Texts are arrays, too. What is None or empty has no array, and neither has
+a field that `repr` leaves out. The classes are those of annotations, never those of a file.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -21,16 +21,18 @@ from splitband.runtime.errors import InputError
 
 Arrays = dict[str, npt.NDArray[Any]]
 """Arrays by the name of what they are part of; a single one by the name ""."""
+_NUMBERS: dict[Any, Any] = {float: int | float, bool: bool, int: int, str: str}
 
 
 def array_of(value: Any) -> npt.NDArray[Any]:
     """Return an array, a number, a text or a date as an array; raises ValueError for others."""
     array = np.asarray(value.isoformat() if isinstance(value, pd.Timestamp) else value)
-    if array.dtype.kind not in "biufU" or (array.dtype.kind != "U" and array.dtype.itemsize > 8):
-        said = (
-            f"an array of {array.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
-        )
-        raise InputError(f"{said} cannot be saved")
+    kind = array.dtype.kind
+    if isinstance(value, list | tuple | dict) or not (
+        kind == "U" or (kind in "biuf" and array.dtype.itemsize <= 8)
+    ):
+        said = f"an array of {array.dtype}" if isinstance(value, np.ndarray) else type(value)
+        raise InputError(f"{getattr(said, '__name__', said)} cannot be saved")
     return array
 
 
@@ -41,13 +43,11 @@ def taken_apart(value: Any) -> Arrays:
     if is_dataclass(value):
         return named({name: taken_apart(getattr(value, name)) for name in _kept(type(value))})
     if isinstance(value, Mapping):
-        pairs = {"names": tuple(value), "values": tuple(value.values())}
-        return named({name: taken_apart(part) for name, part in pairs.items()})
+        return named({name: taken_apart(part) for name, part in value.items()})
     if isinstance(value, tuple | list):
-        if not all(isinstance(each, bool | int | float | str | np.generic) for each in value):
-            return named({str(i): taken_apart(each) for i, each in enumerate(value)})
-        if not value:
-            return {}
+        if all(isinstance(each, bool | int | float | str | np.generic) for each in value):
+            return {"": array_of(np.array(value))} if value else {}
+        return named({str(i): taken_apart(each) for i, each in enumerate(value)})
     return {"": array_of(value)}
 
 
@@ -69,76 +69,61 @@ def by_part(arrays: Arrays) -> dict[str, Arrays]:
     return found
 
 
-def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:  # noqa: PLR0911  a line a kind
+def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:
     """Return the value of an annotation from its arrays; the inverse of `taken_apart`.
 
     Raises ValueError for arrays of another kind, and the errors of constructors.
     """
-    union = get_origin(hint) in (Union, UnionType)
-    hints = get_args(hint) if union else (hint,)
+    hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    kind, inner = get_origin(hints[0]), get_args(hints[0])
     if not arrays and (hint is Any or NoneType in hints):
         return None
-    of_dataclass = [each for each in hints if is_dataclass(each)]
-    if of_dataclass:
-        return _object(of_dataclass, arrays, name)
-    kind = get_origin(hints[0])
-    if kind is not None and kind is not Literal and issubclass(kind, Mapping):
-        names = rebuilt(tuple[str, ...], by_part(arrays).get("names", {}), name)
-        values = tuple[get_args(hints[0])[1], ...]  # type: ignore[misc]
-        return dict(
-            zip(names, rebuilt(values, by_part(arrays).get("values", {}), name), strict=True)
-        )
+    if is_dataclass(hints[0]):
+        return _object(hints[0], arrays, name)
+    if kind in (dict, Mapping):
+        return {key: rebuilt(inner[1], {"": array}, name) for key, array in arrays.items()}
     if kind in (tuple, Sequence):
-        return _several(get_args(hints[0]), arrays, name)
+        by_index, single = by_part(arrays), arrays.keys() == {""}
+        parts = (
+            [{"": each} for each in np.atleast_1d(arrays[""])]
+            if single
+            else [by_index[str(i)] for i in range(len(by_index))]
+        )
+        alike = inner[1:] in ((), (...,))
+        of = inner[:1] * len(parts) if alike else inner
+        return tuple(rebuilt(h, part, name) for h, part in zip(of, parts, strict=True))
     if arrays.keys() != {""}:
         raise InputError(f"{name} is {'damaged' if arrays else 'missing'}")
-    (array,) = arrays.values()
-    if kind is np.ndarray:
-        wanted = np.dtype(get_args(get_args(hints[0])[1])[0])
-        if array.dtype.kind != wanted.kind:
-            raise InputError(f"{name} must be an array of {wanted}, got {array.dtype}")
-        return array
-    if array.ndim:
-        raise InputError(f"{name} must be one value, got the shape {array.shape}")
-    return _single(hints, array.item(), name)
+    if kind is not np.ndarray:
+        return _single(hints, arrays[""], name)
+    wanted = np.dtype(get_args(inner[1])[0])
+    if arrays[""].dtype.kind != wanted.kind:
+        raise InputError(f"{name} must be an array of {wanted}, got {arrays[''].dtype}")
+    return arrays[""]
 
 
-def _kept(kind: type) -> list[str]:
+def _kept(kind: Any) -> list[str]:
     """Return the fields of a dataclass that are kept."""
     return [each.name for each in fields(kind) if each.init and each.repr]
 
 
-def _object(kinds: Sequence[type], arrays: Arrays, name: str) -> Any:
-    """Return the object of the first of these classes that has such parts."""
-    parts = by_part(arrays)
-    fitting = (kind for kind in kinds if parts.keys() <= {*_kept(kind)})
-    if (kind := next(fitting, None)) is None:
-        raise InputError(f"{name} is damaged: it has {', '.join(map(str, parts))}"[:200])
-    hints = get_type_hints(kind)
-    found = {part: rebuilt(hints[part], parts.get(part, {}), part) for part in _kept(kind)}
-    return kind(**found)
+def _object(kind: Any, arrays: Arrays, name: str) -> Any:
+    """Return the object of a dataclass; raises ValueError for parts that it has not."""
+    parts, hints, kept = by_part(arrays), get_type_hints(kind), _kept(kind)
+    if unknown := parts.keys() - {*kept}:
+        raise InputError(f"{name} is damaged: it has {min(unknown)[:60]!r}")
+    return kind(**{part: rebuilt(hints[part], parts.get(part, {}), part) for part in kept})
 
 
-def _several(hints: Sequence[Any], arrays: Arrays, name: str) -> tuple[Any, ...]:
-    """Return a tuple from one array, or from the arrays of each element."""
-    if arrays.keys() == {""}:
-        parts = [{"": np.asarray(each)} for each in np.atleast_1d(arrays[""])]
-    else:
-        by_index = by_part(arrays)
-        parts = [by_index[str(i)] for i in range(len(by_index))]
-    each_hint = hints if len(hints) > 1 and hints[1] is not Ellipsis else [hints[0]] * len(parts)
-    return tuple(rebuilt(of, part, name) for of, part in zip(each_hint, parts, strict=True))
-
-
-def _single(hints: Sequence[Any], value: Any, name: str) -> Any:
-    """Return a number or text, if it is of one of these kinds."""
+def _single(hints: Sequence[Any], array: Any, name: str) -> Any:
+    """Return a number, a text or a date, if it is of one of these types."""
+    value = array.item() if array.ndim == 0 else array.tolist()
     for hint in hints:
         if hint is pd.Timestamp and isinstance(value, str):
             return pd.Timestamp(value)
         if hint is int and isinstance(value, float) and value.is_integer():
-            return int(value)  # in one array with others that are none
-        allowed = {float: int | float, bool: bool, int: int, str: str}.get(hint)
-        fits = allowed is not None and isinstance(value, allowed)
+            return int(value)  # beside others in one array, which are none
+        fits = isinstance(value, _NUMBERS.get(hint, ()))
         if (fits and isinstance(value, bool) == (hint is bool)) or value in get_args(hint):
             return value
     raise InputError(f"{name} must not be {str(value)[:60]!r}")
