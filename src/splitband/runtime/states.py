@@ -21,18 +21,18 @@ from splitband.runtime.errors import InputError
 
 Arrays = dict[str, npt.NDArray[Any]]
 """Arrays by the name of what they are part of; a single one by the name ""."""
+_SINGLE = bool | int | float | str | np.generic
 _NUMBERS: dict[Any, Any] = {float: int | float, bool: bool, int: int, str: str}
 
 
 def array_of(value: Any) -> npt.NDArray[Any]:
     """Return an array, a number, a text or a date as an array; raises ValueError for others."""
-    array = np.asarray(value.isoformat() if isinstance(value, pd.Timestamp) else value)
-    kind = array.dtype.kind
-    if isinstance(value, list | tuple | dict) or not (
-        kind == "U" or (kind in "biuf" and array.dtype.itemsize <= 8)
-    ):
-        said = f"an array of {array.dtype}" if isinstance(value, np.ndarray) else type(value)
-        raise InputError(f"{getattr(said, '__name__', said)} cannot be saved")
+    value = value.isoformat() if isinstance(value, pd.Timestamp) else value
+    if type(value) is not np.ndarray and not isinstance(value, _SINGLE):
+        raise InputError(f"{type(value).__name__} cannot be saved")
+    array = np.asarray(value)
+    if array.dtype.kind != "U" and not (array.dtype.kind in "biuf" and array.dtype.itemsize <= 8):
+        raise InputError(f"an array of {array.dtype} cannot be saved")
     return array
 
 
@@ -45,7 +45,7 @@ def taken_apart(value: Any) -> Arrays:
     if isinstance(value, Mapping):
         return named({name: taken_apart(part) for name, part in value.items()})
     if isinstance(value, tuple | list):
-        if all(isinstance(each, bool | int | float | str | np.generic) for each in value):
+        if all(isinstance(each, _SINGLE) for each in value):
             return {"": array_of(np.array(value))} if value else {}
         return named({str(i): taken_apart(each) for i, each in enumerate(value)})
     return {"": array_of(value)}
