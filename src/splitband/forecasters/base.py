@@ -31,7 +31,7 @@ from splitband.forecasters.prediction import (
     prepared_like,
     seconds_after,
 )
-from splitband.forecasters.saving import attributes_of, save, state_of
+from splitband.forecasters.saving import attributes_of, listed, save, state_of
 from splitband.forecasters.stepping import (
     NotSteppedError,
     Part,
@@ -45,7 +45,7 @@ from splitband.networks.cell import Template
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import UNKNOWN, WithRepr, option_attributes, options
+from splitband.runtime.options import UNKNOWN, WithRepr, options
 from splitband.runtime.states import Arrays
 from splitband.runtime.threads import one_thread
 from splitband.simulators.base import KnownSimulator
@@ -101,8 +101,8 @@ class Forecaster(WithRepr, ABC):
     fits_simulator: ClassVar[bool] = False
     """Whether its fit runs a simulator many times, which may take minutes."""
     state_types: ClassVar[Mapping[str, Any]] = {}
-    """The type of each attribute that `learn` sets, for `state`. Arrays, numbers and texts of a
-    forecaster of your own need not be listed."""
+    """The type of each attribute that `learn` sets, for `state`; of one or several fitted
+    forecasters, the option that was fitted. Arrays, numbers and texts need not be listed."""
     at_once: ClassVar[bool] = False
     """Whether fit and forecasts together take no time, about a second for a million samples."""
     _words: ClassVar[str] = ""
@@ -173,9 +173,8 @@ class Forecaster(WithRepr, ABC):
         """Return what `learn` has found: arrays by name, from which `from_state` restores it.
 
         By default these are all attributes that are no options: arrays, numbers and texts, what the
-        class lists in `state_types`, and None where the class has this default. Fitted forecasters
-        among them are saved by themselves. Raises ValueError for any other attribute; a forecaster
-        with such ones defines `state` and `from_state`.
+        class lists in `state_types`, and None where the class has this default. Raises ValueError
+        for any other attribute; a forecaster with such ones defines `state` and `from_state`.
         """
         return state_of(self)
 
@@ -183,7 +182,7 @@ class Forecaster(WithRepr, ABC):
     def from_state(cls, options: Mapping[str, Any], arrays: Arrays) -> Self:
         """Return the forecaster with these options that has found what `state` returned."""
         new = cls(**options)
-        vars(new).update(attributes_of(cls, arrays))
+        vars(new).update(attributes_of(new, arrays))
         return new
 
     @abstractmethod
@@ -553,11 +552,6 @@ class Forecaster(WithRepr, ABC):
         """Return the options as they are saved."""
         return self.get_params()
 
-    def fitted_parts(self) -> dict[str, Forecaster | list[Forecaster]]:
-        """Return the fitted forecasters that `learn` has set, by the names of the attributes."""
-        given = option_attributes(self)
-        return {n: part for n, part in vars(self).items() if n not in given and _is_fitted(part)}
-
     def complete(self) -> None:
         """Check what was loaded against its training record; raises ValueError."""
         record = self.require_fitted().record
@@ -567,9 +561,9 @@ class Forecaster(WithRepr, ABC):
         if record.nu:
             check_shape("u_summary", self.require_fitted().u_summary, 3, record.nu)
         if self.held_out is not None:
-            check_shape("largest", self.held_out.largest, record.ny)
-        for part in self.fitted_parts().values():
-            for each in part if isinstance(part, list) else [part]:
+            self.held_out.check(record.ny)
+        for name in (name for name, of in self.state_types.items() if isinstance(of, str)):
+            for each in listed(getattr(self, name)):
                 check_alike(each.require_fitted().record, record, each.name)
 
 
@@ -626,12 +620,6 @@ def same(one: Any, other: Any) -> bool:
         ours, theirs = one.get_params(), other.get_params()
         return all(same(option, theirs[name]) for name, option in ours.items())
     return UNKNOWN not in repr(one) and repr(one) == repr(other)
-
-
-def _is_fitted(value: Any) -> bool:
-    """Return whether a value is a fitted forecaster, or a list of some."""
-    every = value if isinstance(value, list) else [value]
-    return bool(every) and all(isinstance(x, Forecaster) and x.fitted is not None for x in every)
 
 
 def cells_of(forecaster: Forecaster) -> dict[str, Template]:

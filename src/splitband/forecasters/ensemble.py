@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self, Unpack, final
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack, final
 
 from splitband.data import Record, check_alike
 from splitband.forecasters.base import Forecaster, Training
@@ -46,6 +46,7 @@ class Ensemble(Forecaster):
     """
 
     forgets = True
+    state_types: ClassVar[Mapping[str, Any]] = {"members": "templates"}
 
     def __init__(
         self,
@@ -133,12 +134,6 @@ class Ensemble(Forecaster):
         for member in self.members:
             member.to(device)
         return super().to(device)
-
-    def complete(self) -> None:
-        """Check the number of members as well; see `Forecaster.complete`."""
-        super().complete()
-        if len(self.members) != self.count:
-            raise InputError(f"count must be {len(self.members)}, got {self.count}")
 
     def untrained(self) -> Forecaster:
         """Return it not fitted, with the settings and bands that its members' fits have chosen."""

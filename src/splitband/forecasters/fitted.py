@@ -107,16 +107,8 @@ class Fitted:
         if inputs:
             u_summary = np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
         first, *others = records
-        return cls(
-            first,
-            0,
-            first.start,
-            y_range,
-            u_summary,
-            tuple(others),
-            FitReport(seed),
-            simulator=first.simulator,
-        )
+        of_first = first, 0, first.start, y_range, u_summary
+        return cls(*of_first, tuple(others), FitReport(seed), simulator=first.simulator)
 
     def is_of(self, records: Sequence[Record]) -> bool:
         """Return whether these records are all that were fitted to, sample by sample."""

@@ -29,27 +29,26 @@ from splitband.data.alignment import log
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.saving import (
-    COMMON,
     DIGITS,
     FILE,
     FORMAT,
     WEIGHTS,
-    check_attribute,
     of_package,
     read_description,
+    restored,
 )
 from splitband.forecasters.simulation import description_of, simulations
 from splitband.networks.cell import Template
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
-from splitband.runtime.states import Arrays, array_of, by_part, rebuilt
+from splitband.runtime.states import Arrays, array_of
 from splitband.simulators import Simulator, base
 from splitband.simulators.base import Absent, KnownSimulator, Recorded, as_known, matched
 from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
 from splitband.training import TrainingSettings
 
-OPTIONS = TrainingSettings, Bands, Recorded, Absent
-"""What options may be, beside forecasters, cells and values of JSON."""
+OPTIONS = Forecaster, Template, TrainingSettings, Bands, Recorded, Absent
+"""What options may be, beside values of JSON, dates and arrays."""
 LARGEST_NUMBER = 1_000_000
 """Largest whole number that a cell's constructor gets: a larger one in a file is a forgery."""
 _UNFIT = (
@@ -181,7 +180,11 @@ def _read(folder: Path) -> Forecaster:
         )
     arrays = _arrays(folder, facts)
     try:
-        return _forecaster(facts["forecaster"], arrays, "")
+        said = facts["forecaster"]
+        options = {name: _option(value, arrays) for name, value in said["options"].items()}
+        for name, fact in said["facts"].items():
+            arrays[name] = array_of(np.array(fact, str if isinstance(fact, list) else None))
+        return restored(_kind(said, (Forecaster,)), options, arrays)
     except KeyError as error:
         raise InputError(f"{folder / FILE} holds no forecaster: {error} is missing") from None
     except _UNFIT as error:
@@ -205,35 +208,6 @@ def _arrays(folder: Path, facts: Mapping[str, Any]) -> Arrays:
         raise InputError(f"{path} is damaged: {error}") from None
 
 
-def _forecaster(said: Mapping[str, Any], arrays: Arrays, place: str) -> Forecaster:
-    """Return the forecaster that was saved under a place of the arrays."""
-    kind = _kind(said, Forecaster)
-    options = {name: _option(value, arrays) for name, value in said["options"].items()}
-    of_others = tuple(f"{place}{name}/" for name in ("options", *said["parts"]))
-    found = {
-        name: array_of(np.array(fact, str if isinstance(fact, list) else None))
-        for name, fact in said["facts"].items()
-    }
-    for name, array in arrays.items():
-        if name.startswith(place) and not name.startswith(of_others):
-            found[name.removeprefix(place)] = array
-    common = {name: part for name, part in by_part(found).items() if name in COMMON}
-    own = {name: array for name, array in found.items() if name.partition(".")[0] not in COMMON}
-    new: Forecaster = kind.from_state(options, own)
-    for name, hint in COMMON.items():
-        vars(new)[name] = rebuilt(hint, common.get(name, {}), name)
-    for name, part in said["parts"].items():
-        check_attribute(kind, name)
-        at = f"{place}{name}/"
-        vars(new)[name] = (
-            [_forecaster(each, arrays, f"{at}{i}/") for i, each in enumerate(part)]
-            if isinstance(part, list)
-            else _forecaster(part, arrays, at)
-        )
-    new.complete()
-    return new
-
-
 def _option(value: Any, arrays: Arrays) -> Any:  # noqa: PLR0911  a line a kind
     """Return the option that JSON describes."""
     if isinstance(value, list):
@@ -241,9 +215,9 @@ def _option(value: Any, arrays: Arrays) -> Any:  # noqa: PLR0911  a line a kind
     if not isinstance(value, dict):
         return value
     if "kind" in value:
-        kind = _kind(value, (Forecaster, *OPTIONS), cells=True)
+        kind = _kind(value, OPTIONS)
         given = {name: _option(part, arrays) for name, part in value["options"].items()}
-        return kind(**given) if issubclass(kind, (Forecaster, *OPTIONS)) else _cell(kind, given)
+        return _cell(kind, given) if issubclass(kind, Template) else kind(**given)
     ((word, inner),) = value.items()
     match word:
         case "number":
@@ -251,7 +225,7 @@ def _option(value: Any, arrays: Arrays) -> Any:  # noqa: PLR0911  a line a kind
         case "date":
             return pd.Timestamp(inner)
         case "array":
-            return arrays[inner]
+            return arrays.pop(inner)
         case "tuple":
             return tuple(_option(part, arrays) for part in inner)
         case "dict":
@@ -259,25 +233,20 @@ def _option(value: Any, arrays: Arrays) -> Any:  # noqa: PLR0911  a line a kind
     raise InputError(f"options hold {word[:60]}, which is not known")
 
 
-def _kind(said: Mapping[str, Any], kinds: Any, cells: bool = False) -> Any:
-    """Return the class that is named, if it is one of these kinds or, among `cells`, of a cell.
+def _kind(said: Mapping[str, Any], kinds: tuple[Any, ...]) -> Any:
+    """Return the class that is named, if it is one of these kinds.
 
     It is the one of that name in its module, or the only one of that name elsewhere: what was saved
-    in a script may be loaded by one that imports it.
+    in a script may be loaded by one that imports it. Of the user's modules none is imported.
     """
     name, module = said["kind"], said.get("module")
 
     def inside(holder: Any) -> type | None:
-        """Return the class of that name, if it may be loaded; of the user's nothing is imported."""
         for part in name.split("."):
             own = getattr(holder, "__dict__", {}).get(part)
             holder = getattr(holder, part, None) if module is None else own
-        if not isinstance(holder, type) or of_package(holder) != (module is None):
-            return None
-        torch: Any = sys.modules.get("torch")  # without it, nothing is a cell
-        cell = cells and torch is not None and issubclass(holder, torch.nn.Module)
-        fits = issubclass(holder, kinds) or (cell and issubclass(holder, Template))
-        return holder if fits else None
+        fits = isinstance(holder, type) and issubclass(holder, kinds)
+        return holder if fits and of_package(holder) == (module is None) else None
 
     places: list[list[Any]] = [[sys.modules.get(module or "")], [*sys.modules.values()]]
     for holders in [[splitband, networks, base]] if module is None else places:

@@ -94,9 +94,11 @@ class Network(Forecaster):
     _weights: Arrays
     """The weights of the model, while it is loaded."""
     state_types: ClassVar[Mapping[str, Any]] = {
+        "_weights": dict[str, np.ndarray],
         "_trained_by": TrainingSettings,
         "_trained_in": Bands,
         "_prehistory": Prehistory,
+        "_fitted_base": "base",
     }
 
     def __init__(self, settings: TrainingSettings | None = None, name: str | None = None) -> None:
@@ -222,16 +224,8 @@ class Network(Forecaster):
         """Return its arrays: the model as its weights; the device is omitted."""
         # That of the training may not exist where it is loaded.
         weights = self._trained().state_dict().items()
-        arrays = {f"weights.{name}": each.detach().cpu().numpy() for name, each in weights}
+        arrays = {f"_weights.{name}": each.detach().cpu().numpy() for name, each in weights}
         return state_of(self, "model", "_device") | arrays
-
-    @classmethod
-    def from_state(cls, options: Mapping[str, Any], arrays: Arrays) -> Self:
-        """Return the forecaster; its model is built by `complete`, when its record is known."""
-        of_model = {name: x for name, x in arrays.items() if name.startswith("weights.")}
-        new = super().from_state(options, {n: x for n, x in arrays.items() if n not in of_model})
-        new._weights = {name.removeprefix("weights."): x for name, x in of_model.items()}
-        return new
 
     def complete(self) -> None:
         """Build the model; raises ValueError for weights that do not fit it."""

@@ -1,11 +1,10 @@
 """Save forecasters to folders, whole or not at all; `loading` reads them.
 
-A folder holds forecaster.json and one safetensors file. The former has for a forecaster its `kind`
-(the class; of one of the user's also the `module`), the `options` of its constructor, the `facts`
-of its fit (texts and single numbers), and the fitted forecasters that it consists of (`parts`). The
-latter has the arrays of the fit (`Forecaster.state`), of parts under their place. It is named after
-its content, so that an interrupted `save` leaves the previous pair intact. Of a simulator that is
-not recorded output only a description is saved (`simulators.base.Absent`).
+A folder holds forecaster.json and one safetensors file. The former has the `kind` of the forecaster
+(its class; of one of the user's also the `module`), the `options` of its constructor, and the
+`facts` of its fit: texts and single numbers. The latter has the arrays of the fit, and those among
+options. It is named after its content, so that an interrupted `save` leaves the previous pair
+intact. Of a simulator that is not recorded output only a description is saved (`Absent`).
 """
 
 from __future__ import annotations
@@ -65,12 +64,17 @@ def save(
         For a forecaster that has not been fitted, or holds a value that cannot be saved.
     """
     folder, arrays = Path(folder), Arrays()
-    description = _described(forecaster, arrays, "")
+    description = _encoded(forecaster, arrays, "options/") | {"facts": {}}
+    for name, value in arrays_of(forecaster).items():
+        array = array_of(value)
+        if array.dtype.kind == "U" or _is_number(array):
+            description["facts"][name] = array.tolist()
+        else:
+            arrays[name] = np.array(array, order="C")
     content = safetensors.numpy.save(arrays)
     digest = hashlib.sha256(content).hexdigest()
-    text = to_json(
-        {**(facts or {}), "format": FORMAT, "weights_sha256": digest, "forecaster": description}
-    )
+    said = {"format": FORMAT, "weights_sha256": digest, "forecaster": description}
+    text = to_json({**(facts or {}), **said})
     folder.mkdir(parents=True, exist_ok=True)
     weights = folder / WEIGHTS.format(digest[:DIGITS])
     if not weights.is_file() or weights.read_bytes() != content:
@@ -108,65 +112,73 @@ def _remove_outdated(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _described(forecaster: Forecaster, arrays: Arrays, place: str) -> dict[str, Any]:
-    """Return a fitted forecaster as JSON, and put its arrays into `arrays`, under its place."""
+def arrays_of(forecaster: Forecaster) -> Arrays:
+    """Return all that is saved of a fit: arrays by name, texts and single numbers among them."""
     fitted = forecaster.require_fitted().end(forecaster.first_needed())
-    common = {**{name: getattr(forecaster, name) for name in COMMON}, "fitted": fitted}
-    found = named({name: taken_apart(value) for name, value in common.items()})
-    facts = {}
-    for name, value in {**found, **forecaster.state()}.items():
-        array = array_of(value)
-        if array.dtype.kind == "U" or _is_number(array):
-            facts[name] = array.tolist()
-        else:
-            arrays[place + name] = np.array(array, order="C")
-    parts: dict[str, Any] = {}
-    for name, part in forecaster.fitted_parts().items():
-        at = f"{place}{name}/"
-        if isinstance(part, list):
-            parts[name] = [_described(each, arrays, f"{at}{i}/") for i, each in enumerate(part)]
-        else:
-            parts[name] = _described(part, arrays, at)
-    try:
-        given = _encoded_parts(forecaster.saved_options(), arrays, f"{place}options/")
-    except TypeError as error:  # of `options`
-        raise InputError(f"{type(forecaster).__name__} cannot be saved: {error}") from None
-    return _kind(forecaster) | {"options": given, "facts": facts, "parts": parts}
+    common = {name: getattr(forecaster, name) for name in COMMON} | {"fitted": fitted}
+    return named({name: taken_apart(value) for name, value in common.items()}) | forecaster.state()
+
+
+def restored(kind: type[Forecaster], options: Mapping[str, Any], arrays: Arrays) -> Forecaster:
+    """Return the forecaster with these options and the fit of `arrays_of`.
+
+    Raises ValueError, or the errors of constructors, for what is no fit of it.
+    """
+    parts = by_part(arrays)
+    common = {name: rebuilt(of, parts.pop(name, {}), name) for name, of in COMMON.items()}
+    new = kind.from_state(options, named(parts))
+    vars(new).update(common)
+    new.complete()
+    return new
 
 
 def state_of(forecaster: Forecaster, *others: str) -> Arrays:
     """Return the arrays of the attributes of a fit but `others`, see `Forecaster.state`."""
     parts, kind = dict[str, Arrays](), type(forecaster)
-    left = {*option_attributes(forecaster), *forecaster.fitted_parts(), *COMMON, *others}
-    for name in vars(forecaster).keys() - left:
-        value, known = vars(forecaster)[name], name in forecaster.state_types
-        if value is None and getattr(kind, name, ...) is None:
-            continue
-        try:
-            parts[name] = taken_apart(value) if known else {"": array_of(value)}
-        except ValueError as error:
-            raise InputError(
-                f"{kind.__name__} cannot be saved with its attribute {name}, which is no array, "
-                f"number or text ({error}): define state() and from_state()"
-            ) from None
-    return named({name: parts[name] for name in sorted(parts)})
+    for name in sorted(
+        vars(forecaster).keys() - {*option_attributes(forecaster), *COMMON, *others}
+    ):
+        value, of = vars(forecaster)[name], kind.state_types.get(name)
+        if isinstance(of, str):
+            parts[name] = named({str(i): arrays_of(x) for i, x in enumerate(listed(value))})
+        elif of is not None:
+            parts[name] = taken_apart(value)
+        elif value is not None or getattr(kind, name, ...) is not None:
+            try:
+                parts[name] = {"": array_of(value)}
+            except ValueError as error:
+                raise InputError(
+                    f"{kind.__name__} cannot be saved with its attribute {name} ({error}): set "
+                    "arrays, numbers and texts alone, or define state() and from_state()"
+                ) from None
+    return named(parts)
 
 
-def attributes_of(kind: type[Forecaster], arrays: Arrays) -> dict[str, Any]:
-    """Return the attributes of a fit from their arrays; raises ValueError for missing ones."""
-    parts, types = by_part(arrays), kind.state_types
-    for name in parts:
-        check_attribute(kind, name)
-    found = {name: array.item() if array.ndim == 0 else array for name, array in arrays.items()}
-    wanted = {name for name in types if name in parts or not hasattr(kind, name)}
-    return found | {name: rebuilt(types[name], parts.get(name, {}), name) for name in wanted}
+def attributes_of(new: Forecaster, arrays: Arrays) -> dict[str, Any]:
+    """Return the attributes of a fit; raises ValueError for missing ones, and names of methods."""
+    parts, types, found = by_part(arrays), type(new).state_types, dict[str, Any]()
+    for name in sorted({*parts, *types}):
+        own, of, part = getattr(type(new), name, ...), types.get(name), parts.get(name, {})
+        if callable(own) or isinstance(own, property):
+            raise InputError(f"{name[:60]} must not be replaced in a {type(new).__name__}")
+        if isinstance(of, str) and part:
+            templates, by_index = listed(getattr(new.clone(), of)), by_part(part)
+            fits = [
+                restored(type(each), each.get_params(), by_index.pop(str(i)))
+                for i, each in enumerate(templates)
+            ]
+            found[name] = fits if isinstance(getattr(new, of), list) else fits[0]
+        elif of is None:
+            (array,) = part.values()
+            found[name] = array.item() if array.ndim == 0 else array
+        elif part or own is ...:
+            found[name] = rebuilt(of, part, name)
+    return found
 
 
-def check_attribute(kind: type, name: str) -> None:
-    """Raise ValueError for the name of a method or a property: nothing in a file replaces one."""
-    own = getattr(kind, name, None)
-    if callable(own) or isinstance(own, property):
-        raise InputError(f"{name[:60]} is no attribute of {kind.__name__} that `fit` sets")
+def listed(value: Any) -> list[Any]:
+    """Return one or several forecasters, or none, as a list."""
+    return value if isinstance(value, list) else [] if value is None else [value]
 
 
 def _is_number(array: Any) -> bool:
@@ -219,9 +231,12 @@ def _encoded(value: Any, arrays: Arrays, place: str) -> Any:  # noqa: PLR0911  a
     if isinstance(value, KnownSimulator) and not isinstance(value, Recorded):
         value = value.description()
     if isinstance(value, WithRepr | Absent | Template):
-        saved = getattr(value, "saved_options", lambda: options(value))
-        return _kind(value) | {"options": _encoded_parts(saved(), arrays, f"{place}.")}
-    raise TypeError(
-        f"the option {place.rpartition('/')[2]} is {type(value).__name__}, no number, "
-        "text, date, array, list, tuple or dict"
+        given = getattr(value, "saved_options", lambda: options(value))
+        try:
+            return _kind(value) | {"options": _encoded_parts(given(), arrays, f"{place}.")}
+        except TypeError as error:  # of `options`
+            raise InputError(f"{type(value).__name__} cannot be saved: {error}") from None
+    raise InputError(
+        f"{type(value).__name__} cannot be saved as the option {place.partition('.')[2]}: it is no "
+        "number, text, date, array, list, tuple or dict"
     )

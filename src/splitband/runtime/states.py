@@ -94,9 +94,9 @@ def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:
         return tuple(rebuilt(h, part, name) for h, part in zip(of, parts, strict=True))
     if arrays.keys() != {""}:
         raise InputError(f"{name} is {'damaged' if arrays else 'missing'}")
-    if kind is not np.ndarray:
+    if np.ndarray not in (kind, hints[0]):
         return _single(hints, arrays[""], name)
-    wanted = np.dtype(get_args(inner[1])[0])
+    wanted = np.dtype(get_args(inner[1])[0]) if inner else arrays[""].dtype
     if arrays[""].dtype.kind != wanted.kind:
         raise InputError(f"{name} must be an array of {wanted}, got {arrays[''].dtype}")
     return arrays[""]

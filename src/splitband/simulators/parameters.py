@@ -274,11 +274,11 @@ class Estimate:
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
-        for name, value in self.values.items():
-            if not isinstance(value, int | float) or not np.isfinite(value):
-                raise InputError(f"an estimate must hold finite numbers, got {name}={value!r}")
-        if self.values.keys() != self.errors.keys():
-            raise InputError("an estimate must have as many errors as values")
+        if (
+            not np.isfinite([*self.values.values()]).all()
+            or self.values.keys() != self.errors.keys()
+        ):
+            raise InputError(f"an estimate must have finite values with errors, got {self.values}")
 
     def __str__(self) -> str:
         """Return each value with its standard error, the doubt and the remarks."""
