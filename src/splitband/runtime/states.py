@@ -80,6 +80,9 @@ def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:
         return None
     if is_dataclass(hints[0]):
         return _object(hints[0], arrays, name)
+    for step in hints[0].__subclasses__() if isinstance(hints[0], type) else ():
+        if is_dataclass(step) and by_part(arrays).keys() <= {*_kept(step)}:
+            return _object(step, arrays, name)  # of `Record.prepared`, by its parts
     if kind in (dict, Mapping):
         return {key: rebuilt(inner[1], {"": array}, name) for key, array in arrays.items()}
     if kind in (tuple, Sequence):
