@@ -69,7 +69,7 @@ def by_part(arrays: Arrays) -> dict[str, Arrays]:
     return found
 
 
-def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:
+def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:  # noqa: PLR0911  a line a kind
     """Return the value of an annotation from its arrays; the inverse of `taken_apart`.
 
     Raises ValueError for arrays of another kind, and the errors of constructors.
