@@ -184,8 +184,8 @@ _VALUES = st.recursive(
     max_leaves=4,
 ) | st.sampled_from(
     (
-        {"cell": "GRU", "fields": {"ny": 1, "hidden_size": 10**6, "nu": 0}},
-        {"made": "system", "module": "os", "fields": {}},
+        {"kind": "GRU", "options": {"ny": 1, "hidden_size": 10**6, "nu": 0}},
+        {"kind": "system", "module": "os", "options": {}},
     )
 )
 

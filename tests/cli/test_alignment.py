@@ -255,7 +255,7 @@ def test_a_model_of_a_record_without_time_stamps_begins_with_the_history(
 ) -> None:
     whole = ahead(late_model, "whole.csv", f"--simulator {SLOW}")
     shutil.copytree(late_model, "old")
-    edit(Path("old"), lambda d: d["forecaster"]["fields"]["fitted"]["fields"].update(start=None))
+    edit(Path("old"), lambda d: d["forecaster"]["facts"].pop("fitted.start"))
     old = ahead(Path("old"), "whole.csv", f"--simulator {SLOW}")
     assert "does not know when its training record began" in capsys.readouterr().out
     np.testing.assert_array_equal(old, whole)

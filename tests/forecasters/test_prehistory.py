@@ -73,7 +73,7 @@ def test_what_a_file_brings_must_fit(network: sb.Forecaster, tmp_path: Path) -> 
     forged = network.clone().fit(output(400, 1), seed=0)
     vars(forged)["_prehistory"] = Prehistory(np.zeros((5, 2)), np.zeros((3, 5, 2)), 0.1)
     forged.save(tmp_path / "model")
-    with pytest.raises(ValueError, match=r"mean of the prehistory must be \(20, 2\), got \(5, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"mean of the prehistory must have .*20, 2\), got \(5, 2\)"
+    ):
         sb.load(tmp_path / "model")
-    with pytest.raises(ValueError, match=r"root must be \(components, 5, 2\)"):
-        Prehistory(np.zeros((5, 2)), np.zeros((3, 4, 2)), 0.1)

@@ -19,13 +19,11 @@ from splitband.baselines.kalman import EXACT, most_probable, responses, states, 
 from splitband.baselines.uncertainty import Uncertainty
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 _FASTEST, _SLOWEST = 0.5, 0.95
 """Range of the poles of additional states that the output does not depend on. By eye."""
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class LinearModel:
     """Model outputs by x' = A x + B (u - mean) + drift + K e, y = C x + D (u - mean) + offset + e.

@@ -25,7 +25,6 @@ from splitband.baselines.sinusoids import (
 )
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import saved
 
 MOST_HARMONICS = 30
 """Largest number of harmonics of a period. Bounds the time."""
@@ -50,7 +49,6 @@ def nearest(time: float) -> int:
     return math.floor(time + 0.5)
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class LastPeriod:
     """Repeat the last period of the training samples on a trend; use `LastPeriod.fit`.

@@ -19,7 +19,6 @@ import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import check
-from splitband.runtime.options import saved
 
 MAX_FIT_SAMPLES = 4000
 """Most measured samples of a channel in a least-squares fit, to limit its time. Bounds the time."""
@@ -54,7 +53,6 @@ MOST_BLOCKS, FEWEST_BLOCKS = 256, 15
 Bounds the time."""
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Sinusoids:
     """Hold the sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a line.
@@ -222,7 +220,6 @@ class Sinusoids:
         return best
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class SinusoidRegression:
     """Describe each channel by sinusoids, an offset and a line; `harmonic` fits them.

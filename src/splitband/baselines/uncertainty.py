@@ -16,7 +16,6 @@ import scipy
 
 from splitband.baselines.refinement import Signals, Solution, by_segment, segments, total
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import saved
 
 NORMAL = 1.96
 """Half width of a 95 % interval in standard errors, of a normal distribution."""
@@ -37,7 +36,6 @@ Complex = npt.NDArray[np.complex128]
 Matrices = tuple[Array, Array, Array, Array]
 
 
-@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty:
     """Hold estimates and their standard errors; an error is NaN where it was not computed.

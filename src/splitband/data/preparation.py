@@ -14,7 +14,6 @@ from splitband.data.signals import as_float, bare_name, refilled
 from splitband.data.timing import seconds_of, stamp_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 if TYPE_CHECKING:
     from splitband.data.record import Record
@@ -26,7 +25,6 @@ Limits: TypeAlias = Mapping[str, tuple[float, float]]
 """Lowest and highest value of outputs, by name."""
 
 
-@saved
 @dataclass(frozen=True)
 class Reading:
     """What reading and preparing a record decided; `Record.like` treats another one by it.

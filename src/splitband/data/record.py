@@ -53,10 +53,8 @@ from splitband.data.timing import (
 )
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 
-@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """Represent one evenly sampled record.
@@ -110,7 +108,7 @@ class Record:
     measured: Flags | None = None
     start: Stamp | None = None
     reading: Reading = field(default_factory=Reading)
-    simulator: Any = None
+    simulator: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         y = signal_of("y", self.y)

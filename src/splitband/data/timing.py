@@ -19,7 +19,6 @@ from splitband.data.signals import Column, Gaps, as_float, in_file, stretches
 from splitband.data.stamps import last_place, readings
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 MOST_MISSING = 0.9
 """Share of a record's rows that may be missing between its time stamps. By eye."""
@@ -109,7 +108,6 @@ def same_sampling(step: float, other: float, samples: int) -> bool:
     return abs(step - other) * samples < 0.5 * min(step, other)
 
 
-@saved
 @dataclass(frozen=True)
 class Grid:
     """Represent a grid of evenly spaced times.

@@ -18,7 +18,6 @@ from splitband.filters.spectrum import periodogram
 from splitband.metrics import spread
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 ORDERS = (1, 2)
 """Order 2 is chosen only where order 1 is not acceptable: on held-out samples it is no better, and
@@ -49,7 +48,6 @@ _NYQUIST_MARGIN = 0.8
 """Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. By eye."""
 
 
-@saved
 @dataclass(frozen=True)
 class CutoffCandidate:
     """Describe a filter pair that was considered.
@@ -71,7 +69,6 @@ class CutoffCandidate:
     loss: float
 
 
-@saved
 @dataclass(frozen=True)
 class Choice:
     """Describe the chosen filter pair and the reason for it.

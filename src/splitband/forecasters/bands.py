@@ -9,10 +9,9 @@ from splitband.filters.cutoff import Choice, choose, choose_with_simulator
 from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import WithRepr, saved
+from splitband.runtime.options import WithRepr
 
 
-@saved
 @dataclass(frozen=True, repr=False)
 class Bands(WithRepr):
     """Hold the parameters of a filter pair; those that are None are chosen on training samples.

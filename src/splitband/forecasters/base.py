@@ -6,7 +6,7 @@ import contextlib
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import replace
@@ -29,15 +29,16 @@ from splitband.forecasters.prediction import (
     known_of,
     predicted,
 )
-from splitband.forecasters.saving import Saved, save
+from splitband.forecasters.saving import attributes_of, listed, save, state_of
 from splitband.forecasters.steps import NotSteppedError, Steps
 from splitband.forecasters.stream import Stream, stream_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.networks.cell import Template
 from splitband.runtime.arguments import check_device, whole
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import UNKNOWN, WithRepr, options
+from splitband.runtime.states import Arrays
 from splitband.runtime.threads import one_thread
 from splitband.simulators.base import KnownSimulator
 from splitband.simulators.calibration import Calibration
@@ -71,7 +72,7 @@ def titled(name: str, words: str) -> str:
     return words if words.endswith(f"({name})") else f"{words} ({name})"
 
 
-class Forecaster(WithRepr, Saved, ABC):
+class Forecaster(WithRepr, ABC):
     """Predict what follows a record: a network, a simulator, a baseline, a median of several.
 
     A forecaster of your own defines its `name`, its training (`learn`) and its forecast
@@ -91,6 +92,9 @@ class Forecaster(WithRepr, Saved, ABC):
     settings: TrainingSettings | None = None
     fits_simulator: ClassVar[bool] = False
     """Whether its fit runs a simulator many times, which may take minutes."""
+    state_types: ClassVar[Mapping[str, Any]] = {}
+    """The type of each attribute that `learn` sets, for `state`; of one or several fitted
+    forecasters, the option that was fitted. Arrays, numbers and texts need not be listed."""
     at_once: ClassVar[bool] = False
     """Whether fit and forecasts together take no time, about a second for a million samples."""
     _words: ClassVar[str] = ""
@@ -156,6 +160,22 @@ class Forecaster(WithRepr, Saved, ABC):
         records : The training records.
         how : See `Training`; a method that needs none of the options takes `**_`.
         """
+
+    def state(self) -> Arrays:
+        """Return what `learn` has found: arrays by name, from which `from_state` restores it.
+
+        By default these are all attributes that are no options: arrays, numbers and texts, what the
+        class lists in `state_types`, and None where the class has this default. Raises ValueError
+        for any other attribute; a forecaster with such ones defines `state` and `from_state`.
+        """
+        return state_of(self)
+
+    @classmethod
+    def from_state(cls, options: Mapping[str, Any], arrays: Arrays) -> Self:
+        """Return the forecaster with these options that has found what `state` returned."""
+        new = cls(**options)
+        vars(new).update(attributes_of(new, arrays))
+        return new
 
     @abstractmethod
     def extrapolate(self, known: ForecastContext) -> Array | dict[str, Array]:
@@ -513,22 +533,27 @@ class Forecaster(WithRepr, Saved, ABC):
         first -= max(self.delays, default=0)
         return max(0, min(first, len(record) - 2))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: of the training record the end, on which a forecast warms up."""
-        end = None if self.fitted is None else self.fitted.end(self.first_needed())
-        return {**vars(self), "fitted": end}
-
-    @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the forecaster that `to_dict` described; its constructor is not called."""
-        new = super().from_dict(found)
-        if new.fitted is not None and new.delays:
-            check_delays(new.delays, new.fitted.record.nu)
-        return new
-
     def with_options(self, params: dict[str, Any]) -> Self:
         """Return a new forecaster of the same class with all of these options."""
         return type(self)(**params)
+
+    def saved_options(self) -> dict[str, Any]:
+        """Return the options as they are saved."""
+        return self.get_params()
+
+    def complete(self) -> None:
+        """Check what was loaded against its training record; raises ValueError."""
+        record = self.require_fitted().record
+        if self.delays:
+            check_delays(self.delays, record.nu)
+        check_shape("y_range", self.require_fitted().y_range, 2, record.ny)
+        if record.nu:
+            check_shape("u_summary", self.require_fitted().u_summary, 3, record.nu)
+        if self.held_out is not None:
+            self.held_out.check(record.ny)
+        for name in (name for name, of in self.state_types.items() if isinstance(of, str)):
+            for each in listed(getattr(self, name)):
+                check_alike(each.require_fitted().record, record, each.name)
 
 
 def parts_of(forecaster: Forecaster) -> list[Forecaster]:

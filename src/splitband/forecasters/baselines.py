@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Protocol, final
 
 import numpy as np
 
 from splitband.baselines.seasonal import LastPeriod, nearest, periodic
-from splitband.baselines.sinusoids import harmonic
+from splitband.baselines.sinusoids import SinusoidRegression, harmonic
 from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import State, Steps
 from splitband.metrics import channel_rmse
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 
 DISAGREEMENT_RATIO = 3.0
@@ -40,10 +40,16 @@ class Mean(Forecaster):
     affine = forgets = True
     name = "mean"
     at_once = True
+    state_types: ClassVar[Mapping[str, Any]] = {"level": Array}
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Compute the mean of all records."""
         self.level = np.nanmean(np.concatenate([record.y_with_gaps for record in records]), axis=0)
+
+    def complete(self) -> None:
+        """Check the mean as well; see `Forecaster.complete`."""
+        super().complete()
+        check_shape("level", self.level, self.require_fitted().record.ny)
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the mean."""
@@ -98,12 +104,20 @@ class _ByTime(Forecaster):
 
     anchored = True
     affine = forgets = True
+    state_types: ClassVar[Mapping[str, Any]] = {"baseline": SinusoidRegression, "error": Array}
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Fit the function to the first of several records."""
         seen = records[0].y_with_gaps
         self.baseline = self._fitted_to(seen)
         self.error = _errors(seen, self.baseline.predict(0, len(seen)))
+
+    def complete(self) -> None:
+        """Check the function as well; see `Forecaster.complete`."""
+        super().complete()
+        ny = self.require_fitted().record.ny
+        check_shape("error", self.error, ny)
+        check_shape("baseline", self.baseline.predict(0, 1), 1, ny)
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the values of the function after the history."""
@@ -143,6 +157,7 @@ class SeasonalNaive(_ByTime):
 
     name = "seasonal-naive"
     baseline: LastPeriod
+    state_types: ClassVar[Mapping[str, Any]] = {"baseline": LastPeriod, "error": Array}
 
     _words = "last period repeated"
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self, Unpack, final
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack, final
 
 from splitband.data import Record, check_alike
 from splitband.forecasters.base import Forecaster, Training
@@ -51,6 +51,7 @@ class Ensemble(Forecaster):
     """
 
     forgets = True
+    state_types: ClassVar[Mapping[str, Any]] = {"members": "templates"}
 
     def __init__(
         self,
@@ -138,14 +139,6 @@ class Ensemble(Forecaster):
         for member in self.members:
             member.to(device)
         return super().to(device)
-
-    @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the saved ensemble; raises ValueError where `count` does not match the members."""
-        new = super().from_dict(found)
-        if new.fitted is not None and len(new.members) != whole("count", new.count):
-            raise InputError(f"count must be {len(new.members)}, got {new.count}")
-        return new
 
     def untrained(self) -> Forecaster:
         """Return it not fitted, with the settings and bands that its members' fits have chosen."""

@@ -13,7 +13,7 @@ from splitband.data.timing import Stamp, as_stamp, in_words, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
-from splitband.runtime.options import saved
+from splitband.simulators.base import Absent
 
 UNSTABLE = "unstable: a simulation may grow without bound"
 """What is said of a model that is not `FitReport.stable`."""
@@ -30,7 +30,6 @@ def unmoved(records: Sequence[Record]) -> list[str]:
     return [f"constant in training, effect unknown: {', '.join(still)}"] if still else []
 
 
-@saved
 @dataclass(frozen=True)
 class FitReport:
     """Report how a fit went.
@@ -55,7 +54,6 @@ class FitReport:
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """Hold the records that a forecaster was fitted to, and the report of the fit.
@@ -70,6 +68,7 @@ class Fitted:
     others : The other training records, which are not saved.
     report : Of the fit.
     whole : Whether `others` holds all other training records.
+    simulator : The one that computed the output in `record`, where that is known.
     """
 
     record: Record
@@ -80,6 +79,7 @@ class Fitted:
     others: tuple[Record, ...] = ()
     report: FitReport = field(default_factory=FitReport)
     whole: bool = True
+    simulator: Absent | None = None
 
     def __post_init__(self) -> None:
         """Check what may come from a file."""
@@ -95,7 +95,7 @@ class Fitted:
         """Return the version to save, with the training record from its sample `first` on."""
         whole, begin = self.whole and not self.others, self.begin + first
         # Without the run time, the same fit is saved as the same file, byte by byte.
-        saved = self.reporting(seconds=0.0)
+        saved = self.reporting(seconds=0.0, parameters={})
         return replace(saved, record=self.record[first:], begin=begin, others=(), whole=whole)
 
     @classmethod
@@ -107,7 +107,8 @@ class Fitted:
         if inputs:
             u_summary = np.stack([*input_range(inputs), np.concatenate(inputs).mean(axis=0)])
         first, *others = records
-        return cls(first, 0, first.start, y_range, u_summary, tuple(others), FitReport(seed))
+        of_first = first, 0, first.start, y_range, u_summary
+        return cls(*of_first, tuple(others), FitReport(seed), simulator=first.simulator)
 
     def is_of(self, records: Sequence[Record]) -> bool:
         """Return whether these records are all that were fitted to, sample by sample."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any, Unpack, final
+from typing import Any, ClassVar, Unpack, final
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, State, Steps
 from splitband.metrics import rmse
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Absent, matched, origin
 from splitband.simulators.fixed_steps import FixedSteps, enough_steps
@@ -85,6 +85,13 @@ class GreyBox(Forecaster):
 
     slow_part = "fitted simulator"
     forgets = True
+    state_types: ClassVar[Mapping[str, Any]] = {
+        "estimate": Estimate,
+        "adjusted": Adjusted,
+        "memory": int,
+        "u": Array | None,
+        "y": Array,
+    }
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -110,10 +117,19 @@ class GreyBox(Forecaster):
     refits = False
     fits_simulator = True
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is saved, with a description in place of the simulator."""
-        described = None if self.simulator is None else self.simulator.description(fitted=True)
-        return {**super().to_dict(), "simulator": described}
+    def saved_options(self) -> dict[str, Any]:
+        """Return the options as they are saved, with a description in place of the simulator."""
+        return {**self.get_params(), "simulator": self.simulator.description(fitted=True)}
+
+    def complete(self) -> None:
+        """Check the fitted simulator and the samples as well; see `Forecaster.complete`."""
+        super().complete()
+        record, adjusted = self.require_fitted().record, self._adjusted()
+        check_shape("noise", adjusted.noise, record.ny)
+        check_shape("outputs", adjusted.outputs, len(adjusted.states), record.ny)
+        check_shape("y", self.y, None, record.ny)
+        if self.u is not None:
+            check_shape("u", self.u, None, record.nu)
 
     def in_words(self) -> str:
         """Return a description; a simulator whose parameters are all given is not fitted.

@@ -17,9 +17,8 @@ import numpy as np
 import scipy
 
 from splitband.forecasters.prediction import Prediction
-from splitband.runtime.arrays import Array, Flags
+from splitband.runtime.arrays import Array, Flags, check_shape
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 EXPONENTS = np.linspace(0, 1, 11)
 """Candidate exponents of the growth of errors with the horizon, from 0 (constant) to 1 (a drift).
@@ -113,7 +112,6 @@ def _share(inside: Flags, errors: Array) -> float:
     return float(known.mean()) if len(known) else np.nan
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """Hold the errors of held-out forecasts, from which the interval of any level follows.
@@ -135,17 +133,12 @@ class HeldOut:
     doubt: Array | None = None
     _known: dict[float, Interval] = field(default_factory=dict, init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Check what may come from a file."""
-        channels = {np.shape(each)[1:] for each in self.errors}
-        channels |= {np.shape(each) for each in (self.largest, self.deviation, self.bounded)}
-        if self.doubt is not None:
-            channels.add(np.shape(self.doubt)[1:])
-        if len(channels) != 1:
-            raise InputError(
-                "held-out errors, largest, deviation, bounded and doubt must be of as many "
-                f"channels, got {sorted(map(str, channels))}"
-            )
+    def check(self, ny: int) -> None:
+        """Raise ValueError unless they are of `ny` channels."""
+        for each in (*self.errors, *([] if self.doubt is None else [self.doubt])):
+            check_shape("held-out errors", each, None, ny)
+        for name in ("largest", "deviation", "bounded"):
+            check_shape(name, vars(self)[name], ny)
 
     @classmethod
     def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:

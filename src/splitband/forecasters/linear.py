@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any, Literal, Self, final
+from typing import Any, ClassVar, Literal, Self, final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from splitband.forecasters.fitted import UNSTABLE, unmoved
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import DelayLine, State, Steps
 from splitband.runtime.arguments import whole
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.deadlines import current
 from splitband.runtime.errors import InputError
 
@@ -62,6 +62,7 @@ class Linear(Forecaster):
 
     slow_part = "linear model"
     _words = "linear model"
+    state_types: ClassVar[Mapping[str, Any]] = {"model": LinearModel, "u": Array}
 
     def __init__(
         self,
@@ -79,6 +80,14 @@ class Linear(Forecaster):
         """Raise ValueError for records that do not fit, and for delays that do not fit them."""
         super().check(*records)
         self._delays(records[0])
+
+    def complete(self) -> None:
+        """Check the model and the inputs as well; see `Forecaster.complete`."""
+        super().complete()
+        record = self.require_fitted().record
+        check_shape("c", self.model.c, record.ny, None)
+        check_shape("mean", self.model.mean, record.nu)
+        check_shape("u", self.u, None, record.nu)
 
     refits = False
     """Two fits for its held-out forecasts: with one for each of them, the intervals of 40 drawn

@@ -1,31 +1,63 @@
-"""Load what was saved, with the simulator that it was fitted with."""
+"""Load what was saved, with the simulator that it was fitted with.
+
+Loading runs no code from a file, and none that a file names. The names of classes are looked up
+among those of the package and in the modules that are loaded: nothing is imported. The class has to
+be that of a forecaster, a cell (a module with a method `sized`), settings, bands, recorded output
+or the description of a simulator. Its constructor gets values of JSON and arrays, and so does
+`from_state`.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import re
+import sys
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+import safetensors.numpy
+
+import splitband
+from splitband import networks
 from splitband.data import Record
 from splitband.data.alignment import log
 from splitband.data.preparation import check_level
-from splitband.forecasters import (  # noqa: F401  what can be loaded is defined there
-    baselines,
-    ensemble,
-    grey_box,
-    hybrid,
-    linear,
-    simulation,
-)
+from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.saving import FILE, read
+from splitband.forecasters.saving import (
+    DIGITS,
+    FILE,
+    FORMAT,
+    WEIGHTS,
+    of_package,
+    read_description,
+    restored,
+)
 from splitband.forecasters.simulation import description_of, simulations
+from splitband.networks.cell import Template
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
-from splitband.simulators import Simulator
-from splitband.simulators.base import KnownSimulator, Recorded, as_known, matched
+from splitband.runtime.states import Arrays, array_of
+from splitband.simulators import Simulator, base
+from splitband.simulators.base import Absent, KnownSimulator, Recorded, as_known, matched
 from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
+from splitband.training import TrainingSettings
+
+OPTIONS = Forecaster, Template, TrainingSettings, Bands, Recorded, Absent
+"""What options may be, beside values of JSON, dates and arrays."""
+LARGEST_NUMBER = 1_000_000
+"""Largest whole number that a cell's constructor gets: a larger one in a file is a forgery."""
+_UNFIT = (
+    *(RuntimeError, TypeError, LookupError, ValueError, AttributeError, ArithmeticError),
+    *(MemoryError, AssertionError, safetensors.SafetensorError),
+)
+"""Errors that a forged or damaged description may raise."""
+_AGAIN = "train it again, with `splitband fit` or fit(record), and save it"
 
 
 def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
@@ -59,7 +91,7 @@ def load(folder: str | Path, simulator: Simulator | None = None) -> Forecaster:
     >>> bool(np.allclose(sb.load("model").predict(20).y, model.predict(20).y))
     True
     """
-    loaded = read(_of_result(Path(folder)))
+    loaded = _read(_of_result(Path(folder)))
     if simulator is not None:
         _give(loaded, as_known(simulator))
     return loaded
@@ -132,3 +164,111 @@ def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
         warnings.warn(said, stacklevel=3)
     for each in given:
         each.simulator = simulator
+
+
+def _read(folder: Path) -> Forecaster:
+    """Return the forecaster of a folder, without its simulator."""
+    if not (folder / FILE).is_file():
+        old = f"; its model.json is of version 0.1 or 0.2: {_AGAIN}"
+        said = old if (folder / "model.json").is_file() else ""
+        raise FileNotFoundError(f"no model in {folder}: {FILE} is missing{said}")
+    try:
+        facts = read_description(folder)
+    except _UNFIT as error:
+        raise InputError(f"{folder / FILE} is damaged: {error!r}") from None
+    if facts.get("format") != FORMAT:
+        raise InputError(
+            f"{folder / FILE} has format {facts.get('format')!r}, this version reads {FORMAT}; "
+            + _AGAIN
+        )
+    arrays = _arrays(folder, facts)
+    try:
+        said = facts["forecaster"]
+        options = {name: _option(value, arrays) for name, value in said["options"].items()}
+        for name, fact in said["facts"].items():
+            arrays[name] = array_of(np.array(fact, str if isinstance(fact, list) else None))
+        return restored(_kind(said, (Forecaster,)), options, arrays)
+    except KeyError as error:
+        raise InputError(f"{folder / FILE} holds no forecaster: {error} is missing") from None
+    except _UNFIT as error:
+        raise InputError(f"{folder / FILE} holds no forecaster that can be read: {error}") from None
+
+
+def _arrays(folder: Path, facts: Mapping[str, Any]) -> Arrays:
+    """Return the arrays that belong to a description."""
+    digest = facts.get("weights_sha256")
+    if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
+        raise InputError(f"{folder / FILE} is damaged: weights_sha256 must be a SHA-256")
+    path = folder / WEIGHTS.format(digest[:DIGITS])
+    if not path.is_file():
+        raise FileNotFoundError(f"no model in {folder}: {path.name} is missing")
+    content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise InputError(f"{path} is damaged: its checksum is not that of the model")
+    try:
+        return {name: np.array(x) for name, x in safetensors.numpy.load(content).items()}
+    except _UNFIT as error:
+        raise InputError(f"{path} is damaged: {error}") from None
+
+
+def _option(value: Any, arrays: Arrays) -> Any:  # noqa: PLR0911  a line a kind
+    """Return the option that JSON describes."""
+    if isinstance(value, list):
+        return [_option(part, arrays) for part in value]
+    if not isinstance(value, dict):
+        return value
+    if "kind" in value:
+        kind = _kind(value, OPTIONS)
+        given = {name: _option(part, arrays) for name, part in value["options"].items()}
+        return _cell(kind, given) if issubclass(kind, Template) else kind(**given)
+    ((word, inner),) = value.items()
+    match word:
+        case "number":
+            return float(inner)
+        case "date":
+            return pd.Timestamp(inner)
+        case "array":
+            return arrays.pop(inner)
+        case "tuple":
+            return tuple(_option(part, arrays) for part in inner)
+        case "dict":
+            return {name: _option(part, arrays) for name, part in inner.items()}
+    raise InputError(f"options hold {word[:60]}, which is not known")
+
+
+def _kind(said: Mapping[str, Any], kinds: tuple[Any, ...]) -> Any:
+    """Return the class that is named, if it is one of these kinds.
+
+    It is the one of that name in its module, or the only one of that name elsewhere: what was saved
+    in a script may be loaded by one that imports it. Of the user's modules none is imported.
+    """
+    name, module = said["kind"], said.get("module")
+
+    def inside(holder: Any) -> type | None:
+        for part in name.split("."):
+            own = getattr(holder, "__dict__", {}).get(part)
+            holder = getattr(holder, part, None) if module is None else own
+        fits = isinstance(holder, type) and issubclass(holder, kinds)
+        return holder if fits and of_package(holder) == (module is None) else None
+
+    places: list[list[Any]] = [[sys.modules.get(module or "")], [*sys.modules.values()]]
+    for holders in [[splitband, networks, base]] if module is None else places:
+        found = {*map(inside, holders)} - {None}
+        if len(found) == 1:
+            return found.pop()
+    where = f" here: import {str(module)[:60]} first, which defined it where the model was saved"
+    raise InputError(f"the class {str(name)[:60]} is not known{where if module else ''}")
+
+
+def _cell(kind: Any, given: Mapping[str, Any]) -> Any:
+    """Return a template of a cell: on the meta device, where weights take no memory."""
+    import torch  # noqa: PLC0415  just what has networks needs it
+
+    for name, part in given.items():
+        if isinstance(part, int) and abs(part) > LARGEST_NUMBER:
+            raise InputError(f"{name} must be a whole number up to {LARGEST_NUMBER}, got {part}")
+    try:
+        with torch.device("meta"):
+            return kind(**given)
+    except RuntimeError:  # a user's cell may need values, which the meta device does not have
+        return kind(**given)

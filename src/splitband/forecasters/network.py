@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
 import numpy as np
 
@@ -35,12 +35,14 @@ from splitband.forecasters.initialisation import LinearPart, begin_as_linear
 from splitband.forecasters.network_steps import NetworkSteps
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
+from splitband.forecasters.saving import state_of
 from splitband.forecasters.steps import NotSteppedError, Steps
 from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template, WithSize
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.states import Arrays
 from splitband.runtime.threads import one_thread, seeded
 from splitband.simulators.calibration import Calibration
 from splitband.training import TrainingSettings
@@ -92,6 +94,15 @@ class Network(Forecaster):
     """The fitted base."""
     _prehistory: Prehistory | None = None
     """The distribution of warm-ups, for histories that are shorter than one."""
+    _weights: Arrays
+    """The weights of the model, while it is loaded."""
+    state_types: ClassVar[Mapping[str, Any]] = {
+        "_weights": dict[str, np.ndarray],
+        "_trained_by": TrainingSettings,
+        "_trained_in": Bands,
+        "_prehistory": Prehistory,
+        "_fitted_base": "base",
+    }
 
     def __init__(self, settings: TrainingSettings | None = None, name: str | None = None) -> None:
         self.settings = settings
@@ -212,27 +223,24 @@ class Network(Forecaster):
             said += [f"windows of {settings.window}", settings.steps_in_words()]
         return ", ".join(said)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is saved: the model as its weights; the device is omitted."""
-        said = super().to_dict()
-        del said["_device"]  # that of the training may not exist where it is loaded
-        model = said.pop("model", None)
-        return said | {"weights": None if model is None else dict(model.state_dict())}
+    def state(self) -> Arrays:
+        """Return its arrays: the model as its weights; the device is omitted."""
+        # That of the training may not exist where it is loaded.
+        weights = self._trained().state_dict().items()
+        arrays = {f"_weights.{name}": each.detach().cpu().numpy() for name, each in weights}
+        return state_of(self, "model", "_device") | arrays
 
-    @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the saved forecaster; raises ValueError for weights that do not fit its model."""
-        weights = found.pop("weights")
-        found["_device"] = "cpu"
-        new = super().from_dict(found)
-        if new.fitted is not None:
-            record, settings = new.fitted.record, new._trained_by
-            assert settings is not None
-            new.model = models.with_weights(lambda: new._built(record, settings, seed=0), weights)
-            new.model.eval()
-            if new._prehistory is not None:
-                new._prehistory.check(new.model, settings.warmup)
-        return new
+    def complete(self) -> None:
+        """Build the model; raises ValueError for weights that do not fit it."""
+        super().complete()
+        record, settings, weights = self.require_fitted().record, self._trained_by, self._weights
+        if settings is None or (self.base is None) != (self._fitted_base is None):
+            raise InputError(f"{self.name} must have the settings of its training, and its base")
+        del self._weights
+        self.model = models.with_weights(lambda: self._built(record, settings, seed=0), weights)
+        self.model.eval()
+        if self._prehistory is not None:
+            self._prehistory.check(self.model, settings.warmup)
 
     def first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs.

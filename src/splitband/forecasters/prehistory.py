@@ -18,9 +18,7 @@ import scipy
 
 from splitband import models
 from splitband.data import Record
-from splitband.runtime.arrays import Array
-from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
+from splitband.runtime.arrays import Array, check_shape
 from splitband.training.settings import window_starts
 
 if TYPE_CHECKING:
@@ -37,7 +35,6 @@ SMALLEST_ERROR = 1e-3
 training error is too optimistic. By eye."""
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Prehistory:
     """Hold the distribution of warm-ups in the training records, as the model sees them.
@@ -55,20 +52,10 @@ class Prehistory:
     root: Array
     error: float
 
-    def __post_init__(self) -> None:
-        """Check what may come from a file."""
-        shape = self.mean.shape
-        if len(shape) != 2 or self.root.shape[1:] != shape or not self.error > 0:
-            raise InputError(
-                f"root must be (components, {', '.join(map(str, shape))}) and error positive, got "
-                f"{self.root.shape} and {self.error}"
-            )
-
     def check(self, model: Model, warmup: int) -> None:
         """Raise ValueError where it does not match the model and its warm-up."""
-        shape = warmup, sum(_widths(model))
-        if self.mean.shape != shape:
-            raise InputError(f"mean of the prehistory must be {shape}, got {self.mean.shape}")
+        check_shape("mean of the prehistory", self.mean, warmup, sum(_widths(model)))
+        check_shape("root of the prehistory", self.root, None, *self.mean.shape)
 
     @classmethod
     def of(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, Steps
 from splitband.models.labels import SIMULATOR
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
 from splitband.simulators.base import Absent, KnownSimulator, as_known
@@ -130,7 +130,7 @@ def description_of(part: Any) -> Absent | None:
     """Return the description of the simulator that a part of a saved forecaster was fitted with."""
     said = part.simulator
     if said is None and part.fitted is not None:
-        said = part.fitted.record.simulator
+        said = part.fitted.simulator
     return said if isinstance(said, Absent) else None
 
 
@@ -142,14 +142,15 @@ class SimulatorForecaster(Forecaster):
 
     applied = Calibration()
     """The calibration of the output."""
+    u: Array | None = None
+    """Inputs of the training record, which drive the simulator before a history."""
+    state_types: ClassVar[Mapping[str, Any]] = {"applied": Calibration, "u": Array}
     slow_label = SIMULATOR
     forgets = True
 
     def __init__(self, simulator: Simulator | None = None, name: str | None = None) -> None:
         self.simulator: Any = None if simulator is None else as_known(simulator)
         self._name = name
-        self.u: Array | None = None
-        """Inputs of the training record, which drive the simulator before a history."""
 
     @property
     def affine(self) -> bool:  # type: ignore[override]
@@ -189,20 +190,13 @@ class SimulatorForecaster(Forecaster):
                 longest[key] = Grid(each.start, each.sampling_time, needed), each, u
         return [*longest.values()]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what is saved; a simulator that is not recorded output becomes a description."""
-        said = super().to_dict()
-        if self.simulator is not None and not self._at_own_times:
-            said["simulator"] = self.simulator.description()
-        return said
-
-    @classmethod
-    def from_dict(cls, found: dict[str, Any]) -> Self:
-        """Return the saved forecaster; raises ValueError for a calibration of other channels."""
-        new = super().from_dict(found)
-        if new.fitted is not None:
-            new.applied.check(new.fitted.record.ny)
-        return new
+    def complete(self) -> None:
+        """Check the calibration and the inputs as well; see `Forecaster.complete`."""
+        super().complete()
+        record = self.require_fitted().record
+        self.applied.check(record.ny)
+        if self.u is not None:
+            check_shape("u", self.u, None, record.nu)
 
     def learn(self, records: Sequence[Record], **_: Any) -> None:
         """Keep the inputs of the first record, which also drive the simulator later on."""

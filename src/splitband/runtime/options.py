@@ -11,7 +11,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import PurePath
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,19 +19,6 @@ import splitband
 
 UNKNOWN = "..."
 """Stands for a value without a short expression, such as an array."""
-
-Kind = TypeVar("Kind", bound=type)
-
-
-def saved(kind: Kind) -> Kind:
-    """Mark a dataclass or a named tuple as saved with a forecaster, and restored, by its fields."""
-    kind.saved_by_fields = True  # type: ignore[attr-defined]
-    return kind
-
-
-def is_saved(kind: type) -> bool:
-    """Return whether a class, and not just one that it is derived from, is marked as `saved`."""
-    return "saved_by_fields" in vars(kind)
 
 
 class WithRepr:
@@ -54,13 +41,24 @@ def options(value: object) -> dict[str, Any]:
             raise TypeError(
                 f"the constructor of {kind.__name__} must name its arguments, got *{name}"
             )
-        attribute = f"_{name}" if isinstance(getattr(kind, name, None), property) else name
+        attribute = _attribute(kind, name)
         try:
             found[name] = getattr(value, attribute)
         except AttributeError:
             rule = f"keep its constructor's argument {name} in the attribute {attribute}"
             raise TypeError(f"{kind.__name__} must {rule}, it has none") from None
     return found
+
+
+def _attribute(kind: type, argument: str) -> str:
+    """Return the name of the attribute that keeps a constructor's argument."""
+    return f"_{argument}" if isinstance(getattr(kind, argument, None), property) else argument
+
+
+def option_attributes(value: object) -> set[str]:
+    """Return the names of the attributes that keep the constructor arguments of `value`."""
+    kind: Any = type(value)
+    return {_attribute(kind, parameter.name) for parameter in _parameters(kind)}
 
 
 @cache  # a table of methods asks hundreds of times for the same few

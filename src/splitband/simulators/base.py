@@ -25,7 +25,7 @@ from splitband.data.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import sha256_of
-from splitband.runtime.options import WithRepr, saved
+from splitband.runtime.options import WithRepr
 from splitband.simulators.user_code import check_open, count_arguments
 
 Start = float | Literal["record"]
@@ -331,7 +331,6 @@ def _driving(name: str, simulator: KnownSimulator, u: Array | None, samples: int
 # ---------------------------------------------------------------- simulators that do not run
 
 
-@saved
 @dataclass(frozen=True, eq=False, repr=False)
 class Recorded(WithRepr, KnownSimulator):
     """Hold the exported output of a simulator, at its own times.
@@ -407,7 +406,6 @@ class Recorded(WithRepr, KnownSimulator):
         return Grid(self.start, self.sampling_time, len(np.asarray(self.y)))
 
 
-@saved
 @dataclass(frozen=True)
 class Absent(KnownSimulator):
     """Describe a simulator in words, without opening or running anything.

@@ -18,7 +18,6 @@ from splitband.metrics import rmse, spread
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.deadlines import check
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 
 Term = Literal["gain", "offset", "delay", "clock"]
 TERMS: tuple[Term, ...] = get_args(Term)
@@ -41,7 +40,6 @@ _SETS: tuple[tuple[Term, ...], ...] = (
 )
 
 
-@saved
 @dataclass(frozen=True)
 class Calibration:
     """Map a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).
@@ -95,11 +93,9 @@ class Calibration:
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
-        for value in (*self.gain, *self.offset, self.delay, self.clock):
-            if not isinstance(value, int | float) or not np.isfinite(value):
-                raise InputError(f"a calibration must hold finite numbers, got {value!r}")
-        if not self.clock > 0:
-            raise InputError(f"clock must be positive, got {self.clock}")
+        finite = np.isfinite([*self.gain, *self.offset, self.delay, self.clock]).all()
+        if not (finite and self.clock > 0):
+            raise InputError(f"a calibration must be finite, and its clock positive, got {self!r}")
 
     def check(self, ny: int) -> None:
         """Raise ValueError unless gain and offset have `ny` values, or none."""

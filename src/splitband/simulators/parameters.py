@@ -18,7 +18,7 @@ import scipy
 
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import WithRepr, saved
+from splitband.runtime.options import WithRepr
 from splitband.simulators.base import KnownSimulator
 
 Given = Mapping[str, float | tuple[float, float]]
@@ -244,7 +244,6 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
 # ---------------------------------------------------------------- estimates
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Hold the values of fitted parameters, with standard errors.
@@ -265,7 +264,7 @@ class Estimate:
 
     values: dict[str, float] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
-    correlations: Any = field(default_factory=lambda: np.empty((0, 0)))
+    correlations: Array = field(default_factory=lambda: np.empty((0, 0)))
     rmse: tuple[float, ...] = ()
     remarks: tuple[str, ...] = ()
     window: int = 0
@@ -275,11 +274,11 @@ class Estimate:
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
-        for name, value in self.values.items():
-            if not isinstance(value, int | float) or not np.isfinite(value):
-                raise InputError(f"an estimate must hold finite numbers, got {name}={value!r}")
-        if self.values.keys() != self.errors.keys():
-            raise InputError("an estimate must have as many errors as values")
+        if (
+            not np.isfinite([*self.values.values()]).all()
+            or self.values.keys() != self.errors.keys()
+        ):
+            raise InputError(f"an estimate must have finite values with errors, got {self.values}")
 
     def __str__(self) -> str:
         """Return each value with its standard error, the doubt and the remarks."""

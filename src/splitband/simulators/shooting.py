@@ -21,7 +21,6 @@ from splitband.data import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, check
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import saved
 from splitband.simulators.base import origin
 from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Point, Response
 from splitband.simulators.user_code import failure, place
@@ -265,7 +264,6 @@ def _scaled_errors(y: Array, measured: Array, scale: Array, limit: float = BAD) 
     return np.asarray(np.where(np.isnan(measured), 0.0, errors).ravel())
 
 
-@saved
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """Run a simulator with the fitted parameter values.

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from splitband.data import Record
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
-from splitband.runtime.options import WithRepr, saved
+from splitband.runtime.options import WithRepr
 
 Recipe = Literal["default", "constant-rate"]
 ROUND = 20
@@ -31,7 +31,6 @@ ENOUGH_WINDOWS = 0.25
 """Share of all windows that must have a warm-up without gaps, or else warm-ups are shortened."""
 
 
-@saved
 @dataclass(frozen=True, repr=False)
 class TrainingSettings(WithRepr):
     """Training settings: our recipe of about a thousand steps, unless they are changed.
