@@ -1,8 +1,8 @@
 """Define the cells in NumPy, without a batch, for runs step by step and for export.
 
-Each has the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u` `(time, nu)` or
-`(nu,)`; without inputs `u` has no columns. `paused_state` is the state before the last step of
-`initial_state`, for which the inputs are missing. The code can be traced, see `runtime.tracing`.
+The classes have the methods of `networks.Cell`, for `y` `(time, ny)` or `(ny,)` and `u` `(time,
+nu)` or `(nu,)`; without inputs `u` has no columns. `paused_state` is the state before the last step
+of `initial_state`, whose inputs are missing. The code can be traced, see `runtime.tracing`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import scan
 
 Dense = tuple[tuple[Array, Array], ...]
-"""Weights and biases of linear layers, each followed by tanh unless stated otherwise."""
+"""Weights and biases of linear layers, followed by tanh unless stated otherwise."""
 
 
 def in_numpy(cell: Cell) -> PlainGRU | PlainEulerMLP | PlainStateSpace | TorchCell:
     """Return a cell in NumPy; a user's own is called through torch, and cannot be exported."""
-    # A subclass may step differently. Therefore only the class that declares it is trusted.
+    # A subclass may step differently: it has to declare `in_numpy` itself.
     plain = cell.in_numpy() if "in_numpy" in vars(type(cell)) else None  # type: ignore[attr-defined]
     return TorchCell(cell) if plain is None else plain
 
 
 class PlainGRU(NamedTuple):
-    """Hold weights and biases of a `GRU`, gates in torch's order: reset, update, new."""
+    """Weights and biases of a `GRU`, gates in torch's order: reset, update, new."""
 
     of_input: tuple[Array, Array]
     of_state: tuple[Array, Array]
@@ -45,10 +45,10 @@ class PlainGRU(NamedTuple):
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         n = self.of_state[0].shape[1]
-        given = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
-        kept = self.of_state[0] @ h + self.of_state[1]
-        gates = scipy.special.expit(given[: 2 * n] + kept[: 2 * n])
-        new = np.tanh(given[2 * n :] + gates[:n] * kept[2 * n :])
+        of_input = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
+        of_state = self.of_state[0] @ h + self.of_state[1]
+        gates = scipy.special.expit(of_input[: 2 * n] + of_state[: 2 * n])
+        new = np.tanh(of_input[2 * n :] + gates[:n] * of_state[2 * n :])
         return new + gates[n:] * (h - new)
 
     def observe(self, h: Array) -> Array:
@@ -56,7 +56,7 @@ class PlainGRU(NamedTuple):
 
 
 class PlainEulerMLP(NamedTuple):
-    """Hold the weights of an `EulerMLP`; the last layer of the dynamics has no tanh."""
+    """The weights of an `EulerMLP`; the last layer of the dynamics has no tanh."""
 
     dynamics: Dense
     recognition: Dense
@@ -65,8 +65,8 @@ class PlainEulerMLP(NamedTuple):
     step_size: float
 
     def initial_state(self, y: Array, u: Array) -> Array:
-        seen = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
-        return _dense(self.recognition, seen.reshape(-1))
+        samples = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
+        return _dense(self.recognition, samples.reshape(-1))
 
     def paused_state(self, y: Array, u: Array) -> Array:
         raise InputError(
@@ -84,7 +84,7 @@ class PlainEulerMLP(NamedTuple):
 
 
 class PlainStateSpace(NamedTuple):
-    """Hold the weights of a `StateSpace`."""
+    """The weights of a `StateSpace`."""
 
     f: Dense
     g: Dense
@@ -97,8 +97,8 @@ class PlainStateSpace(NamedTuple):
     def initial_state(self, y: Array, u: Array) -> Array:
         weight, x = self.first
         if self.encoded:
-            seen = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
-            x = weight @ seen.reshape(-1) + x
+            samples = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
+            x = weight @ samples.reshape(-1) + x
         return _observed(self, self._with_output(x, u[0]), y, u)
 
     def paused_state(self, y: Array, u: Array) -> Array:
@@ -122,7 +122,7 @@ class PlainStateSpace(NamedTuple):
 
 
 class TorchCell:
-    """Call a user's own cell through torch."""
+    """A user's own cell, called through torch."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
@@ -147,7 +147,7 @@ class TorchCell:
     def _tensor(self, x: Array) -> Tensor:
         try:
             values = np.array(x)
-        except TypeError:  # a symbol, as an export is made
+        except TypeError:  # a symbol of an export
             raise self._unwritten() from None
         return torch.from_numpy(values).to(self.like)[None]
 
@@ -192,6 +192,6 @@ def _dense(layers: Dense, x: Array) -> Array:
 
 
 def _mixed(layers: Dense, out: tuple[Array, Array], x: Array) -> Array:
-    """Return a linear map of x and of the outputs of tanh units on it."""
+    """Return a linear map of x and of the outputs of tanh units on x."""
     weight, bias = out
     return weight @ (np.concatenate([x, _dense(layers, x)]) if layers else x) + bias
