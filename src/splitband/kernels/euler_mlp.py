@@ -61,8 +61,8 @@ def euler_rollout(
     Parameters
     ----------
     h0 : The state h_R of the first sample `(batch, S)`, float32 or float64.
-    steps : How many samples to simulate.
-    ny : How many entries of the state are the sample.
+    steps : Number of samples to simulate.
+    ny : Number of outputs, the first entries of the state.
     step_size : dt.
     u : Known inputs `(batch, steps - 1, nu)` or longer, from time R on, or None.
     weight_1, bias_1 : `(M, S + nu)` and `(M,)`.
@@ -89,12 +89,12 @@ def euler_rollout(
 
 @dataclass(frozen=True)
 class _EulerMLP(Kernel):
-    """Keep x and b of each step; the narrow first layer is cheap: a is computed again."""
+    """Keep x and b of all steps; the narrow first layer is cheap, so a is computed again."""
 
     step_size: float
 
     def pack(self, *weights: Array) -> Arrays:
-        """Pack each layer's W' over its bias, to multiply from the right, and dt."""
+        """Pack the layers as W' over the bias, to multiply from the right, and dt."""
         layers = zip(weights[::2], weights[1::2], strict=True)
         return *(_packed(w, bias) for w, bias in layers), self._step_size(weights)
 
