@@ -133,10 +133,10 @@ def _packed(w: Array, bias: Array) -> Array:
 
 
 @kernel
-def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+def _forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
     h0, u = inputs
     w1, w2, w3, step_size = weights
-    xs, bs = kept
+    xs, bs = buffers
     rows, size = h0.shape
     steps, ny = y.shape[1:]
     one = size + u.shape[2]
@@ -170,10 +170,10 @@ def _layer(out: Array, values: Array, ones: Array, w: Array) -> None:
 
 @kernel
 def _backward(
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     first, w1, w2, w3, step_size = weights
-    xs, bs, as_, das, dbs, dcs = kept
+    xs, bs, as_, das, dbs, dcs = buffers
     dw1, dw2, db2, dw3, db3 = sums
     dh, du = gradients
     rows, size = dh.shape

@@ -113,10 +113,10 @@ class _GRU(Kernel):
 
 
 @kernel
-def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+def _forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
     y_warmup, u = inputs
     wx, wh, wy = weights
-    xs, hs, gates = kept
+    xs, hs, gates = buffers
     rows, warmup, ny = y_warmup.shape
     one, size = ny + u.shape[2], wh.shape[1]
     last = warmup + y.shape[1] - 1
@@ -157,10 +157,10 @@ def _gate(g: Array, h: Array, h_next: Array) -> None:
 
 @kernel
 def _backward(
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     wih, whh, wy = weights
-    xs, hs, gates, dgates = kept
+    xs, hs, gates, dgates = buffers
     dwx, dwh, dwy, dby = sums
     dy_warmup, du = gradients
     rows, warmup, ny = dy_warmup.shape

@@ -21,14 +21,15 @@ from splitband.kernels.common import Array, part
 cgutils: Any = _cgutils  # its helpers have no types
 _VECTOR_BYTES = 64
 """Bytes of the widest vectors, those of AVX-512."""
-# Vectors by rows of a block of sums: 16 of the 32 registers of AVX-512, or 12 of 16 half as wide.
-# Smaller blocks cover the remainder.
 _WIDE = ((4, (4, 1)), (2, (8, 4, 1)), (1, (8, 4, 1)))
+"""Vectors by rows of a block of sums in 16 of the 32 registers of AVX-512. Smaller blocks cover the
+remainder."""
 _NARROW = ((1, (6, 4, 1)),)
+"""The same in 12 of 16 registers half as wide."""
 _HAS_32_REGISTERS = bool(binding.get_host_cpu_features().get("avx512f"))
 _BLOCKS = _WIDE if _HAS_32_REGISTERS else _NARROW
-# Rows of a and of b in a block of `add_products`.
 _SUMS = (4, 1) if _HAS_32_REGISTERS else (2, 1)
+"""Rows of a and of b in a block of `add_products`."""
 
 
 @part

@@ -31,6 +31,7 @@ WORTH_COMPILING = 30_000
 """Steps after which an equation is compiled, for about the time of compiling it."""
 _OPTIONS: Any = {"error_model": "numpy"}
 NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
+"""Nodes of Dormand and Prince's stages."""
 WEIGHTS = np.zeros((7, 7))
 WEIGHTS[1, :1] = 1 / 5
 WEIGHTS[2, :2] = 3 / 40, 9 / 40
@@ -39,9 +40,8 @@ WEIGHTS[4, :4] = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
 WEIGHTS[5, :5] = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
 WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 """Weights of the stages at `NODES`; the last stage is the step."""
-_ERRORS = np.array(
-    [71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]
-)  # of order 5 less order 4
+_ERRORS = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+"""Weights of order 5 less those of order 4."""
 
 
 def solve(  # noqa: PLR0912  one loop, for Numba

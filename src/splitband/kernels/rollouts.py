@@ -41,9 +41,9 @@ class Kernel(ABC):
     batch, steps, ny, nu : Sizes of the samples and of the known inputs.
     last : Steps of the state, the warm-up included.
     forward, backward : Compiled functions of a job, some rows of the batch.
-        `forward(inputs, weights, kept, y)` writes the samples, and intermediate values to `kept`.
-        `backward(wanted, dy, weights, kept, sums, gradients)` adds gradients of weights to `sums`
-        and writes gradients of `inputs`; of samples and known inputs only if `wanted`.
+        `forward(inputs, weights, buffers, y)` writes the samples, and intermediate values.
+        `backward(wanted, dy, weights, buffers, sums, gradients)` adds gradients of weights to
+        `sums` and writes gradients of `inputs`; of samples and known inputs only if `wanted`.
     """
 
     batch: int
@@ -71,7 +71,7 @@ class Kernel(ABC):
         """Return the shapes of `forward`'s intermediate values: of all steps, or of one."""
 
     def scratch(self, packed: Arrays, rows: int) -> Shapes:
-        """Return the shapes of `backward`'s work space, appended to `kept`."""
+        """Return the shapes of `backward`'s work space, appended to `buffers`."""
         return ()
 
     @abstractmethod
@@ -119,14 +119,14 @@ class _Rollout(torch.autograd.Function):
         gradients = [zeros(dy, *shape) for shape in ctx.shapes]
         scratch = [kernel.scratch(packed, rows.stop - rows.start) for rows in split]
         shapes = [kernel.sums(packed) for _ in split]
-        kept, working = _cut(whole, ctx.kept), _cut(dy.new_empty(_length(scratch)), scratch)
+        buffers, working = _cut(whole, ctx.kept), _cut(dy.new_empty(_length(scratch)), scratch)
         sums = _cut(zeros(dy, _length(shapes)), shapes)
         # All inputs but the state at the first sample.
         wanted = any(ctx.needs_input_grad[len(ctx.shapes) : 2 + len(ctx.shapes)])
         dy_rows, written = dy.contiguous().numpy(), [g.numpy() for g in gradients]
         jobs = []
         for i, rows in enumerate(split):
-            arrays = packed, kept[i] + working[i], sums[i], tuple(g[rows] for g in written)
+            arrays = packed, buffers[i] + working[i], sums[i], tuple(g[rows] for g in written)
             jobs.append((wanted, dy_rows[rows], *arrays))
         run_jobs(kernel.backward, jobs)
         of_weights = kernel.unpack(*(sum(parts) for parts in zip(*sums, strict=True)))
@@ -145,8 +145,8 @@ def _simulate(
     whole = y.new_empty(_length(shapes))
     samples, arrays = y.numpy(), [x.detach().contiguous().numpy() for x in inputs]
     jobs = [
-        (tuple(x[rows] for x in arrays), packed, kept, samples[rows])
-        for rows, kept in zip(split, _cut(whole, shapes), strict=True)
+        (tuple(x[rows] for x in arrays), packed, buffers, samples[rows])
+        for rows, buffers in zip(split, _cut(whole, shapes), strict=True)
     ]
     run_jobs(kernel.forward, jobs)
     return y, whole, shapes, split

@@ -16,11 +16,11 @@ _GRADIENT_STEPS = 16
 
 
 @kernel
-def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
-    """Warm up and simulate; `kept` stores all steps if it has room for them."""
+def forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
+    """Warm up and simulate; `buffers` store all steps if they have room."""
     x0, y_warmup, u = inputs
     wz, wf, ws, wg, gain = weights
-    stream, fs, gs, es = kept
+    stream, fs, gs, es = buffers
     warmup, ny = y_warmup.shape[1:]
     (size, hidden), nu, width, lanes = wf.shape, u.shape[2], wz.shape[1], stream.shape[1]
     last = warmup + y.shape[1] - 1
@@ -62,13 +62,13 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
 
 @kernel
 def backward(  # noqa: PLR0915
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     """Add the gradients of the weights, and write or add those of the inputs."""
     wz, wf, ws, wg, gain = weights
     dwz, dwf, dws, dwg, dgain = sums
     dx0, dy_warmup, du = gradients
-    stream, fs, gs, es = kept
+    stream, fs, gs, es = buffers
     rows, warmup, ny = dy_warmup.shape
     (size, hidden), nu, width, lanes = wf.shape, du.shape[2], wz.shape[1], stream.shape[1]
     last = warmup + dy.shape[1] - 1

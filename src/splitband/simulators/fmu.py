@@ -35,7 +35,8 @@ from splitband.simulators.parameters import Adjustable, Given, Point, Response
 SAMPLES = 8
 """Samples before the change of inputs, when states have left 0. Bounds the time."""
 SHORT = 1e-4
-"""A short step, as a share of the communication step. By eye."""
+"""A short step, as a share of the communication step, and the finite-difference step of parameters:
+the root of a solver's tolerance (Press et al., Numerical Recipes, 2007, Sec. 5.7). Rounding."""
 DEPENDS = 0.01
 """Least share of a change that is a dependence: of an output's range, with half the communication
 step; of its change in a whole step, as a jump of its rate in a short one. A convention."""
@@ -76,7 +77,7 @@ class Fmu(Adjustable):
         the first 1,000 samples.
     """
 
-    difference = 1e-4
+    difference = SHORT
     _fitted = False
 
     def __init__(  # noqa: PLR0913
@@ -193,9 +194,9 @@ class Fmu(Adjustable):
 
     def _stepped(self, task: FmuRun) -> Array:
         """Return the outputs of a co-simulation, read the same way for all values in the ranges."""
-        known, probed = self.known, task
-        if known.free:
-            values = {name: known.value_at(name, PROBED) for name in known.given}
+        parameters, probed = self.known, task
+        if parameters.free:
+            values = {name: parameters.value_at(name, PROBED) for name in parameters.given}
             probed = replace(task, values=values)
         late = late_outputs(self._unit, probed)
         with self._unit.instance() as instance:

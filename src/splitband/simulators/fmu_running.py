@@ -17,8 +17,7 @@ from splitband.simulators.fmu_unit import REAL, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
 """Tolerance of the solver for model exchange, relative to the nominal values of the states: the
-square of `Fmu.difference`, as the best step of a forward difference is the root of the function's
-error (Press et al., Numerical Recipes, 2007, Sec. 5.7). Rounding."""
+square of the finite-difference step, `fmu.SHORT`. Rounding."""
 MOST_STEPS = 100_000
 """Largest number of solver steps between two samples. Bounds the time."""
 MOST_EVENTS = 10_000

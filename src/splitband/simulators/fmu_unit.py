@@ -74,39 +74,39 @@ class Variables:
                     f"{listed([*self.inputs, *self.optional])}"
                 )
 
-    def outputs_for(self, columns: Sequence[str], given: Sequence[str] | None) -> list[str]:
-        """Return the variables of the channels: the given ones, or those of their names or labels.
+    def outputs_for(self, columns: Sequence[str], chosen: Sequence[str] | None) -> list[str]:
+        """Return the variables of the channels: the chosen ones, or those of their names or labels.
 
         Raises ValueError, with both lists, for an ambiguous or missing match.
         """
-        if given is not None and len(given) == len(columns):
-            return [*given]
+        if chosen is not None and len(chosen) == len(columns):
+            return [*chosen]
         names = [*self.outputs, *self.others]
-        matches = [""] if given is not None else _by_name(columns, names, self.labels)
-        if not all(matches) and given is None and len(columns) == len(self.outputs) == 1:
+        matches = [""] if chosen is not None else _by_name(columns, names, self.labels)
+        if not all(matches) and chosen is None and len(columns) == len(self.outputs) == 1:
             return [*self.outputs]
         if not all(matches):
             raise InputError(
                 f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
                 f"the record's channels, {listed(columns)}, in their order: "
-                + (f"got {listed(given)}" if given else f"it has {listed(self.outputs)}")
+                + (f"got {listed(chosen)}" if chosen else f"it has {listed(self.outputs)}")
             )
         return matches
 
-    def inputs_for(self, inputs: Sequence[str], given: Sequence[str] | None) -> list[str]:
-        """Return the variables of the inputs: the given ones, or those of their names or labels.
+    def inputs_for(self, inputs: Sequence[str], chosen: Sequence[str] | None) -> list[str]:
+        """Return the variables of the inputs: the chosen ones, or those of their names or labels.
 
         An input unknown to the FMU has "". Raises ValueError, with both lists, for an ambiguous or
         missing match, or for an input of the FMU that would not be driven.
         """
-        if given is not None and len(given) in (0, len(inputs)):
-            return [*given]
-        if given is None and self.arrays:
+        if chosen is not None and len(chosen) in (0, len(inputs)):
+            return [*chosen]
+        if chosen is None and self.arrays:
             raise InputError(
                 f"inputs (--simulator-inputs) must name the inputs of {self.file} that are driven: "
                 f"{listed(self.arrays)} is an array, which cannot be; it keeps its start values"
             )
-        if given is None:
+        if chosen is None:
             matches = _by_name(inputs, [*self.inputs, *self.optional], self.labels)
             if {*self.inputs} <= {*matches}:
                 return matches if any(matches) else []
@@ -115,7 +115,7 @@ class Variables:
         raise InputError(
             f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
             f"record's inputs, {listed(inputs) or 'of which it has none'}, in their order: "
-            + (f"got {listed(given)}" if given else f"it has {listed(self.inputs)}")
+            + (f"got {listed(chosen)}" if chosen else f"it has {listed(self.inputs)}")
             + '; "" for one that it does not take; inputs that are not named keep their start '
             "values, and with an empty list all do"
         )

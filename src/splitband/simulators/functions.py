@@ -383,9 +383,9 @@ class Ode(UserCode):
         return y[:, None] if y.ndim == 1 else y
 
 
-def _matched_again(opened: Callable[[Given], Ode], columns: list[str], given: Given) -> Ode:
+def _matched_again(opened: Callable[[Given], Ode], columns: list[str], parameters: Given) -> Ode:
     """Return an equation of a user's file, reopened in another process, see `Ode.matched`."""
-    return opened(given).matched(columns, ())
+    return opened(parameters).matched(columns, ())
 
 
 def _first_states(count: int, x: Array) -> Array:

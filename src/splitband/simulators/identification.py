@@ -180,11 +180,13 @@ def check_runs(simulator: Any, record: Record) -> Any:
     failure at some of them is only a bad run. Also raises it for a wrong number of channels.
     """
     simulator = matched(simulator, record.columns, record.inputs)
-    begin, known = Experiment.of(record, simulator).part(0, 3), simulator.known
+    begin, parameters = Experiment.of(record, simulator).part(0, 3), simulator.known
     reason: Exception | None = None
-    for fractions in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
-        at = dict(zip(known.free, fractions, strict=False))
-        values = {name: known.value_at(name, at.get(name, 0.5)) for name in known.given}
+    for fractions in starting_points(
+        STARTS if parameters.free else 1, max(len(parameters.free), 1)
+    ):
+        at = dict(zip(parameters.free, fractions, strict=False))
+        values = {name: parameters.value_at(name, at.get(name, 0.5)) for name in parameters.given}
         try:
             with np.errstate(all="ignore"):
                 y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
@@ -202,7 +204,7 @@ def check_runs(simulator: Any, record: Record) -> Any:
             )
         return simulator
     assert reason is not None
-    where = ", ".join(f"{name} = {value:.4g}" for name, value in known.middle().items())
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.middle().items())
     raise InputError(
         f"simulator must run at its start values{where and f' ({where})'}: {failure(reason)}"
     ) from reason
@@ -223,12 +225,12 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     fractions = unknowns[: len(shooting.names)]
     by_channel = _by_channel(shooting, unknowns)
     jacobian = projected(shooting.jacobian(unknowns), len(fractions))
-    known = shooting.simulator.known
+    parameters = shooting.simulator.known
     errors, correlations, remarks = uncertainty(
-        shooting.names, known, fractions, by_channel, jacobian
+        shooting.names, parameters, fractions, by_channel, jacobian
     )
     named = [*zip(shooting.names, fractions, errors, strict=True)]
-    values = {labelled(name): known.value_at(name[0], float(at)) for name, at, _ in named}
+    values = {labelled(name): parameters.value_at(name[0], float(at)) for name, at, _ in named}
     deviations = {labelled(name): float(error) for name, _, error in named}
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
     rest = tuple(map(float, rmse)), tuple(remarks), window
@@ -281,14 +283,14 @@ def _alternatives(
     """Return remarks on equally good minima with other values of identifiable parameters."""
     identified = np.isfinite([*estimate.errors.values()])
     fits = [outcome.found[window] for outcome in outcomes if window in outcome.found]
-    most, known = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
+    most, parameters = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
     minima = [fractions]
     for other in (np.array(at) for at, error in fits if error <= most and identified.any()):
         if all(np.abs(other - minimum)[identified].max() > _SAME_PLACE for minimum in minima):
             minima.append(other)
 
     def in_words(name: Name, place: float) -> str:
-        return f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
+        return f"{labelled(name)} = {parameters.value_at(name[0], float(place)):.4g}"
 
     texts = [map(in_words, shooting.names, other) for other in minima[1:4]]
     return [f"fits as well with {', '.join(values)}" for values in texts]
@@ -369,7 +371,7 @@ def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    found: dict[int, tuple[list[float], float]] = {}
+    outcomes: dict[int, tuple[list[float], float]] = {}
     fractions, cut = points[number], False
     try:
         with within(min(current(), deadline)):
@@ -378,10 +380,10 @@ def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> S
                 if _runs(shooting, unknowns):
                     unknowns, error = descend(shooting, unknowns, _ROUNDS)
                     fractions = unknowns[: len(fractions)]
-                    found[length] = fractions.tolist(), error
+                    outcomes[length] = fractions.tolist(), error
     except DeadlineError:
         cut = True
-    return StartOutcome(number, found, shooting.failure, cut)
+    return StartOutcome(number, outcomes, shooting.failure, cut)
 
 
 def _lengths(longest: int, growing: bool) -> list[int]:

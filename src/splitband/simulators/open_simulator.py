@@ -113,8 +113,8 @@ def open_simulator(  # noqa: PLR0913
             f"got {name}"
         )
     if parameters is not None:
-        given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return adjustable_from(file, function, given, columns, inputs, begin, hold, step)
+        ranges = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
+        return adjustable_from(file, function, ranges, columns, inputs, begin, hold, step)
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
@@ -130,12 +130,12 @@ def is_fitted(simulator: Any) -> bool:
     return isinstance(simulator, Adjustable) and simulator.adjustable
 
 
-def check_runs_as_it_is(option: str, given: str | None, simulator: Any) -> None:
+def check_runs_as_it_is(option: str, value: str | None, simulator: Any) -> None:
     """Raise ValueError for the name of a baseline, and for parameters to fit."""
     if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):
         why = "is a baseline" if isinstance(simulator, str) else "has parameters to fit"
         raise InputError(
-            f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {given}, "
+            f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {value}, "
             f"which {why}"
         )
 

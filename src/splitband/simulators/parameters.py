@@ -316,7 +316,11 @@ def _rounded(value: float, error: float) -> str:
 
 
 def uncertainty(
-    names: Sequence[Name], known: Parameters, fractions: Array, residuals: Array, jacobian: Array
+    names: Sequence[Name],
+    parameters: Parameters,
+    fractions: Array,
+    residuals: Array,
+    jacobian: Array,
 ) -> tuple[Array, Array, list[str]]:
     """Return the standard errors of fitted values, their correlations, and remarks.
 
@@ -324,7 +328,7 @@ def uncertainty(
 
     Parameters
     ----------
-    names, known : Names of the fitted parameters, and all parameters.
+    names, parameters : Names of the fitted parameters, and all parameters.
     fractions : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
     residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
     jacobian : Derivatives of the residuals with respect to `fractions`, `(samples * ny, n)`.
@@ -334,9 +338,9 @@ def uncertainty(
         at_bound[i] = not AT_BOUND <= fraction <= 1 - AT_BOUND
         if at_bound[i]:
             side, end = ("upper", 1) if fraction > 0.5 else ("lower", 0)
-            bound = known.range(name[0])[end]
+            bound = parameters.range(name[0])[end]
             remarks.append(f"{labelled(name)} is at its {side} bound, {bound:.4g}")
-    slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
+    slopes = np.array([parameters.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
     free = np.flatnonzero(~at_bound)
     # RMS error by channel, corrected for the number of fitted parameters
     measured = np.maximum((~np.isnan(residuals)).sum(axis=0), 1)
@@ -352,7 +356,7 @@ def uncertainty(
         involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         lost = free[involved]
         covariance[lost] = covariance[:, lost] = np.nan
-        values = np.array([known.value_at(names[i][0], fractions[i]) or 1.0 for i in lost])
+        values = np.array([parameters.value_at(names[i][0], fractions[i]) or 1.0 for i in lost])
         changes = direction[involved] * slopes[lost] / values
         remarks.append(_remark([labelled(names[i]) for i in lost], changes))
     deviations = np.sqrt(np.diag(covariance))

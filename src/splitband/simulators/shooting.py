@@ -102,9 +102,9 @@ class Shooting:
 
     def __init__(self, simulator: Adjustable, experiments: Sequence[Experiment], scale: Array):
         self.simulator, self.experiments, self.scale = simulator, experiments, scale
-        known = simulator.known
-        self.names = [(name, -1) for name in known.shared]
-        self.names += [(name, r) for r in range(len(experiments)) for name in known.initial]
+        parameters = simulator.known
+        self.names = [(name, -1) for name in parameters.shared]
+        self.names += [(name, r) for r in range(len(experiments)) for name in parameters.initial]
         self.failure = ""
         self.windows: list[Window] = []
         self.sizes = np.ones(simulator.states)
@@ -116,11 +116,11 @@ class Shooting:
 
     def values(self, unknowns: Array, record: int) -> dict[str, float]:
         """Return the values of all parameters for a record."""
-        known = self.simulator.known
-        by_name = known.middle()
+        parameters = self.simulator.known
+        by_name = parameters.middle()
         for (name, of), fraction in zip(self.names, unknowns, strict=False):
             if of in (-1, record):
-                by_name[name] = known.value_at(name, float(fraction))
+                by_name[name] = parameters.value_at(name, float(fraction))
         return by_name
 
     def divide(self, length: int, fractions: Array) -> Array:
@@ -335,11 +335,11 @@ class Adjusted:
         of one sample per state, and decides if the history does not determine the state. For a
         black box, the initial values take the place of the state.
         """
-        known = self._given.known
-        if not self.simulator.states and not known.initial:
+        parameters = self._given.known
+        if not self.simulator.states and not parameters.initial:
             return None
         if not self.simulator.states:
-            low, high = np.transpose([known.range(name) for name in known.initial])
+            low, high = np.transpose([parameters.range(name) for name in parameters.initial])
             return self._searched(history, [0.5 * (low + high)], 0.5 * (low + high), high - low)
         mean, spread = self.states.mean(axis=0), self.states.std(axis=0)
         spread = np.maximum(spread, 1e-6 * np.maximum(np.abs(mean), 1e-6))
