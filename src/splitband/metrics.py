@@ -120,7 +120,7 @@ def leaving(samples: int) -> str:
 
 
 BEYOND = 0.1
-"""Margin by which a signal may exceed its range in training, as a share of that range. By eye."""
+"""Largest excess of a signal over its range in training, as a share of the range. By eye."""
 
 
 class ExtrapolationWarning(UserWarning):

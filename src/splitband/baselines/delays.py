@@ -4,8 +4,8 @@ The dead time of a held input is one sample less, as its effect is one sample la
 delay of many samples would cost a linear model as many states and a network as long a memory.
 Shifting the input by its delay avoids both. A first estimate is the first significant lag of the
 cross-correlation of whitened signals (Box and Jenkins, Time Series Analysis, Ch. 12). The delay
-with the least error of linear models of low order near it follows. It is accepted only if a model
-of any order without delay has a larger held-out error, or more poles on the same samples.
+near it with the least error of linear models of low order follows. This delay is accepted only if
+a model of any order without delay has a larger held-out error, or more poles on the same samples.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def check_delays(delays: Sequence[int], inputs: int) -> None:
 
 
 def delayed(u: Array, delays: Sequence[int], rows: slice = slice(None)) -> Array:
-    """Return rows of inputs `(time, nu)`, delayed in samples, with the first value before it."""
+    """Return rows of inputs `(time, nu)`, delayed in samples; first values stand for earlier ones."""
     if not any(delays):
         return u[rows]
     taken = np.arange(len(u))[rows, None] - np.asarray(delays)

@@ -41,8 +41,8 @@ RESOLUTION = 0.1
 """Smallest singular value of regressors, as a share of the largest: sinusoids of nearly equal
 frequencies count as one. By eye."""
 AS_HIGH = 0.95
-"""Power of a peak of the spectrum as high as the highest, whose lowest frequency is chosen: gaps
-create images at higher frequencies. By eye."""
+"""Least power of a peak as high as the highest, as a share of it. Of several, the peak of the
+lowest frequency is chosen, as gaps create images at higher ones. By eye."""
 FASTEST_DECAY = 20.0
 """Largest decay rate of a sinusoid in a fit: a faster one leaves few samples to fit. By eye."""
 FEWEST_CYCLES = 0.5

@@ -74,7 +74,7 @@ class Spectrum:
 def periodogram(y: Array, sampling_rate: float) -> Spectrum:
     """Return the periodogram of `y` `(time,)` or `(time, ny)`, mean removed, with a Hann window."""
     y = y[:, None] if y.ndim == 1 else y
-    y = y - y[:1]  # so that a constant is exactly zero, not rounding of its mean
+    y = y - y[:1]  # a constant becomes exactly zero, not the rounding of a mean
     frequencies, density = scipy.signal.periodogram(
         y, sampling_rate, window="hann", detrend="constant", axis=0
     )

@@ -38,7 +38,7 @@ def part(function: F) -> F:
     """Compile a part of a kernel into the kernel.
 
     Without inlining, linking differs between a process that compiles the kernel and one that loads
-    it from the disk, and the last bits of results with it.
+    the kernel from the disk, and so do the last bits of results.
     """
     compiled: F = njit(forceinline=True, **_OPTIONS)(function)
     return compiled

@@ -21,8 +21,8 @@ from splitband.runtime.errors import InputError
 Shapes = Sequence[tuple[int, ...]]
 
 CROWDED = 512
-"""Distances of rows, in numbers, that `pad` avoids a multiple of. With 512 columns, products then
-take 0.4 to 0.6 of the time (501 rows, 8 to 50 rows of data, 512 KiB of second-level cache)."""
+"""`pad` avoids rows at multiples of this distance, in numbers. With 512 columns, products then take
+0.4 to 0.6 of the time (501 rows, 8 to 50 rows of data, 512 KiB of second-level cache)."""
 _WORTH_A_THREAD = 1e7
 """Multiplications in the time of waking a thread."""
 _GRADIENT_ROWS = 64

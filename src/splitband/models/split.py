@@ -102,7 +102,7 @@ class SteppedSplit(Stepped):
 
 
 class SplitModel(Model):
-    """The sum of two networks, one a band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+    """The sum of a network per band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
     The slow network simulates the low-passed, down-sampled signal. Its up-sampled free run is added
     to the free run of the fast network. The paper has no conditioning.

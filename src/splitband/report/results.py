@@ -47,7 +47,7 @@ def save(
 ) -> None:
     """Write all files of a comparison in place of an earlier result; after an error none.
 
-    The files are predictions.csv and one a test record, the page, the trained model, and
+    The files are predictions.csv, one such file per test record, the page, the trained model, and
     results.json, with `facts` first. The page shows `usage`.
     """
     with staged(folder) as new:
@@ -140,7 +140,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
 
 
 def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
-    """Return a record and the predictions of its last samples, a row a sample.
+    """Return a record and the predictions of its last samples, one row per sample.
 
     There is a column by channel, and one by channel, method and protocol: the median over seeds,
     empty before the prediction. The interval of the recommended method's forecast has columns, too.

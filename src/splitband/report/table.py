@@ -292,6 +292,6 @@ def _cell(of_channel: Mapping[str, Column], name: str, channel: str, first: bool
 
 
 def _spread(lines: Sequence[Text], count: int) -> list[Text]:
-    """Return texts for `count` cells in a column: one line a cell, the last one with the rest."""
+    """Return texts for `count` cells in a column: one line per cell, the rest in the last one."""
     cells = [*lines[: count - 1], Text("\n").join(lines[count - 1 :])]
     return cells + [Text("")] * (count - len(cells))

@@ -34,7 +34,7 @@ def _called(record: Record) -> str:
 
 
 def of_comparison(comparison: Comparison) -> Table:
-    """Return the table of a comparison: a row a method, the recommended one first."""
+    """Return the table of a comparison: one row per method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = "the noise-free signal" if record.y_true is not None else "what was measured"
     ahead = f"{run_of(record)} of the {len(record) - train:,} after them, against {truth}"
@@ -58,7 +58,7 @@ def of_comparison(comparison: Comparison) -> Table:
 def of_trial(
     trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str = ""
 ) -> Table:
-    """Return the table of a trial: a row a method, the recommended one first."""
+    """Return the table of a trial: one row per method, the recommended one first."""
     rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
     title = title or f"{_called(record)}: RMSE on its last quarter, fitted to the rest of it"
     listed = tried(trial, record, [*trial.errors])
@@ -152,7 +152,7 @@ def labels_of(comparison: Comparison) -> dict[str, str]:
 
 
 class Numbers(NamedTuple):
-    """Numbers by method: one over all outputs or, of a `record`, one a channel."""
+    """Numbers by method: one over all outputs or, of a `record`, one per channel."""
 
     values: Mapping[str, Any]
     record: Record | None = None
@@ -162,7 +162,7 @@ class Numbers(NamedTuple):
 
 
 def _columns(heading: str, numbers: Numbers) -> list[Column]:
-    """Return the columns of these numbers, one a unit."""
+    """Return the columns of these numbers, with one unit each."""
     values, record, test, spreads, marks = numbers
     unit, note, _ = COLUMNS[heading]
     if record is None:
@@ -296,7 +296,7 @@ def of_gains(responses: Sequence[Responses]) -> list[Table]:
 
 @np.errstate(divide="ignore", invalid="ignore")
 def of_poles(fitted: Linear) -> Table:
-    """Return the table of a linear model's poles: a row a real pole or a pair.
+    """Return the table of a linear model's poles: one row per real pole or pair.
 
     The numbers are those of MATLAB's `damp`, with the 95 % interval of the absolute value.
     """

@@ -159,7 +159,7 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
             lock.release()
             with contextlib.suppress(OSError):  # the next command may have opened it already
                 (folder / LOCK).unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # it holds results
+        with contextlib.suppress(OSError):  # a folder with results
             for path in created:
                 path.rmdir()
 

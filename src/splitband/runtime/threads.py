@@ -31,8 +31,8 @@ def use_one_thread() -> None:
 def one_thread() -> Iterator[None]:
     """Compute on one thread in this context, as with `use_one_thread`, then on as many as before.
 
-    Several threads may be in the context at the same time. Torch has its limit if in memory:
-    networks load it when they are created.
+    Several threads may be in the context at the same time. Torch is limited if in memory: networks
+    load torch when they are created.
     """
     with one_torch_thread() if _torch_is_loaded() else nullcontext(), _ONE_BLAS_THREAD.entered():
         yield

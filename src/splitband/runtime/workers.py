@@ -128,7 +128,7 @@ _SHARED: dict[str, Array] = {}
 
 
 class _Pickler(ForkingPickler):
-    """A pickler that writes large read-only arrays, such as a record's, to files, once an array."""
+    """A pickler that writes every large read-only array, such as a record's, to a file once."""
 
     def __init__(self, packed: BytesIO, folder: str) -> None:
         super().__init__(packed)

@@ -1,7 +1,7 @@
 """Integrate a fitted equation by equal steps, in traceable code (`runtime.tracing`).
 
-An exported program would need much code for adaptive steps. With enough equal steps a sample it is
-as exact as the solver. The inputs of the training record determine their number.
+An exported program would need much code for adaptive steps. With enough equal steps per sample it
+is as exact as the solver. The inputs of the training record determine their number.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PRECISE = 1e-11, 1e-13
 TARGET = 1e-9
 """Largest difference from the reference, as a share of a channel's range. A convention."""
 MOST_STEPS = 64
-"""Largest number of steps a sample. Bounds the time of a program."""
+"""Largest number of steps per sample. Bounds the time of a program."""
 MAX_NOISE_SHARE = 1e-3
 """Largest difference with `MOST_STEPS`, as a share of the model's error in training. By eye."""
 _INSTEAD = (
@@ -112,7 +112,7 @@ class FixedSteps:
 def enough_steps(
     adjusted: Adjusted, time: Array, u: Array | None, window: int, spread: Array
 ) -> int:
-    """Return the fewest steps a sample with the accuracy of a precise solution.
+    """Return the fewest steps per sample with the accuracy of a precise solution.
 
     Parameters
     ----------

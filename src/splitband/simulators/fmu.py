@@ -38,13 +38,13 @@ SHORT = 1e-4
 """A short step, as a share of the communication step, and the finite-difference step of parameters:
 the root of a solver's tolerance (Press et al., Numerical Recipes, 2007, Sec. 5.7). Rounding."""
 DEPENDS = 0.01
-"""Least share of a change that is a dependence: of an output's range, with half the communication
-step; of its change in a whole step, as a jump of its rate in a short one. A convention."""
+"""Least effect that counts as a dependence: of half the communication step, as a share of an
+output's range; of an input at once, as a share of an output's change in a step. A convention."""
 MOST_CHECKED = 1000
 """Largest number of samples in the check of the communication step. Bounds the time."""
 BY_LENGTH = 0.1
-"""Largest change in a short step of an output with short steps, as a share of its change in a whole
-one. By eye."""
+"""Largest change of an output in a short step, as a share of its change in a whole one, if the
+length of steps has an effect. By eye."""
 SAME, ROUNDING = 1e-6, 1e-12
 """Relative difference of equal values from different, and from equal computations. Rounding."""
 PROBED = 0.45

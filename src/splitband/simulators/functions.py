@@ -230,7 +230,7 @@ class Ode(UserCode):
         return [(self.rhs, ("t", "x", "u", "p")), (self.observe, ("x", "u", "p"))]
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
-        """Return the equation with the first states observed, one a channel.
+        """Return the equation with the first states observed, one per channel.
 
         Raises ValueError for an equation of fewer states.
         """

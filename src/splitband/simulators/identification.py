@@ -56,8 +56,8 @@ _PULL = 1e-6
 Rounding."""
 QUICK, SLOW = 2.0, 20.0
 """Seconds. Quicker starts than the first number run in one process: further processes would have to
-start and to compile the equation, 4 s here. A first start slower than the second number is not
-repeated for a measurement. Bounds the time."""
+start and to compile the equation, 4 s here. After a first start slower than the second number, the
+time of a start is not measured. Bounds the time."""
 _ROUNDS, LAST_ROUNDS = 30, 100
 """Largest number of evaluations in a search, and in the last search from the best values. Bounds
 the time."""
@@ -65,7 +65,7 @@ _SAME_PLACE = 0.02
 """Distance of equal values, as a share of a range. By eye."""
 WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
 """Least error of a simulation of whole records, in deviations, with windows as an alternative, and
-the largest error of useful windows, as a share of it. By eye."""
+the largest error of useful windows, as a share of the first error. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code, independent of parameter values."""
 
@@ -395,7 +395,7 @@ def _lengths(longest: int, growing: bool) -> list[int]:
 
 
 def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, float]:
-    """Minimise the error within the ranges; return the best unknowns by the deadline, and it."""
+    """Minimise the error within the ranges; return the best unknowns so far, and their error."""
     least, best = np.inf, None
 
     def residuals(at: Array) -> Array:

@@ -40,7 +40,7 @@ MOST_STATES = 500
 """Largest number of stored training states, as prior and as starting points. Bounds the time."""
 _TRIED, _MOST_RUNS = 3, 50
 """Number of stored states with the closest outputs as starts for an initial state, and largest
-number of evaluations a start. Bounds the time."""
+number of evaluations per start. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)

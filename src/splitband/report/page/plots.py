@@ -248,7 +248,7 @@ def _coherence(
 
 
 def cutoffs(choice: Choice) -> Chart:
-    """Return a plot of the loss over all candidate cut-offs, a curve an order."""
+    """Return a plot of the loss over all candidate cut-offs, one curve per order."""
     every = np.array(sorted({candidate.cutoff for candidate in choice.candidates}))
     curves: dict[tuple[int, bool], Array] = {}
     for candidate in choice.candidates:
@@ -271,7 +271,7 @@ def _unit(record: Record) -> str:
 
 
 def losses(fits: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> list[Chart]:
-    """Return plots of the losses over the epochs of all trainings, one a kind of network."""
+    """Return plots of the losses over the epochs of all trainings, one per kind of network."""
     tasks = dict.fromkeys(task for of in fits.values() for fit in of for task in fit.report.losses)
     return [_losses(task, fits, styles) for task in tasks]
 
@@ -341,7 +341,7 @@ def gains(record: Record, model: LinearModel) -> list[Chart]:
 def responses(
     by_model: Mapping[str, Sequence[Responses]], styles: Mapping[str, Method], bode: bool = True
 ) -> list[Chart]:
-    """Return plots of the step responses by input and output, a curve a model.
+    """Return plots of the step responses by input and output, one curve per model.
 
     Curves at further operating points are faint. With `bode`, plots of gain and phase follow. The
     models are of one record.
