@@ -83,7 +83,7 @@ def check_delays(delays: Sequence[int], inputs: int) -> None:
 
 
 def delayed(u: Array, delays: Sequence[int], rows: slice = slice(None)) -> Array:
-    """Return rows of inputs `(time, nu)`, delayed in samples; first values stand for earlier ones."""
+    """Return rows of inputs `(time, nu)`, delayed in samples, held before the record."""
     if not any(delays):
         return u[rows]
     taken = np.arange(len(u))[rows, None] - np.asarray(delays)
