@@ -1,7 +1,7 @@
 """Measure the errors of predictions. Arrays are NumPy, `(time,)` or `(time, ny)`.
 
-Errors of several channels add up as a Euclidean norm, as in the paper's e_n; normalise channels
-of different units first. NaN in y marks missing samples, which are excluded.
+Errors of several channels add up as a Euclidean norm, the paper's e_n; normalise channels of
+different units first. NaN in y marks missing samples, which are excluded.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def channel_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
-    """Return the RMSE of each channel, `(ny,)`; NaN for one that was not measured."""
+    """Return the RMSE by channel, `(ny,)`; NaN for a channel without measurements."""
     y, prediction = np.asarray(y, float), np.asarray(prediction, float)
     return np.array([rmse(*channel) for channel in zip(y.T, prediction.T, strict=True)])
 
@@ -44,7 +44,7 @@ def cumulative_rmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 
 
 def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
-    """Return the RMSE divided by the standard deviation of y; predicting the mean gives 1."""
+    """Return the RMSE divided by the standard deviation of y; 1 for the mean of y."""
     error, y = rmse(y, prediction), np.asarray(y, float)
     if not _varies(y).any():
         raise InputError("y must not be constant: its standard deviation is 0")
@@ -52,13 +52,13 @@ def nrmse(y: npt.ArrayLike, prediction: npt.ArrayLike) -> float:
 
 
 def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Any:
-    """Return the fit of each output in percent, ``100 (1 - |y - prediction| / |y - mean(y)|)``.
+    """Return the fit by output in percent, ``100 (1 - |y - prediction| / |y - mean(y)|)``.
 
-    100 is perfect, 0 is as good as the mean of y; MATLAB's `compare` prints the same number.
+    100 is perfect, 0 is the fit of the mean of y; MATLAB's `compare` prints the same number.
 
     Returns
     -------
-    fit : `(ny,)`, of a 1-D y a float. NaN for an output that is constant, or was not measured.
+    fit : `(ny,)`, of a 1-D y a float. NaN for a constant output, or one without measurements.
 
     Examples
     --------
@@ -67,28 +67,28 @@ def fit_percent(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Any:
     """
     squared, y = _squared_errors(y, prediction), np.asarray(y, float)
     columns = y.reshape(len(y), -1)
-    known = ~np.isnan(columns)
+    measured = ~np.isnan(columns)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.nansum(columns, axis=0) / known.sum(axis=0)
-        error = np.where(known, squared, 0.0).sum(axis=0)
+        mean = np.nansum(columns, axis=0) / measured.sum(axis=0)
+        error = np.where(measured, squared, 0.0).sum(axis=0)
         lost = error / np.nansum((columns - mean) ** 2, axis=0)
         fit = np.where(_varies(columns), 100 * (1 - np.sqrt(lost)), np.nan)
     return float(fit[0]) if y.ndim == 1 else fit
 
 
 def spread(y: npt.ArrayLike) -> Array:
-    """Return each channel's standard deviation, `(ny,)`, of `y` `(time, ny)`; 1 for a constant."""
+    """Return the standard deviation by channel, `(ny,)`, of `y` `(time, ny)`; 1 for a constant."""
     y = np.asarray(y, float)
-    # A constant is recognised by its range, as rounding may give it a deviation slightly above 0.
+    # A constant has a range of 0, but by rounding possibly a deviation above 0.
     return np.asarray(np.where(_varies(y), np.nanstd(y, axis=0), 1.0))
 
 
 LOWEST_FIT = -999.0
-"""Percent: a worse fit is shown as less than this."""
+"""Lowest fit in percent that is shown as a number. Layout."""
 
 
 def tenths(value: float) -> str:
-    """Return a number with one decimal place; a fit in percent far below 0 as less than that."""
+    """Return a fit in percent with one decimal place, or "< -999" below `LOWEST_FIT`."""
     return f"{round(value, 1) + 0.0:.1f}" if value >= LOWEST_FIT else f"< {LOWEST_FIT:.0f}"
 
 
@@ -98,11 +98,11 @@ width. By eye."""
 
 
 def leaves_range(training: Array, prediction: Array) -> int | None:
-    """Return how many samples of a prediction `(time, ny)` come before it leaves the range.
+    """Return the number of samples of a prediction `(time, ny)` before it leaves the range.
 
-    Each channel's range is `DIVERGED` times as wide as that in training, about the same middle. A
-    channel that was constant in training has no range to leave, but must be finite. None where the
-    prediction stays inside.
+    The range of a channel is `DIVERGED` times as wide as in training, about the same middle. A
+    constant channel in training has no range, but its prediction must be finite. None for a
+    prediction inside the range.
     """
     low, high = np.nanmin(training, axis=0), np.nanmax(training, axis=0)
     reach = np.where(high > low, (high - low) / 2, np.inf)
@@ -112,7 +112,7 @@ def leaves_range(training: Array, prediction: Array) -> int | None:
 
 
 def leaving(samples: int) -> str:
-    """Describe a prediction that leaves the range of the training samples."""
+    """Describe a prediction outside `DIVERGED` times the range of the training samples."""
     return (
         f"leaves {DIVERGED:g} times the range of the training samples after {samples} samples: do "
         "not rely on it beyond that"
@@ -120,24 +120,24 @@ def leaving(samples: int) -> str:
 
 
 BEYOND = 0.1
-"""Margin by which a signal may exceed its range in training, as a share of that range. By eye."""
+"""Largest excess of a signal over its range in training, as a share of the range. By eye."""
 
 
 class ExtrapolationWarning(UserWarning):
-    """Warn that a prediction may be unreliable, for instance with inputs beyond their range."""
+    """A prediction may be unreliable, for instance with inputs beyond their range."""
 
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """Describe an input, or a measured output, that leaves its range in training.
+    """An input, or a measured output, outside its range in training.
 
     Attributes
     ----------
     channel : Index of the signal, counted from 0.
-    low, high : Its range in training.
-    farthest : The value that is farthest outside the range.
+    low, high : Range of the signal in training.
+    farthest : The value farthest outside the range.
     after : Number of samples before the first one outside the range.
-    kind : Which of the two it is.
+    kind : Input or output.
     """
 
     channel: int
@@ -148,7 +148,7 @@ class Extrapolation:
     kind: Literal["input", "output"] = "input"
 
     def describe(self, name: str = "", of: str = "") -> str:
-        """Describe it in words, with the signal's name, and what its samples are counted in."""
+        """Return a sentence with the signal's `name`; `of`, " of the record", follows a sample."""
         trained = f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g} only"
         return (
             f"{self.kind} {name or f'u{self.channel}'} is beyond its range in training ({trained}) "
@@ -158,12 +158,12 @@ class Extrapolation:
 
 
 def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
-    """Return the inputs `u` `(time, nu)` that exceed `low` to `high`, `(nu,)`, by over `BEYOND`.
+    """Return the inputs of `u` `(time, nu)` beyond `low` to `high`, `(nu,)`, by over `BEYOND`.
 
-    An input that was constant in training must stay so, apart from rounding.
+    A constant input in training must stay constant, apart from rounding.
     """
     rounding = 1e-9 * np.maximum(abs(low), abs(high))
-    with np.errstate(invalid="ignore"):  # inf - inf, where no range is known
+    with np.errstate(invalid="ignore"):  # inf - inf, for an unknown range
         margin = np.nan_to_num(np.maximum(BEYOND * (high - low), rounding), nan=0.0)
     beyond = np.maximum(low - margin - u, u - high - margin)
     extrapolated = []
@@ -171,19 +171,19 @@ def extrapolations(low: Array, high: Array, u: Array) -> list[Extrapolation]:
         outside = np.flatnonzero(of_input > 0)
         if len(outside):
             farthest = float(u[outside[of_input[outside].argmax()], i])
-            seen = float(low[i]), float(high[i])
-            extrapolated.append(Extrapolation(i, *seen, farthest, int(outside[0])))
+            trained = float(low[i]), float(high[i])
+            extrapolated.append(Extrapolation(i, *trained, farthest, int(outside[0])))
     return extrapolated
 
 
 def input_range(inputs: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the lowest and highest value of each input, `(nu,)`, in records `(time, nu)`."""
+    """Return the lowest and highest values by input, `(nu,)`, of records `(time, nu)`."""
     together = np.concatenate(inputs)
     return together.min(axis=0), together.max(axis=0)
 
 
 def _varies(y: Array) -> npt.NDArray[np.bool_]:
-    """Return which channels vary; one that was not measured counts as constant."""
+    """Return a mask of the varying channels; one without measurements counts as constant."""
     return np.asarray(np.fmax.reduce(y, axis=0) > np.fmin.reduce(y, axis=0))
 
 
@@ -199,7 +199,7 @@ def _squared_errors(y: npt.ArrayLike, prediction: npt.ArrayLike) -> Array:
 
 
 def _cumulative(squared: Array, y: Array) -> Array:
-    """Return the cumulative RMSE, `(time,)`, with means over the measured samples of a channel."""
+    """Return the cumulative RMSE, `(time,)`, with means over measured samples by channel."""
     missing = np.isnan(y).reshape(squared.shape)
     if not missing.any():
         return np.asarray(np.sqrt(np.cumsum(squared.sum(axis=1)) / np.arange(1, len(y) + 1)))

@@ -1,1 +1,1 @@
-"""Fit baselines, which need no network: seasonal, trend, harmonic, periodic and linear."""
+"""Fit baselines without networks: seasonal, trend, harmonic, periodic and linear."""

@@ -1,14 +1,14 @@
 """Identify a linear state-space model: delays, subspace, order, refinement, noise.
 
-1. The delay of each input at each output is estimated (`baselines.delays`); outputs with the same
-   delays are modelled together, the others beside each other.
-2. A subspace method gives poles and C of every order, least squares the rest. The order is chosen
-   by held-out simulation error (`baselines.selection`), and each candidate is refined to the least
-   output error.
-3. A Kalman filter is fitted to what the simulation leaves. If the errors show that a controller
-   feeds the outputs back to the inputs, output error is biased, and the model is refined once more,
-   by prediction error (Ljung, Ch. 13). In an open loop prediction error held out better for one of
-   138 drawn records, by 0.5 % of fit, for a fifth of the time: it is not tried.
+1. Delays are estimated by input and output (`baselines.delays`); outputs with equal delays are
+   modelled together, the others separately.
+2. A subspace method gives poles and C of every order, least squares the other parameters. The order
+   is chosen by held-out simulation error (`baselines.selection`), and candidates are refined to the
+   least output error.
+3. A Kalman filter is fitted to the errors of the simulation. If these show feedback by a
+   controller, output error is biased, and the model is refined once more, by prediction error
+   (Ljung, Ch. 13). In an open loop, prediction error held out better for one of 138 drawn records,
+   by 0.5 % of fit, for a fifth of the time: it is not tried.
 """
 
 from __future__ import annotations
@@ -49,22 +49,21 @@ from splitband.runtime.deadlines import DeadlineError, current
 from splitband.runtime.errors import InputError
 
 _ALIKE = 2
-"""Outputs whose estimated delays differ by at most so many samples are modelled together. By
-eye."""
+"""Largest difference in samples of estimated delays of outputs in one model. By eye."""
 _EXACT = 1e-7
-"""RMS error, in standard deviations, of a simulation that leaves no noise to model. Rounding."""
+"""Largest RMS error, in standard deviations, of a simulation without noise. Rounding."""
 _MOST_CORRELATED = 0.999
 """Upper limit of the correlation of successive errors. Rounding."""
 _GROWTH = 100.0
-"""An unstable model is simulated over parts of a record, in which its errors grow at most by this
-factor: over the whole record they leave the range of numbers. By eye."""
+"""Largest growth of an unstable model's errors over a part of a record: the parts lose two digits
+of 16, the whole record all. Rounding."""
 _FITS = 0.5
-"""A simulation fits if its RMS error is below this share of the standard deviation, and far better
-than another one below this share of its error. Checked by halving and doubling."""
+"""Largest RMS error of a simulation that fits, as a share of the standard deviation or of another
+simulation's error. Checked by halving and doubling."""
 _LAGS = 16
-"""Past samples from which an input is predicted. Checked by halving and doubling."""
+"""Past samples in the prediction of an input. Checked by halving and doubling."""
 _ROWS = 20_000
-"""Most samples of all records for this. Bounds the time."""
+"""Largest number of samples in this prediction, of all records. Bounds the time."""
 
 
 def identified(
@@ -78,25 +77,25 @@ def identified(
 
     Parameters
     ----------
-    records : `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)` of each; each has its own initial
-        state.
-    order : Number of poles; by default chosen. Outputs with different delays have so many each.
-    delay : Delay of each input at each output, `(ny, nu)` in samples; by default estimated.
+    records : Pairs of `y` `(time, ny)`, NaN in gaps, and `u` `(time, nu)`, with separate initial
+        states.
+    order : Number of poles, for every group of outputs with different delays; by default chosen.
+    delay : Delays by output and input, `(ny, nu)` in samples; by default estimated.
     integrators : Number of poles at 1; by default chosen.
-    most : Largest order that may be chosen.
+    most : Largest order of the choice.
     """
     units = Units.of(records)
     ny = records[0][0].shape[1]
     estimated = delays_of(records) if delay is None else None
-    found = np.asarray(delay, int) if estimated is None else estimated.taken
+    delays = np.asarray(delay, int) if estimated is None else estimated.taken
     parts = []
-    for outputs in _groups(found, _ALIKE if delay is None else 0):
+    for outputs in _groups(delays, _ALIKE if delay is None else 0):
         some = [(y[:, outputs], u) for y, u in records]
-        late = found[outputs].min(axis=0)
+        late = delays[outputs].min(axis=0)
         model = _of_outputs(some, units.outputs(outputs), late.tolist(), order, integrators, most)
         parts.append((model, outputs))
     model, (y, u) = assembled(parts, ny), records[0]
-    begin = max(len(y) - MOST_SAMPLES, 0)  # with gaps, the filter goes from sample to sample
+    begin = max(len(y) - MOST_SAMPLES, 0)  # bounds the time, as gaps take a loop over samples
     before = None if begin else u[:0]
     model = replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
     if estimated is None:
@@ -107,13 +106,13 @@ def identified(
 
 
 def _groups(delays: npt.NDArray[np.int_], alike: int) -> list[list[int]]:
-    """Return the outputs that are modelled together: their delays differ by at most `alike`."""
-    left, found = [*range(len(delays))], []
+    """Return groups of outputs for one model, with delays that differ by at most `alike`."""
+    left, groups = [*range(len(delays))], []
     while left:
         like = delays[left[0]]
-        found.append([k for k in left if abs(delays[k] - like).max(initial=0) <= alike])
-        left = [k for k in left if k not in found[-1]]
-    return found
+        groups.append([k for k in left if abs(delays[k] - like).max(initial=0) <= alike])
+        left = [k for k in left if k not in groups[-1]]
+    return groups
 
 
 def _of_outputs(
@@ -124,7 +123,7 @@ def _of_outputs(
     integrators: int | None,
     most: int | None,
 ) -> LinearModel:
-    """Return the model of outputs that have the same delays."""
+    """Return the model of outputs with equal delays."""
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     moving = [bool(max(np.ptp(run.u[j]) for run in runs) > 0) for j in range(len(delays))]
     cuts = windows(runs, MOST_SAMPLES)
@@ -133,12 +132,12 @@ def _of_outputs(
     if order is None:
         chosen = search.best()
     else:
-        given = search.of_order(order)
-        if given is None:
+        of_order = search.of_order(order)
+        if of_order is None:
             raise InputError(
                 f"order must suit the record, got {order}: it has too few samples for so many poles"
             )
-        chosen = given if integrators is not None else search.integrating(given, order)
+        chosen = of_order if integrators is not None else search.integrating(of_order, order)
     at = search.on_all(chosen, runs)
     fitted = with_constant(runs) if at.blocks.constant else runs
     model = _model_of(at, runs, delays)
@@ -146,8 +145,8 @@ def _of_outputs(
         with suppress(DeadlineError):
             model = replace(model, uncertainty=uncertainty_of(at, fitted, at.matrices, longest))
     noisy = at.scale.max() > _EXACT and not current().over
-    known = [u[-len(e.T) :].T for (_, u), e in zip(records, at.errors, strict=True)]
-    if noisy and not integrators and feedback(at.errors, known):
+    inputs = [u[-len(e.T) :].T for (_, u), e in zip(records, at.errors, strict=True)]
+    if noisy and not integrators and feedback(at.errors, inputs):
         with suppress(DeadlineError):
             by_prediction = _by_prediction(model, at, runs, longest)
             if not (_unstable_by_chance(by_prediction) or _of_sensors(model, by_prediction, runs)):
@@ -157,7 +156,7 @@ def _of_outputs(
     model = model.in_units(units.y_mean, units.y_scale, units.u_mean, units.u_scale)
     u = records[0][1]
     begin = len(u) - runs[0].u.shape[1]
-    if not begin:  # fitted from the first sample on, as where nothing is late
+    if not begin:  # fitted from the first sample on
         return replace(model, late=(0,) * model.ny)
     return model.begun(u, begin)
 
@@ -170,11 +169,11 @@ def _unstable_by_chance(model: LinearModel) -> bool:
 
 
 def _of_sensors(model: LinearModel, by_prediction: LinearModel, runs: Sequence[Signals]) -> bool:
-    """Return whether inputs that errors predict are rather sensors than a controller's output.
+    """Return whether inputs predicted by errors are sensors rather than a controller's output.
 
-    What a sensor measures predicts its later values, too. Of such records the model by prediction
-    error takes an output from its own past, so that its simulation is far worse than that of the
-    `model` by output error, or diverges. Where that fits, this was so in none of 120 drawn loops.
+    A sensor of the outputs is predictable from them, too. The model by prediction error then takes
+    an output from its own past, and its simulation is far worse than the simulation of the `model`
+    by output error, or diverges. Of 120 drawn loops with a good fit, none looked so.
     """
     diverges = len(_parts(runs, by_prediction.a)) > len(runs)
     other = 1.0 if diverges else np.minimum(by_prediction.error, 1.0)
@@ -190,7 +189,7 @@ def _model_of(
 ) -> LinearModel:
     """Return the model of blocks in normalised units, its states uncorrelated.
 
-    `runs` have no constant input. A `gain` is that of the blocks' states; by default it is fitted.
+    `runs` have no constant input. The `gain` for the blocks' states is fitted by default.
     """
     blocks, inputs = at.blocks, [run.u.T for run in runs]
     (a, b, c, d), ny = at.matrices(), len(at.scale)
@@ -228,11 +227,10 @@ def _model_of(
 def _by_prediction(
     model: LinearModel, at: Solution, runs: Sequence[Signals], longest: int
 ) -> LinearModel:
-    """Return the model by prediction error that begins as a `model` by output error.
+    """Return the model by prediction error, with a `model` by output error as the start.
 
-    The predictor's inputs are those of the record and its outputs, simulated in gaps. A controller
-    that answers at once cannot be told from an input that acts at once: behind a controller there
-    is taken to be no feedthrough.
+    The predictor's inputs are the record's inputs and outputs, simulated in gaps. Immediate
+    feedback and feedthrough cannot be distinguished: with a controller, no feedthrough is assumed.
     """
     ny, nu, delays = model.ny, model.nu, [delay for _, delay in model.taps]
     fitted = with_constant(runs) if at.blocks.constant else runs
@@ -242,17 +240,17 @@ def _by_prediction(
         both.append(run._replace(u=np.vstack([run.u, y])))
     direct = [*(delay > 0 for delay in delays), *[False] * ny]
     begin = linear_solution(blocks_of(model.a - model.gain @ model.c, model.c, direct), both)
-    found = refined(begin, both, ITERATIONS, MAX_OBSERVER_POLE)
+    predictor = refined(begin, both, ITERATIONS, MAX_OBSERVER_POLE)
 
     def matrices(step: Array | None = None) -> tuple[Array, Array, Array, Array, Array]:
         """Return A, B, C, D and K, after a step of the predictor's parameters."""
-        a, b, c, d = found.matrices(step)
+        a, b, c, d = predictor.matrices(step)
         gain, d = b[:, nu:], d[:, :nu]
         return a + gain @ c, b[:, :nu] + gain @ d, c, d, gain
 
     a, b, c, d, gain = matrices()
     blocks = blocks_of(a, c, [True] * nu, b=b, d=d)
-    # Its simulation, from the best initial states with the best offset.
+    # The model's simulation, from the best initial states with the best offset.
     runs = _parts(runs, a)
     at = evaluated(blocks, runs, [np.zeros((len(blocks.a), 2)) for _ in runs])
     free = np.zeros(len(blocks.values), bool)
@@ -261,31 +259,31 @@ def _by_prediction(
     # The gain in the coordinates of the blocks.
     gain = blocks_of(a, c, [False] * ny, b=gain).b.reshape(-1, ny)[blocks.kept.ravel()]
     new = _model_of(at, runs, delays, gain, "prediction error")
-    errors = uncertainty_of(found, both, lambda step: matrices(step)[:4], longest)
+    errors = uncertainty_of(predictor, both, lambda step: matrices(step)[:4], longest)
     return replace(new, uncertainty=errors)
 
 
 def _parts(runs: Sequence[Signals], a: Array) -> Sequence[Signals]:
-    """Return the runs, of an unstable model in parts over which it grows at most by `_GROWTH`."""
+    """Return the runs; for an unstable model in parts with a growth of at most `_GROWTH`."""
     size = abs(np.linalg.eigvals(a)).max(initial=0.0)
     if size <= 1:
         return runs
     length = max(int(np.log(_GROWTH) / np.log(size)), 4 * len(a))
-    found = []
+    parts = []
     for run in runs:
         count = max(run.u.shape[1] // length, 1)
         cut = [np.array_split(signal, count, axis=1) for signal in run]
-        found += [Signals(*part) for part in zip(*cut, strict=True)]
-    return found
+        parts += [Signals(*part) for part in zip(*cut, strict=True)]
+    return parts
 
 
 def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
     """Return whether a controller acts on the inputs: past errors of a simulation predict an input.
 
-    Beside its own past and that of the other inputs, that is (C. W. J. Granger, 1969). In an open
-    loop the errors are noise, which no input knows. Where squares of the inputs explain the errors,
-    these are those of a nonlinear system, from which a smooth input can be predicted, too: then no
-    controller is noticed. `errors` are `(ny, time)` and `inputs` `(nu, time)`, of each record.
+    Beside the past of all inputs, after C. W. J. Granger (1969). In an open loop the errors are
+    noise, independent of the inputs. Errors explained by squares of the inputs are those of a
+    nonlinear system, and may predict a smooth input, too: they do not count. By record, `errors`
+    are `(ny, time)` and `inputs` `(nu, time)`.
     """
     rows, nu, ny, most = [], len(inputs[0]), len(errors[0]), _ROWS // len(inputs)
     mean, deviation = np.hstack(inputs).mean(axis=1), np.hstack(inputs).std(axis=1)
@@ -299,7 +297,7 @@ def feedback(errors: Sequence[Array], inputs: Sequence[Array]) -> bool:
         return False
     data = np.concatenate(rows)
     signals = data[:, : nu + ny, :-1].reshape(len(data), -1)
-    own, past = signals[:, : nu * _LAGS], signals[:, nu * _LAGS :]
-    noticed = explains(past, data[:, :nu, -1], own)
+    of_inputs, past = signals[:, : nu * _LAGS], signals[:, nu * _LAGS :]
+    noticed = explains(past, data[:, :nu, -1], of_inputs)
     squares = data[:, nu + ny :].reshape(len(data), -1)
     return noticed and not explains(squares, data[:, nu : nu + ny, -1], signals)

@@ -1,10 +1,10 @@
 """Fit and run the Kalman filter of a linear system: its simulation, gain and initial state.
 
 With the gain K the system is x' = A x + B u + K e, y = C x + D u + offset + e, where e is white.
-For a given initial state its prediction errors follow from the outputs. Their sum of squares, with
+For a given initial state the prediction errors follow from the outputs. Their sum of squares, with
 a prior of the state, makes the most probable state a linear least-squares problem; the state at the
-end of the history is then what the Kalman filter with this prior finds. The step-by-step form
-(`forecasters.linear`) uses the same function, which therefore can be traced.
+end of the history is then the state of the Kalman filter with this prior. The step-by-step form
+(`forecasters.linear`) traces the same function.
 """
 
 from __future__ import annotations
@@ -19,33 +19,31 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import current
 
 _FACTORS = (0.0, *np.geomspace(1e-4, 1.0, 9))
-"""Process noise that is tried, as a share of the states' standard deviations in the record. Bounds
-the time."""
+"""Candidate process noise, as shares of the states' standard deviations in the record. Bounds the
+time."""
 _FREE = 24
-"""Most entries of the gain that are refined one by one. Bounds the time."""
+"""Largest gain, in entries, that is refined. Bounds the time."""
 MAX_OBSERVER_POLE = 1 - 1e-9
-"""Largest absolute value of an observer's pole."""
+"""Largest absolute value of an observer's pole. Rounding."""
 _PRIOR_FACTORS = (1e-4, 1e-2, 1.0, 1e2, 1e4, 1e6)
-"""OrderCandidate factors of the prior covariance of an initial state. Bounds the time."""
+"""Candidate factors of the prior covariance of an initial state. Bounds the time."""
 _SURPRISING = 8.0
-"""Rise of twice the log-likelihood that a factor other than the usual one must bring. Checked by
+"""Least gain in twice the log-likelihood of a factor other than the usual one. Checked by
 halving and doubling."""
 EXACT = 1e-5
 """Smallest standard deviation of an error, as a share of the output's in training: with smaller
 ones the normal equations would lose the state to rounding."""
 _DECAYED = 1e-12
-"""Responses to the initial state that are smaller than this share of the largest are dropped."""
-
+"""Smallest response to the initial state, as a share of the largest. Rounding."""
 _LEAST = 1e-12
-"""Least mean square of a direction of the states, as a share of the largest, which is scaled to 1:
-with less of it there is rounding."""
+"""Least mean square of a direction of the states, as a share of the largest. Rounding."""
 
 
 def states(a: Array, forced: Array, first: Array) -> Array:
     """Return x_0, x_1, ... of x_{t+1} = A x_t + f_t, `(time, states)`, for f `(time, states)`.
 
     The record is cut into blocks of about the square root of its length. All blocks advance side by
-    side from a state of zero; a second pass adds the states at their beginnings.
+    side from a state of zero; a second pass adds the blocks' initial states.
     """
     time, n = forced.shape
     length = max(int(np.sqrt(time)), 1)
@@ -70,7 +68,7 @@ def states(a: Array, forced: Array, first: Array) -> Array:
 def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:
     """Return the stationary gain for noise of covariance q of the state and r of the output.
 
-    Raises LinAlgError where there is no stationary filter.
+    Raises LinAlgError without a stationary filter.
     """
     with np.errstate(all="ignore"):
         p = scipy.linalg.solve_discrete_are(a.T, c.T, q, r)
@@ -84,9 +82,9 @@ def root_of(covariance: Array) -> Array:
 
 
 def whitening(visited: Array) -> tuple[Array, Array]:
-    """Return T and its inverse: the states T x, if x were `visited`, are white, of mean square 1.
+    """Return T and its inverse: T x is white, of mean square 1, for the states x in `visited`.
 
-    Where an unstable model leaves the range of numbers, T is the unit matrix.
+    T is the unit matrix for states of an unstable model beyond the range of numbers.
     """
     unit = np.eye(visited.shape[1])
     if not np.isfinite(visited).all():
@@ -105,13 +103,12 @@ def covariance(
     for e, s in zip(errors, measured, strict=True):
         x = states(a - gain @ c, e @ gain.T, np.zeros(len(a)))
         left.append((e - x @ c.T) * s)
-    e, seen = np.concatenate(left), np.concatenate(measured)
-    products, counts = e.T @ e, np.maximum(seen.sum(axis=0), 1)
-    if (seen == seen[:, :1]).all():
+    e, present = np.concatenate(left), np.concatenate(measured)
+    products, counts = e.T @ e, np.maximum(present.sum(axis=0), 1)
+    if (present == present[:, :1]).all():
         return np.asarray(products / counts)
-    # Correlations, each of the samples at which both outputs were measured, may contradict each
-    # other: what is left of them has no negative variances.
-    deviation, power = np.sqrt(np.diag(products) / counts), (e**2).T @ seen
+    # With gaps, correlations are of different samples: remove negative variances.
+    deviation, power = np.sqrt(np.diag(products) / counts), (e**2).T @ present
     root = root_of(products / np.sqrt(np.maximum(power * power.T, 1e-300)))
     return np.asarray(deviation[:, None] * (root @ root.T) * deviation)
 
@@ -119,12 +116,11 @@ def covariance(
 def fitted_gain(
     a: Array, c: Array, spread: Array, errors: Sequence[Array], measured: Sequence[Array]
 ) -> Array:
-    """Return the gain K `(states, ny)` that predicts best, for the errors of a simulation.
+    """Return the gain K `(states, ny)` with the best predictions, for the errors of a simulation.
 
-    The gains of a Riccati equation, with process noise in proportion to `spread`, the states'
-    covariance in the records, are the start; a small gain is then refined entry by entry. `errors`
-    are those of a simulation, 0 in gaps, and `measured` is 1 where there are none, `(time, ny)`
-    for each record.
+    Gains of a Riccati equation, with process noise in proportion to `spread`, the states'
+    covariance in the records, are the start; a small gain is then refined. By record, `errors` are
+    0 in gaps, and `measured` is 1 elsewhere, `(time, ny)`.
     """
 
     def cost(gain: Array) -> float:
@@ -151,10 +147,10 @@ def fitted_gain(
         def bounded(x: Array) -> float:
             return min(cost(scale * x.reshape(shape)), 1e6)
 
-        found: Any = scipy.optimize.minimize(
+        minimum: Any = scipy.optimize.minimize(
             bounded, start, method="L-BFGS-B", options={"maxiter": 15}
         )
-        best = np.asarray(scale * found.x.reshape(shape))
+        best = np.asarray(scale * minimum.x.reshape(shape))
     return best
 
 
@@ -162,9 +158,9 @@ def most_probable(information: Array, towards: Array, usual: Array) -> Array:
     """Return the most probable state, in standard deviations of the prior, `(n,)`.
 
     The prior has the covariance of the states in training times a factor: the `usual` one (0 for a
-    state that is known, 1 for one that is drawn from the prior), or the most likely one where the
-    history is surprising (empirical Bayes). `information` `(n, n)` and `towards` `(n,)` are
-    products of the responses to each state, with each other and with the prediction errors.
+    known state, 1 for one drawn from the prior), or the most likely one after a surprising history
+    (empirical Bayes). `information` `(n, n)` and `towards` `(n,)` are products of the responses to
+    the states, with one another and with the prediction errors.
     """
     n = towards.shape[0]
     factors = np.concatenate([usual[None], np.array(_PRIOR_FACTORS)])
@@ -174,7 +170,7 @@ def most_probable(information: Array, towards: Array, usual: Array) -> Array:
     left: Any = np.concatenate(
         [square, np.broadcast_to(towards[None, :, None], (count, n, 1))], axis=2
     )
-    # Gauss and Jordan's elimination; as the prior adds the unit matrix, no pivot is below 1.
+    # Gauss-Jordan elimination; as the prior adds the unit matrix, no pivot is below 1.
     size = np.zeros(count)
     for j in range(n):
         pivot = np.maximum(left[:, j, j], 1.0)
@@ -183,22 +179,22 @@ def most_probable(information: Array, towards: Array, usual: Array) -> Array:
         rest = left - left[:, :, j][:, :, None] * row[:, None, :]
         others = (np.arange(n) != j)[None, :, None]
         left = np.where(others, rest, np.broadcast_to(row[:, None, :], (count, n, n + 1)))
-    found = left[:, :, n] * factors[:, None]
-    unlikely = size - (found * towards[None]).sum(axis=1)
+    candidates = left[:, :, n] * factors[:, None]
+    unlikely = size - (candidates * towards[None]).sum(axis=1)
     least = np.min(unlikely[1:], axis=0)
     first = np.arange(count) == 0
     taken = np.where(
         least + _SURPRISING > unlikely[0], first, (unlikely <= least) & np.logical_not(first)
     )
     weights = np.where(taken, 1.0, 0.0)
-    taken_state: Array = (weights[:, None] * found).sum(axis=0) / weights.sum()
+    taken_state: Array = (weights[:, None] * candidates).sum(axis=0) / weights.sum()
     return taken_state
 
 
 def responses(a: Array, c: Array, root: Array, time: int) -> Array:
-    """Return the responses of the outputs to each column of `root`, `(time, ny, columns)`.
+    """Return the responses of the outputs to columns of `root`, `(time, ny, columns)`.
 
-    They end early where they have died out.
+    Decayed responses end early.
     """
     rows, power = c[None], a
     while len(rows) < time:

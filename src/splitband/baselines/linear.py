@@ -1,7 +1,6 @@
-"""Hold a linear state-space model in innovations form; `baselines.identification` fits it.
+"""Define a linear state-space model in innovations form; `baselines.identification` fits it.
 
-A baseline (see `baselines.common`) for records with inputs. See L. Ljung, System Identification,
-2nd ed., Sec. 4.3.
+A baseline for records with inputs. See L. Ljung, System Identification, 2nd ed., Sec. 4.3.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 _FASTEST, _SLOWEST = 0.5, 0.95
-"""Range of the poles of additional states that the output does not depend on. By eye."""
+"""Range of the poles of additional states, without effect on the output. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Model outputs by x' = A x + B (u - mean) + drift + K e, y = C x + D (u - mean) + offset + e.
+    """A model x' = A x + B (u - mean) + drift + K e, y = C x + D (u - mean) + offset + e.
 
-    u are the inputs after their delays, one column for each entry of `taps`; e is white noise.
+    u are the inputs after their delays, in the columns of `taps`; e is white noise.
 
     Attributes
     ----------
@@ -37,26 +36,26 @@ class LinearModel:
     drift : Constant flow into integrators, `(n,)`.
     gain : K, `(n, ny)`.
     noise : Covariance of e, `(ny, ny)`.
-    mean : Mean of each input, `(nu,)`.
-    taps : Input and delay in samples of each column of B and D.
-    late : Longest delay that acts on each output, `ny` of them; 0 where it is half of the first
-        record or more, as the fit then begins with the record.
+    mean : Means of the inputs, `(nu,)`.
+    taps : Input and delay in samples by column of B and D.
+    late : Longest delays by output, `(ny,)`; 0 for half of the first record or more, as the fit
+        then begins with the record.
     first : State at the first sample of the first record, `(n,)`; see `held`.
-    last : State after the last sample of it, by the Kalman filter, `(n,)`.
+    last : State after the last sample of the first record, by the Kalman filter, `(n,)`.
     centre, root : Mean of the states in training, and a root R of their covariance R R', `(n, n)`.
     error : RMS error of the simulation of the training records, `(ny,)`.
-    spread : Covariance of these errors that counts for a state that is estimated with K = 0: it is
-        larger the more successive errors are correlated, `(ny, ny)`.
-    scale : Standard deviation of each output in training, `(ny,)`.
-    integrators : Number of poles that are fixed at 1.
-    by : What was minimised, "output error" or "prediction error".
-    orders, held_out : Orders that were tried, and the held-out simulation error of each, as a share
-        of the outputs' standard deviations.
-    values : Singular values of the data. These three are empty where outputs are modelled one by
-        one, because their delays differ.
-    silent : Angles, in radians per sample, of poles that no input excites.
-    doubted : Longest delay of each input, in samples, that was estimated and not taken, as a model
-        without it holds out as well; 0 without one. Empty where delays were given.
+    spread : Covariance of these errors for an estimate of the state with K = 0, `(ny, ny)`: larger
+        with correlation of successive errors.
+    scale : Standard deviations of the outputs in training, `(ny,)`.
+    integrators : Number of poles fixed at 1.
+    by : The criterion, "output error" or "prediction error".
+    orders, held_out : Candidate orders and their held-out simulation errors, as shares of the
+        outputs' standard deviations.
+    values : Singular values of the data. These three are empty for outputs with different delays,
+        which have separate models.
+    silent : Angles, in radians per sample, of poles without excitation.
+    doubted : Longest rejected delays by input in samples, 0 without one: models without them held
+        out as well. Empty for given delays.
     uncertainty : Standard errors; None after a deadline.
     """
 
@@ -88,7 +87,7 @@ class LinearModel:
     uncertainty: Uncertainty | None = None
 
     def __post_init__(self) -> None:
-        """Check what may come from a file."""
+        """Check shapes and delays, possibly from a file."""
         n, ny, taps = len(self.a), len(self.c), len(self.taps)
         shapes: dict[str, tuple[int, ...]]
         shapes = {"a": (n, n), "root": (n, n), "noise": (ny, ny), "spread": (ny, ny)}
@@ -96,8 +95,8 @@ class LinearModel:
         shapes |= dict.fromkeys(("drift", "first", "last", "centre"), (n,))
         shapes |= dict.fromkeys(("offset", "error", "scale"), (ny,))
         for name, shape in shapes.items():
-            if (found := np.shape(vars(self)[name])) != shape:
-                raise InputError(f"{name} must be {shape}, got {found}")
+            if (actual := np.shape(vars(self)[name])) != shape:
+                raise InputError(f"{name} must be {shape}, got {actual}")
         check_delays([delay for _, delay in self.taps], taps)
         check_delays(self.late, ny)
         if any(not 0 <= i < len(self.mean) for i, _ in self.taps):
@@ -115,25 +114,25 @@ class LinearModel:
 
     @property
     def order(self) -> int:
-        """Return the number of states, without those of delays."""
+        """Return the number of states, without delays."""
         return len(self.a)
 
     @property
     def delays(self) -> tuple[int, ...]:
-        """Return the least delay of each input over the outputs, `nu` of them."""
+        """Return the least delays by input over all outputs, `(nu,)`."""
         return tuple(min(d for i, d in self.taps if i == j) for j in range(self.nu))
 
     @property
     def held(self) -> Array:
-        """Return from which sample on the inputs that act on each state are in the record, `(n,)`.
+        """Return by state the first sample with all delayed inputs in the record, `(n,)`.
 
-        Until then a state keeps its distance from that of a simulation from `centre`: the dynamics
-        would make it so small that the record tells nothing of it, or begin it far away.
+        Until then a state keeps its distance from the state of a simulation from `centre`: with
+        decay, the distance would become unobservable, or begin far away.
         """
         return np.where(self.c != 0, np.asarray(self.late)[:, None], 0).max(axis=0)
 
     def begun(self, u: Array, begin: int) -> LinearModel:
-        """Return the model of a record whose state at the sample `begin` is now in `first`."""
+        """Return the model for the whole record, given the state at `begin` in `first`."""
         tapped = self.tapped(u)[: max(self.late)]
         if not len(tapped):
             return self
@@ -152,8 +151,8 @@ class LinearModel:
     ) -> Array:
         """Simulate from a state at the row `begin` of `u` on, `(time, ny)`.
 
-        By default that is the state at the first training sample. `before` are earlier inputs from
-        there on, which act with a delay.
+        The default is the state at the first training sample. `before` are earlier inputs since the
+        first training sample, for the delays.
         """
         since = u if before is None else np.concatenate([before, u])
         age = len(since) - len(u) + begin
@@ -162,13 +161,13 @@ class LinearModel:
         return self._run(tapped, self.first if state is None else state, away, age)[0]
 
     def state_after(self, u: Array) -> Array:
-        """Return the state after these inputs, from the first training sample on, `(n,)`."""
+        """Return the state after inputs from the first training sample on, `(n,)`."""
         return self._run(self.tapped(u), self.first, self.first - self.centre)[1]
 
     def _run(self, tapped: Array, first: Array, away: Array, age: int = 0) -> tuple[Array, Array]:
         """Return the outputs of a simulation, and the state after it.
 
-        `away` is the distance that states keep (`held`) in a record that began `age` samples ago.
+        `away` is the constant distance of states (`held`) in a record begun `age` samples ago.
         """
         if not len(tapped):
             return np.zeros((0, self.ny)), first
@@ -199,7 +198,7 @@ class LinearModel:
 
     @property
     def without_filter(self) -> LinearModel:
-        """Return the same system whose states are those of a simulation, with K = 0."""
+        """Return the system with K = 0: its states are those of a simulation."""
         return replace(self, gain=np.zeros_like(self.gain), noise=self.spread)
 
     def whitener(self) -> Array:
@@ -212,33 +211,33 @@ class LinearModel:
     ) -> tuple[Array, Array, Array]:
         """Return predictions `(time, ny)`, the state after `y`, `(n,)`, and its covariance.
 
-        Up to the end of `y` a sample is predicted from those before it; then they are simulated.
-        The covariance `(n, n)` is due to the unknown initial state.
+        Up to the end of `y`, samples are predicted one step ahead; later ones are simulated. The
+        covariance `(n, n)` is due to the unknown initial state.
 
         Parameters
         ----------
         u : Inputs from the first sample on, `(time, nu)`.
         y : The first samples, `(any time, ny)`, NaN in gaps.
-        before : If the record continues the training record, the inputs from the first training
-            sample to its beginning, `(any time, nu)`; empty if both begin together. The state that
-            they lead to is then expected. None: the prior of the state is the distribution of the
-            states in training.
+        before : For a record that continues the training record, the inputs from the first training
+            sample to its beginning, `(any time, nu)`; empty if both begin together. The expected
+            state is then the state after these inputs. None: the prior of the state is the
+            distribution of the states in training.
         """
         since = u if before is None else np.concatenate([before, u])
         expected = before is not None
         tapped = self.tapped(since)
-        known = 0 if before is None else len(before)
+        past = 0 if before is None else len(before)
         x, away = self.centre, np.zeros(self.order)
         if expected:
             away = self.first - self.centre
-            x = self._run(tapped[:known], self.first, away)[1]
-        tapped = tapped[known:]
-        ages = np.arange(len(y))[:, None] + known
+            x = self._run(tapped[:past], self.first, away)[1]
+        tapped = tapped[past:]
+        ages = np.arange(len(y))[:, None] + past
         measured = ~np.isnan(y) & (ages >= np.asarray(self.late))
         usual = np.array(0.0 if expected else 1.0)
         left, information = self.root, np.zeros_like(self.root)
         if not measured.any():
-            found, after = self._run(tapped[: len(y)], x, away, known)
+            predictions, after = self._run(tapped[: len(y)], x, away, past)
             free = max(len(y) - int(self.held.max(initial=0)), 0)
             left = np.linalg.matrix_power(self.a, free) @ self.root
         elif measured.all():
@@ -250,19 +249,19 @@ class LinearModel:
             information = rows.T @ rows
             x = x + self.root @ most_probable(information, towards, usual)
             errors, after = self._observed(tapped[: len(y)], y, x)
-            found = y - errors
+            predictions = y - errors
             with np.errstate(all="ignore"):
                 left = np.linalg.matrix_power(observer, len(y)) @ self.root
         else:
-            *_, information, towards, left = self._with_gaps(tapped, y, measured, x, away, known)
-            more = self.root @ most_probable(information, towards, usual)
-            x, away = x + more, away + more
-            found, after, *_ = self._with_gaps(tapped, y, measured, x, away, known)
+            *_, information, towards, left = self._with_gaps(tapped, y, measured, x, away, past)
+            correction = self.root @ most_probable(information, towards, usual)
+            x, away = x + correction, away + correction
+            predictions, after, *_ = self._with_gaps(tapped, y, measured, x, away, past)
         covariance = np.zeros_like(self.a)
         if np.isfinite(left).all():
             covariance = left @ np.linalg.solve(np.eye(self.order) + information, left.T)
-        ahead, _ = self._run(tapped[len(y) :], after, away, known + len(y))
-        return np.concatenate([found, ahead]), after, covariance
+        ahead, _ = self._run(tapped[len(y) :], after, away, past + len(y))
+        return np.concatenate([predictions, ahead]), after, covariance
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
@@ -277,30 +276,30 @@ class LinearModel:
     def _with_gaps(
         self, tapped: Array, y: Array, measured: Any, x: Array, away: Array, age: int
     ) -> tuple[Array, Array, Array, Array, Array]:
-        """Return predictions from the state x, the state after, and what `most_probable` takes.
+        """Return predictions from the state x, the last state, and arguments of `most_probable`.
 
-        The last array is the response of the state after to each column of `root`, `(n, n)`.
+        The last array is the response of the last state to each column of `root`, `(n, n)`.
         """
-        held, kept = self.held, away - self.a @ away
-        answers, white, found = self.root, self.whitener(), np.empty(y.shape)
+        held, constant = self.held, away - self.a @ away
+        answers, white, predictions = self.root, self.whitener(), np.empty(y.shape)
         information, towards = np.zeros((self.order, self.order)), np.zeros(self.order)
-        for n, (row, value, known) in enumerate(zip(tapped[: len(y)], y, measured, strict=True)):
-            found[n] = self.c @ x + self.d @ row + self.offset
-            response = (self.c @ answers) * known[:, None]
-            left = np.where(known, value - found[n], 0.0)
+        for n, (row, value, present) in enumerate(zip(tapped[: len(y)], y, measured, strict=True)):
+            predictions[n] = self.c @ x + self.d @ row + self.offset
+            response = (self.c @ answers) * present[:, None]
+            left = np.where(present, value - predictions[n], 0.0)
             counted = white @ response
             information += counted.T @ counted
             towards += counted.T @ (white @ left)
             free = age + n >= held
             answers = np.where(free[:, None], self.a @ answers, answers) - self.gain @ response
             x = self.a @ x + self.b @ row + self.drift + self.gain @ left
-            x = np.where(free, x, x + kept)
-        return found, x, information, towards, answers
+            x = np.where(free, x, x + constant)
+        return predictions, x, information, towards, answers
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C and D with delays, for deviations from `mean` and the offsets.
 
-        The states are those of the model, then the delayed inputs.
+        The states are the model's states, then the delayed inputs.
         """
         longest = [max((d for i, d in self.taps if i == j), default=0) for j in range(self.nu)]
         n, size = self.order, self.order + sum(longest)
@@ -332,19 +331,19 @@ class LinearModel:
         b = np.zeros(len(a) + longest)
         for t in columns:
             # B(z) = det(zI - A + B C) - det(zI - A) + D det(zI - A). The difference is linear in
-            # B C, which is scaled to 1: it would drown in rounding where the gain is small.
+            # B C, scaled to 1: with a small gain it would drown in rounding.
             inner = np.outer(self.b[:, t], self.c[output])
             size = abs(inner).max(initial=0.0) or 1.0
-            own = self.d[output, t] * a
+            numerator = self.d[output, t] * a
             if self.order:
-                own = own + size * (np.poly(self.a - inner / size) - a)
+                numerator = numerator + size * (np.poly(self.a - inner / size) - a)
             late = longest - self.taps[t][1]
-            b[longest - late : longest - late + len(own)] += own
-        kept = int(np.argmax(b != 0))  # SciPy warns of leading zeros
-        return b[kept:], np.append(a, np.zeros(longest))
+            b[longest - late : longest - late + len(numerator)] += numerator
+        leading = int(np.argmax(b != 0))  # SciPy warns of leading zeros
+        return b[leading:], np.append(a, np.zeros(longest))
 
     def poles(self) -> npt.NDArray[np.complex128]:
-        """Return the poles in the z plane, without those at 0 of delays, `(n,)` complex."""
+        """Return the poles in the z plane, without delays, `(n,)` complex."""
         return np.asarray(np.linalg.eigvals(self.a), np.complex128)
 
     @property
@@ -361,29 +360,29 @@ class LinearModel:
 
 
 def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> LinearModel:
-    """Return one model of all outputs; each part models some of them, from the same inputs."""
+    """Return one model of all outputs from parts with some outputs, driven by equal inputs."""
     if len(parts) == 1:
         return parts[0][0]
     models = [model for model, _ in parts]
     outputs = np.concatenate([[*of_part] for _, of_part in parts]).astype(int)
     back = np.argsort(outputs)
 
-    found: dict[str, Any] = {
+    fields: dict[str, Any] = {
         name: scipy.linalg.block_diag(*(vars(m)[name] for m in models))
         for name in ("a", "b", "c", "d", "gain", "noise", "root", "spread")
     } | {
         name: np.concatenate([vars(m)[name] for m in models])
         for name in ("offset", "drift", "late", "first", "last", "centre", "error", "scale")
     }
-    found |= {
-        name: found[name][back]
+    fields |= {
+        name: fields[name][back]
         for name in ("c", "d", "noise", "spread", "offset", "late", "error", "scale")
     }
-    found |= {name: found[name][:, back] for name in ("gain", "noise", "spread")}
-    found["late"] = tuple(found["late"].tolist())
+    fields |= {name: fields[name][:, back] for name in ("gain", "noise", "spread")}
+    fields["late"] = tuple(fields["late"].tolist())
     uncertainties = [m.uncertainty for m in models if m.uncertainty is not None]
     return LinearModel(
-        **found,
+        **fields,
         mean=models[0].mean,
         taps=tuple(tap for m in models for tap in m.taps),
         integrators=sum(m.integrators for m in models),
@@ -396,7 +395,7 @@ def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> Li
 
 
 class Realisation(NamedTuple):
-    """Hold x_{n+1} = A x_n + B u_n + drift, y_n = C x_n + D u_n + offset, and its states.
+    """The system x_{n+1} = A x_n + B u_n + drift, y_n = C x_n + D u_n + offset, and its states.
 
     The inputs u_n are in the record's units.
 
@@ -404,7 +403,7 @@ class Realisation(NamedTuple):
     ----------
     a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`.
     drift, offset : `(states,)` and `(ny,)`.
-    states : State trajectory in each record, `(time, states)`.
+    states : State trajectories by record, `(time, states)`.
     """
 
     a: Array
@@ -421,19 +420,19 @@ def realised(
 ) -> Realisation:
     """Return a state-space model with `size` states, and its states in the records.
 
-    If the model, which has no delays, has fewer, states are added that the output does not depend
-    on; `rng` draws their input matrix. `inputs` are those of the training records, `(time, nu)`.
+    The `model` has no delays. Additional states have no effect on the output; `rng` draws their
+    input matrix. `inputs` are the inputs of the training records, `(time, nu)`.
     """
-    more = size - model.order
-    poles = np.linspace(_FASTEST, _SLOWEST, more)
+    additional = size - model.order
+    poles = np.linspace(_FASTEST, _SLOWEST, additional)
     a = scipy.linalg.block_diag(model.a, np.diag(poles))
-    drawn = rng.standard_normal((more, model.nu)) * np.sqrt(1 - poles**2)[:, None]
+    drawn = rng.standard_normal((additional, model.nu)) * np.sqrt(1 - poles**2)[:, None]
     scale = np.concatenate(inputs).std(axis=0)
     b = np.concatenate([model.b, drawn / np.where(scale > 0, scale, 1.0)])
-    c = np.hstack([model.c, np.zeros((model.ny, more))])
-    drift = np.append(model.drift, np.zeros(more)) - b @ model.mean
-    first = np.append(model.first, np.zeros(more))
-    middle = np.append(model.centre, np.zeros(more))
+    c = np.hstack([model.c, np.zeros((model.ny, additional))])
+    drift = np.append(model.drift, np.zeros(additional)) - b @ model.mean
+    first = np.append(model.first, np.zeros(additional))
+    middle = np.append(model.centre, np.zeros(additional))
     starts = [first, *[middle] * (len(inputs) - 1)]
     runs = [states(a, u @ b.T + drift, x) for x, u in zip(starts, inputs, strict=True)]
     into, out = whitening(np.concatenate(runs))

@@ -1,16 +1,17 @@
 """Fit a linear system, as a sum of blocks of one or two poles, by least squares of its error.
 
-A block is x_{t+1} = [[a_1, a_2], [1, 0]] x_t + B u_t, y_t += C x_t: two poles, which may be real,
-complex or equal. A first-order block has a_2 = 0 and one state. The form is nearly minimal, the
-responses of all blocks and their derivatives are filters of second order (`scipy.signal.lfilter`),
-and the normal equations of a least-squares fit (Levenberg and Marquardt) follow from the products
-of few signals, chunk by chunk of the time: an iteration of 40 states and 16,000 samples takes a
-tenth of a second, and a million samples need the memory of a chunk. Of long records the matrix of
-the normal equations is that of every n-th sample, the right-hand side that of all.
+A block is x_{t+1} = [[a_1, a_2], [1, 0]] x_t + B u_t, y_t += C x_t, with two real, complex or equal
+poles. A first-order block has a_2 = 0 and one state. The form is nearly minimal, the responses of
+blocks and their derivatives are filters of second order (`scipy.signal.lfilter`), and the normal
+equations of a least-squares fit (Levenberg and Marquardt) follow from products of few signals,
+chunk by chunk of the time: an iteration of 40 states and 16,000 samples takes a tenth of a second,
+and a million samples need the memory of a chunk. For long records the matrix of the normal
+equations is that of every n-th sample, the right-hand side that of all samples.
 
-With the record's inputs this is the output error. With inputs and measured outputs as the inputs of
-the predictor, the same code minimises the prediction error. See L. Ljung, System Identification,
-2nd ed., Ch. 7 and 10. The initial states of each record are eliminated from the normal equations.
+With the record's inputs the criterion is the output error. With inputs and measured outputs as the
+inputs of the predictor, the same code minimises the prediction error. See L. Ljung, System
+Identification, 2nd ed., Ch. 7 and 10. The records' initial states are eliminated from the normal
+equations.
 """
 
 from __future__ import annotations
@@ -31,35 +32,36 @@ from splitband.runtime.deadlines import DeadlineError, check, current
 _RADIUS = 1 - 1e-9
 """Largest absolute value of a free pole; 1 is an integrator."""
 _SPLIT = 1e-9
-"""Two poles of a block that are nearer are moved apart by so much, as a diagonal block with equal
-poles has no companion form."""
+"""Least distance of two poles of a block, as a diagonal block with equal poles has no companion
+form. Rounding."""
 
 _STEPS = 8
-"""Most attempts to find a step that lowers the error. Bounds the time."""
+"""Largest number of damped trial steps. Bounds the time."""
 _CONVERGED = 0.1
-"""A fit ends when an iteration raises the log-likelihood by less. A parameter without effect raises
-it by 1/2 on average: smaller steps are within the noise."""
+"""Least gain in log-likelihood of an iteration. A parameter without effect gains 1/2 on average:
+smaller steps are within the noise."""
 _NEGLIGIBLE = 1e-4
-"""It also ends when one lowers the RMS error by a smaller share. Bounds the time."""
+"""Least share by which an iteration lowers the RMS error. Bounds the time."""
 _CHUNK = 4096
-"""Samples whose derivatives are in memory at once. Bounds the memory, and the time by the cache."""
+"""Samples of a chunk of derivatives. Bounds the memory, and the time by the cache."""
 _LEAST, _EACH = 20_000, 100
-"""Fewest samples of the matrix of the normal equations, in all and for each parameter: with fewer,
-steps go astray. Bounds the time."""
+"""Fewest samples in the matrix of the normal equations, in all and per parameter: with fewer, steps
+go astray. Bounds the time."""
 _WINDOWS = 6
 """Windows of an excerpt of long records. By eye."""
 MOST_SAMPLES = 20_000
-"""Most samples by which order and delays are chosen. Bounds the time."""
+"""Largest number of samples in the choice of order and delays. Bounds the time."""
 _RIDGE = 1e-10
-"""Share of their diagonal that the normal equations gain, as some directions change nothing."""
+"""Addition to the normal equations, as a share of their diagonal: some directions have no effect.
+Rounding."""
 _EXACT = 1e-10
-"""RMS of normalised errors below which they are rounding. Rounding."""
+"""Smallest RMS of normalised errors. Rounding."""
 
 
 class Signals(NamedTuple):
-    """Hold a record for a fit: inputs `(nu, time)`, outputs `(ny, time)` with 0 in gaps.
+    """A record for a fit: inputs `(nu, time)`, outputs `(ny, time)` with 0 in gaps.
 
-    `measured` `(ny, time)` is 1 where an output was measured, else 0.
+    `measured` `(ny, time)` is 0 in gaps, else 1.
     """
 
     u: Array
@@ -69,7 +71,7 @@ class Signals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Hold the parameters of all blocks.
+    """The parameters of all blocks.
 
     Attributes
     ----------
@@ -80,8 +82,8 @@ class Blocks:
     offset : `(ny,)`.
     single : Whether a block has one pole, `(blocks,)`.
     fixed : Whether a block's poles are given, `(blocks,)`.
-    direct : Whether an input may act at once, `(nu,)`.
-    constant : Whether the last input is the constant 1, which acts on fixed blocks alone.
+    direct : Whether an input has feedthrough, `(nu,)`.
+    constant : Whether the last input is the constant 1, for fixed blocks alone.
     """
 
     a: Array
@@ -96,7 +98,7 @@ class Blocks:
 
     @property
     def kept(self) -> Flags:
-        """Return which of two states a block has, `(blocks, 2)`: of first order it has one."""
+        """Return a mask of the blocks' states, `(blocks, 2)`: one of first order has one."""
         return np.stack([np.ones(len(self.a), bool), ~self.single], axis=1)
 
     @property
@@ -106,15 +108,15 @@ class Blocks:
 
     @cached_property
     def free(self) -> Flags:
-        """Return which entries of `values` are parameters."""
-        ny, kept = len(self.offset), self.kept
-        of_b = np.repeat(kept[:, :, None], len(self.direct), axis=2)
+        """Return a mask of the parameters among `values`."""
+        ny, states = len(self.offset), self.kept
+        of_b = np.repeat(states[:, :, None], len(self.direct), axis=2)
         if self.constant:
             of_b[:, :, -1] &= self.fixed[:, None]
         parts = (
-            kept & ~self.fixed[:, None],
+            states & ~self.fixed[:, None],
             of_b,
-            np.repeat(kept[:, None], ny, axis=1),
+            np.repeat(states[:, None], ny, axis=1),
             np.repeat(self.direct[None], ny, axis=0),
             np.ones(ny, bool),
         )
@@ -122,7 +124,7 @@ class Blocks:
 
     @property
     def linear(self) -> Flags:
-        """Return which entries of `values` the output is linear in, for given poles and C."""
+        """Return a mask of the parameters linear in the output, for given poles and C."""
         linear = self.free.copy()
         a, _, c, *_ = self.parts(np.arange(len(linear)))
         linear[a] = linear[c] = False
@@ -130,7 +132,7 @@ class Blocks:
 
     @property
     def values(self) -> Array:
-        """Return all numbers in one row."""
+        """Return all numbers as one vector."""
         parts = self.a, self.b, self.c, self.d, self.offset
         return np.concatenate([part.ravel() for part in parts])
 
@@ -140,10 +142,10 @@ class Blocks:
         return replace(self, a=a, b=b, c=c, d=d, offset=offset)
 
     def parts(self, values: npt.NDArray[Any]) -> list[Any]:
-        """Return one number for each of `values` in the shapes of a, b, c, d and offset."""
-        own = self.a, self.b, self.c, self.d, self.offset
-        cuts = np.cumsum([part.size for part in own])[:-1]
-        return [v.reshape(o.shape) for v, o in zip(np.split(values, cuts), own, strict=True)]
+        """Return `values` in the shapes of a, b, c, d and offset."""
+        shapes = self.a, self.b, self.c, self.d, self.offset
+        cuts = np.cumsum([part.size for part in shapes])[:-1]
+        return [v.reshape(o.shape) for v, o in zip(np.split(values, cuts), shapes, strict=True)]
 
     def stable(self, limit: float = 1.0) -> bool:
         """Return whether all free poles are stable, and complex ones smaller than `limit`."""
@@ -154,12 +156,12 @@ class Blocks:
         return bool((inside & (~complex_ | (-self.a[free, 1] < limit**2))).all())
 
     def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D, without states that a first-order block does not have."""
-        kept = self.kept.ravel()
+        """Return A, B, C and D, without the second states of first-order blocks."""
+        states = self.kept.ravel()
         companions = [np.array([row, [1.0, 0.0]]) for row in self.a]
-        a = scipy.linalg.block_diag(*companions)[np.ix_(kept, kept)]
-        b = self.b.reshape(-1, self.b.shape[2])[kept]
-        c = self.c.transpose(1, 0, 2).reshape(len(self.offset), -1)[:, kept]
+        a = scipy.linalg.block_diag(*companions)[np.ix_(states, states)]
+        b = self.b.reshape(-1, self.b.shape[2])[states]
+        c = self.c.transpose(1, 0, 2).reshape(len(self.offset), -1)[:, states]
         return a, b, c, self.d
 
     def simulate(self, run: Signals, first: Array) -> Array:
@@ -170,15 +172,15 @@ class Blocks:
         return y
 
     def chunks(self, run: Signals, first: Array) -> Iterator[tuple[slice, Array, Array]]:
-        """Yield, for each chunk of time, the states and their derivatives.
+        """Yield chunks of time with the states and their derivatives.
 
         The states are `(blocks, 2, chunk)`, their derivatives `(blocks, 2, 4 + 2 nu, chunk)`: by a,
-        by b and by the initial states of the block. They are the filtered states, inputs and
-        impulse, as a force on one of the states acts one and two samples late.
+        by b and by the initial states of the block. The derivatives are the filtered states, inputs
+        and impulse, as a force on one of the states acts one and two samples late.
         """
         nu, time = run.u.shape
         of_u, of_b = slice(2, 2 + nu), slice(2 + nu, 2 + 2 * nu)
-        before = np.zeros((len(self.a), 3 + nu, 2))  # memories of the filters, and their last two
+        before = np.zeros((len(self.a), 3 + nu, 2))  # memories of the filters, and last outputs
         last, now_x = before.copy(), first
         for begin in range(0, time, _CHUNK):
             here = slice(begin, min(begin + _CHUNK, time))
@@ -186,9 +188,9 @@ class Blocks:
             impulse = np.zeros((1, u.shape[1]))
             impulse[0, 0] = begin == 0
             states = np.empty((len(self.a), 2, u.shape[1]))
-            found = np.empty((len(self.a), 2, 4 + 2 * nu, u.shape[1]))
+            derivatives = np.empty((len(self.a), 2, 4 + 2 * nu, u.shape[1]))
             after = np.empty_like(now_x)
-            for i, (row, (one, two)) in enumerate(zip(self.a, found, strict=True)):
+            for i, (row, (one, two)) in enumerate(zip(self.a, derivatives, strict=True)):
                 forced = self.b[i] @ u
                 states[i] = x = _states(row, forced, now_x[i])
                 after[i] = row @ x[:, -1] + forced[0, -1], x[0, -1] + forced[1, -1]
@@ -203,13 +205,13 @@ class Blocks:
                 one[-2], two[-2] = now[-1], late[-1]
                 one[-1], two[-1] = row[1] * late[-1], now[-1] - row[0] * late[-1]
             now_x = after
-            yield here, states, found
+            yield here, states, derivatives
 
 
 def _states(a: Array, forced: Array, first: Array) -> Array:
     """Return both states of a block for forces `(2, time)` on them, `(2, time)`."""
     time = forced.shape[1]
-    # Their sum obeys one recursion: x1' = a1 x1 + a2 x2 + f1, x2' = x1 + f2.
+    # The first state obeys a recursion of second order: x1' = a1 x1 + a2 x2 + f1, x2' = x1 + f2.
     into = np.empty(time)
     into[0] = first[0]
     if time > 1:
@@ -232,14 +234,14 @@ def blocks_of(  # noqa: PLR0913
     b: Array | None = None,
     d: Array | None = None,
 ) -> Blocks:
-    """Return the blocks of a system, whose poles are those of A.
+    """Return the blocks of a system with the poles of A.
 
     Parameters
     ----------
     a, c : `(states, states)` and `(ny, states)`.
-    direct : Whether each input may act at once.
-    integrators : Number of poles that are set to 1: the real ones that are nearest to it.
-    chain : Whether two of them are a chain, an integrator after an integrator.
+    direct : Whether an input has feedthrough, `nu` flags.
+    integrators : Number of poles set to 1: the nearest real ones.
+    chain : Whether two integrators are a chain, one after the other.
     b, d : `(states, nu)` and `(ny, nu)`; by default zero.
     """
     ny, nu = len(c), len(direct)
@@ -247,26 +249,26 @@ def blocks_of(  # noqa: PLR0913
     order = np.argsort(abs(poles - 1), kind="stable")
     real = [i for i in order if poles[i].imag == 0]
     pairs = [i for i in order if poles[i].imag > 0]
-    # Of each block: its row of `Blocks.a`, its basis, and whether its poles are given.
-    found = list[tuple[tuple[float, float], Array, bool]]()
+    # By block: the row of `Blocks.a`, the basis, and whether the poles are given.
+    blocks = list[tuple[tuple[float, float], Array, bool]]()
     if chain and (pairs or len(real) > 1):
         near = len(real) > 1 and not (pairs and abs(poles[pairs[0]] - 1) < abs(poles[real[1]] - 1))
         taken = [real.pop(0), real.pop(0)] if near else [pairs.pop(0)]
-        found.append(((2.0, -1.0), _second_order(poles[taken], vectors[:, taken])[1], True))
+        blocks.append(((2.0, -1.0), _second_order(poles[taken], vectors[:, taken])[1], True))
         integrators -= 2
     while integrators > 0 and (real or pairs):
         i = real.pop(0) if real else pairs.pop(0)
         if poles[i].imag:  # a pair becomes an integrator and another real pole, or two integrators
             two = integrators > 1
-            found.append(((1.0 if two else poles[i].real, 0.0), vectors[:, [i]].imag, two))
+            blocks.append(((1.0 if two else poles[i].real, 0.0), vectors[:, [i]].imag, two))
             integrators -= two
-        found.append(((1.0, 0.0), vectors[:, [i]].real, True))
+        blocks.append(((1.0, 0.0), vectors[:, [i]].real, True))
         integrators -= 1
     twos = [*([i] for i in pairs), *(real[i : i + 2] for i in range(0, len(real) - 1, 2))]
-    found += [(*_second_order(poles[two], vectors[:, two]), False) for two in twos]
+    blocks += [(*_second_order(poles[two], vectors[:, two]), False) for two in twos]
     if len(real) % 2:
-        found.append(((poles[real[-1]].real, 0.0), vectors[:, [real[-1]]].real, False))
-    rows, bases, fixed = zip(*found, strict=True)
+        blocks.append(((poles[real[-1]].real, 0.0), vectors[:, [real[-1]]].real, False))
+    rows, bases, fixed = zip(*blocks, strict=True)
     sizes = [basis.shape[1] for basis in bases]
     of_b, of_c = np.zeros((len(rows), 2, nu)), np.zeros((len(rows), ny, 2))
     for i, basis in enumerate(bases):
@@ -285,26 +287,26 @@ def _second_order(poles: Array, vectors: Array) -> tuple[tuple[float, float], Ar
     if len(poles) == 1:
         pole, v = poles[0], vectors[:, 0]
         row, basis = (2 * pole.real, -(abs(pole) ** 2)), np.stack([v.real, v.imag], axis=1)
-        own = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+        modes = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
     else:
         p, q = poles.real
         if abs(p - q) < _SPLIT:
             q -= _SPLIT
-        row, basis, own = (p + q, -p * q), vectors.real, np.diag([p, q])
-    begin = np.ones(2)  # from which the block has the companion form
-    return row, basis @ np.stack([begin, own @ begin - row[0] * begin], axis=1)
+        row, basis, modes = (p + q, -p * q), vectors.real, np.diag([p, q])
+    begin = np.ones(2)  # initial vector of the companion form
+    return row, basis @ np.stack([begin, modes @ begin - row[0] * begin], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Hold fitted blocks.
+    """Fitted blocks.
 
     Attributes
     ----------
     blocks : The system.
-    first : Initial states of each record, `(blocks, 2)` each.
-    errors : Errors of each record, `(ny, time)`, 0 in gaps.
-    scale : RMS error of each output, `(ny,)`.
+    first : Initial states by record, `(blocks, 2)`.
+    errors : Errors by record, `(ny, time)`, 0 in gaps.
+    scale : RMS error by output, `(ny,)`.
     """
 
     blocks: Blocks
@@ -326,13 +328,13 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Hold the normal equations N step = g of a part of the samples.
+    """The normal equations N step = g of a part of the samples.
 
     Attributes
     ----------
     n, g : `(values, values)` and `(values,)`, of the parameters.
-    states : By record, the rows of N and g for its initial states: products with the parameters,
-        with each other, and g.
+    states : By record, the rows of N and g for initial states: products with the parameters,
+        products of states, and g.
     """
 
     n: Array
@@ -340,12 +342,12 @@ class Equations:
     states: Mapping[int, tuple[Array, Array, Array]]
 
     def plus(self, other: Equations, sign: float = 1.0) -> Equations:
-        """Return the equations of both parts; with the sign -1, without those of the other."""
+        """Return the sum of both equations; with the sign -1, the difference."""
         states = {**self.states}
         for record, parts in other.states.items():
             mine: Sequence[Any] = states.get(record, (0.0, 0.0, 0.0))
-            cross, own, g = (a + sign * b for a, b in zip(mine, parts, strict=True))
-            states[record] = cross, own, g
+            cross, square, g = (a + sign * b for a, b in zip(mine, parts, strict=True))
+            states[record] = cross, square, g
         return Equations(self.n + sign * other.n, self.g + sign * other.g, states)
 
 
@@ -375,19 +377,19 @@ def length(runs: Sequence[Signals]) -> int:
 def windows(runs: Sequence[Signals], most: int) -> list[tuple[int, int, int]]:
     """Return record, first and last sample + 1 of windows with about `most` samples in all.
 
-    All of shorter records. Else half of them lie at even distances, and half of them are those in
-    which the inputs move most.
+    Shorter records are returned whole. Of longer ones, half of the windows are evenly spaced, and
+    half have the largest deviations of the inputs.
     """
     if length(runs) <= most:
         return [(i, 0, run.u.shape[1]) for i, run in enumerate(runs)]
     cuts = segments(runs, _WINDOWS * length(runs) // most)
     moves = np.array([runs[i].u[:, begin:end].std(axis=1).sum() for i, begin, end in cuts])
     moves[np.linspace(0, len(cuts) - 1, _WINDOWS // 2).astype(int)] = np.inf
-    found = list[tuple[int, int, int]]()
+    excerpt = list[tuple[int, int, int]]()
     for i, begin, end in (cuts[k] for k in np.sort(np.argsort(-moves, kind="stable")[:_WINDOWS])):
-        joined = found and found[-1][0] == i and found[-1][2] == begin
-        found.append((i, found.pop()[1] if joined else begin, end))
-    return found
+        joined = excerpt and excerpt[-1][0] == i and excerpt[-1][2] == begin
+        excerpt.append((i, excerpt.pop()[1] if joined else begin, end))
+    return excerpt
 
 
 def total(parts: Sequence[Equations]) -> Equations:
@@ -398,12 +400,12 @@ def total(parts: Sequence[Equations]) -> Equations:
 def segments(runs: Sequence[Signals], count: int) -> list[tuple[int, int, int]]:
     """Return record, first and last sample + 1 of about `count` segments with measured samples."""
     time = length(runs)
-    found = []
+    bounds = []
     for i, run in enumerate(runs):
         edges = np.linspace(0, run.u.shape[1], max(round(count * run.u.shape[1] / time), 1) + 1)
         cuts = pairwise(edges.astype(int).tolist())
-        found += [(i, a, b) for a, b in cuts if run.measured[:, a:b].any()]
-    return found
+        bounds += [(i, a, b) for a, b in cuts if run.measured[:, a:b].any()]
+    return bounds
 
 
 def by_segment(
@@ -413,21 +415,21 @@ def by_segment(
     cuts: Sequence[tuple[int, int, int]],
     thin: int = 1,
 ) -> list[Equations]:
-    """Return the normal equations of each segment: a record, its first and its last sample + 1.
+    """Return the normal equations by segment: a record, a first and a last sample + 1.
 
-    N is that of every `thin`-th sample, times `thin`; g is that of all. Of long records, raises
-    DeadlineError when the deadline passes: a result of short ones, such as an excerpt, is needed.
+    N is the sum over every `thin`-th sample, times `thin`; g is the sum over all. For long records,
+    raises DeadlineError after the deadline; short ones, such as an excerpt, need a result.
     """
     blocks, long = solution.blocks, length(runs) > 2 * MOST_SAMPLES
-    count, size, kept = 2 * len(blocks.a), len(blocks.values), int(free.sum())
-    # The place of each number in the equations; -1 for one that is not free.
+    count, size, parameters = 2 * len(blocks.a), len(blocks.values), int(free.sum())
+    # The places of the numbers in the equations; -1 for fixed numbers.
     place = np.full(size + count, -1)
-    place[:size][free], place[size:] = np.arange(kept), kept + np.arange(count)
+    place[:size][free], place[size:] = np.arange(parameters), parameters + np.arange(count)
     a, b, c, d, offset = blocks.parts(place[:size])
     own = np.hstack([a, b.reshape(len(a), -1), place[size:].reshape(-1, 2)]).ravel()
     weight = 1 / np.maximum(solution.scale, _EXACT) ** 2
-    n = np.zeros((len(cuts), kept + count, kept + count))
-    g = np.zeros((len(cuts), kept + count))
+    n = np.zeros((len(cuts), parameters + count, parameters + count))
+    g = np.zeros((len(cuts), parameters + count))
     for record in {record: None for record, _, _ in cuts}:
         run = runs[record]
         for chunk, states, responses in blocks.chunks(run, solution.first[record]):
@@ -451,24 +453,26 @@ def by_segment(
                         some = part[:, ::thin] if thin > 1 else part
                         n[i][np.ix_(columns, columns)] += w * thin * (some @ some.T)
                         g[i][columns] += w * (part @ errors[here])
-    found = []
+    by_part = []
     for (record, _, _), own_n, own_g in zip(cuts, n, g, strict=True):
-        inner = own_n[kept:, :kept], own_n[kept:, kept:], own_g[kept:]
-        found.append(Equations(own_n[:kept, :kept], own_g[:kept], {record: inner}))
-    return found
+        inner = own_n[parameters:, :parameters], own_n[parameters:, parameters:], own_g[parameters:]
+        by_part.append(
+            Equations(own_n[:parameters, :parameters], own_g[:parameters], {record: inner})
+        )
+    return by_part
 
 
 def solved(
-    found: Equations, damping: float, usual: Equations | None = None
+    system: Equations, damping: float, usual: Equations | None = None
 ) -> tuple[Array, dict[int, Array]]:
-    """Return the steps of the parameters and of each record's initial states.
+    """Return the steps of the parameters and of the initial states by record.
 
-    `usual`: equations of more samples. What these determine alone hardly moves.
+    `usual`: equations of more samples. Directions determined by these alone hardly move.
     """
-    like = found if usual is None else usual
-    n, g, inner = found.n.copy(), found.g.copy(), {}
-    for record, (cross, own, slope) in found.states.items():
-        both = _solve(own, np.column_stack([cross, slope]), damping, like.states[record][1])
+    like = system if usual is None else usual
+    n, g, inner = system.n.copy(), system.g.copy(), {}
+    for record, (cross, square, slope) in system.states.items():
+        both = _solve(square, np.column_stack([cross, slope]), damping, like.states[record][1])
         n -= cross.T @ both[:, :-1]
         g -= cross.T @ both[:, -1]
         inner[record] = both
@@ -476,33 +480,33 @@ def solved(
     return step, {i: both[:, -1] - both[:, :-1] @ step for i, both in inner.items()}
 
 
-def followed(found: Equations, step: Array, damping: float, usual: Equations) -> dict[int, Array]:
-    """Return the best steps of initial states after a given step of the parameters."""
+def followed(system: Equations, step: Array, damping: float, usual: Equations) -> dict[int, Array]:
+    """Return the best steps of initial states for a given step of the parameters."""
     return {
-        i: _solve(own, slope - cross @ step, damping, usual.states[i][1])
-        for i, (cross, own, slope) in found.states.items()
+        i: _solve(square, slope - cross @ step, damping, usual.states[i][1])
+        for i, (cross, square, slope) in system.states.items()
     }
 
 
 def _solve(n: Array, g: Array, damping: float, like: Array) -> Array:
-    """Solve N x = g; the share `damping`, and a little, of the diagonal of `like` is added to N."""
+    """Solve N x = g, with the share `damping + _RIDGE` of the diagonal of `like` added to N."""
     diagonal = np.diag(like)
     size = np.sqrt(np.maximum(diagonal, 1e-24 * max(diagonal.max(initial=0.0), 1e-270)))
     scaled = n / size / size[:, None]
     scaled[np.diag_indices_from(scaled)] += damping + _RIDGE
     towards = (g.T / size).T
     try:
-        found = np.linalg.solve(scaled, towards)
+        solution = np.linalg.solve(scaled, towards)
     except np.linalg.LinAlgError:
-        found = np.linalg.lstsq(scaled, towards, rcond=None)[0]
-    return np.asarray((found.T / size).T)
+        solution = np.linalg.lstsq(scaled, towards, rcond=None)[0]
+    return np.asarray((solution.T / size).T)
 
 
 def stepped(
-    solution: Solution, runs: Sequence[Signals], free: Flags, found: Equations, damping: float
+    solution: Solution, runs: Sequence[Signals], free: Flags, system: Equations, damping: float
 ) -> Solution:
     """Return the solution after one damped step."""
-    step, states = solved(found, damping)
+    step, states = solved(system, damping)
     whole = np.zeros(len(free))
     whole[free] = step
     first = [x + states[i].reshape(x.shape) for i, x in enumerate(solution.first)]
@@ -513,7 +517,7 @@ def stepped(
 def refined(at: Solution, runs: Sequence[Signals], iterations: int, limit: float = 1.0) -> Solution:
     """Return the locally best system, with complex poles below `limit` in absolute value.
 
-    When the deadline passes, the best one so far.
+    At the deadline, return the best one so far.
     """
     samples = sum(float(run.measured.sum()) for run in runs) / len(at.scale)
     damping, free = 1e-4, at.blocks.free
@@ -521,11 +525,11 @@ def refined(at: Solution, runs: Sequence[Signals], iterations: int, limit: float
         if current().over:
             break
         try:
-            found = equations(at, runs, free)
+            system = equations(at, runs, free)
         except DeadlineError:
             break
         for _ in range(_STEPS):
-            new = stepped(at, runs, free, found, damping)
+            new = stepped(at, runs, free, system, damping)
             better = new.blocks.stable(limit) and np.isfinite(new.scale).all()
             if better and new.cost < at.cost:
                 break
@@ -540,12 +544,12 @@ def refined(at: Solution, runs: Sequence[Signals], iterations: int, limit: float
 
 
 def begun(blocks: Blocks, runs: Sequence[Signals]) -> Solution:
-    """Return the system as it is, from initial states that suit the first samples of each record.
+    """Return the unchanged system, with initial states fitted to the records' first samples.
 
-    That takes a simulation of the records, whatever their length.
+    The cost is a simulation of the records, of any length.
     """
-    each, free = MOST_SAMPLES // len(runs) + 1, np.zeros(len(blocks.values), bool)
-    some = [Signals(*(signal[:, :each] for signal in run)) for run in runs]
+    samples, free = MOST_SAMPLES // len(runs) + 1, np.zeros(len(blocks.values), bool)
+    some = [Signals(*(signal[:, :samples] for signal in run)) for run in runs]
     at = evaluated(blocks, some, [np.zeros((len(blocks.a), 2)) for _ in runs])
     return evaluated(blocks, runs, stepped(at, some, free, equations(at, some, free), 0.0).first)
 

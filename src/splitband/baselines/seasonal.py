@@ -1,8 +1,8 @@
-"""Find the period of a record: repeat the last one, or fit a Fourier series to all of them.
+"""Find the period of a record: repeat the last period, or fit a Fourier series to all periods.
 
-The response of a periodically driven system usually becomes periodic once its free vibrations have
-decayed. Seasonal-naive repeats one period with its noise; a Fourier series averages over all of
-them, and its period need not be a whole number of samples.
+The response of a periodically driven system usually becomes periodic after the decay of free
+vibrations. Seasonal-naive repeats one period with its noise; a Fourier series averages over all
+periods, and its period need not be a whole number of samples.
 """
 
 from __future__ import annotations
@@ -31,33 +31,32 @@ MOST_HARMONICS = 30
 VIBRATIONS = 4
 """Largest number of decaying sinusoids beside a Fourier series. Bounds the time."""
 LAGS = 4
-"""Number of lags at which a record resembles itself that are tried as periods. Bounds the time."""
+"""Number of self-similar lags in the choice of a period. Bounds the time."""
 FEWEST_PERIODS = 2.5
-"""Fewest periods that the record of a Fourier series has: two may resemble each other by chance.
-By eye."""
+"""Fewest periods in the record of a Fourier series: two may be similar by chance. By eye."""
 ENOUGH_PAIRS = 0.25
-"""Fewest pairs of measured samples at a lag, as a share of the largest number at any lag. A lag
-with fewer pairs is left out, as they may agree by chance. By eye."""
+"""Fewest pairs of measured samples at a lag, as a share of the largest number at any lag: fewer may
+agree by chance. By eye."""
 
 _COMPARED, _FEWEST_LAGS, _MOST_LAGS = 20_000_000, 8, 200
-"""Values that are compared with the last period, over all lags, and lags that are tried as periods.
-Bounds the time."""
+"""Values compared with the last period, over all lags, and limits of the number of lags. Bounds the
+time."""
 
 
 def nearest(time: float) -> int:
-    """Return the nearest whole number; halves round up, so that times a sample apart stay so."""
+    """Return the nearest whole number; halves round up, which keeps distances of a sample."""
     return math.floor(time + 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class LastPeriod:
-    """Repeat the last period of the training samples on a trend; use `LastPeriod.fit`.
+    """The last period of the training samples, repeated on a trend; use `LastPeriod.fit`.
 
     Attributes
     ----------
-    period : The samples that are repeated, without the trend, `(lag, ny)`.
-    end : Index after the last of them.
-    trend : Of each channel.
+    period : The samples of the period, without the trend, `(lag, ny)`.
+    end : Index after the last sample of the period.
+    trend : Trends by channel.
     """
 
     period: Array
@@ -66,11 +65,11 @@ class LastPeriod:
 
     @classmethod
     def fit(cls, y: Array) -> LastPeriod:
-        """Choose the lag whose last period, repeated backwards, fits `y` `(time, ny)` best.
+        """Choose the lag with the best fit to `y` `(time, ny)` of its last period, repeated.
 
-        A trend, if there is one (`sinusoids.trend`), is removed first. Gaps (NaN) are filled from
-        the period before. The candidates are the lags, up to half the record, at which the record
-        resembles itself: local minima of its mean squared difference at a lag.
+        A trend (`sinusoids.trend`) is removed first. Gaps (NaN) are filled from the period before.
+        The candidates are the self-similar lags up to half the record: local minima of the mean
+        squared difference at a lag.
         """
         begin, end = recent(y)
         trends = SinusoidRegression(tuple(trend(channel) for channel in end.T), begin)
@@ -82,7 +81,7 @@ class LastPeriod:
         return len(self.period)
 
     def predict(self, start: float, steps: int) -> Array:
-        """Return the samples from `start` on, `(steps, ny)`; 0 is the first of the record."""
+        """Return the samples from `start` on, `(steps, ny)`; 0 is the record's first sample."""
         begin = nearest(start)
         index = begin + np.arange(steps)
         return self.period[(index - self.end) % self.lag] + self.trend.predict(begin, steps)
@@ -92,9 +91,9 @@ class LastPeriod:
 
 
 def periodic(y: Array) -> SinusoidRegression:
-    """Fit a Fourier series, and vibrations that decay, to each channel of `y` `(time, ny)`.
+    """Fit a Fourier series and decaying vibrations to the channels of `y` `(time, ny)`.
 
-    The period is a lag at which the channel resembles itself, or an integer fraction of it.
+    The period is a self-similar lag of the channel, or an integer fraction of such a lag.
     """
 
     def of_channel(y: Array) -> Sinusoids:
@@ -103,7 +102,7 @@ def periodic(y: Array) -> SinusoidRegression:
         if len(known(y)) < 2:
             return level
         channel = slow.residual(y)[:, None]
-        # Where multiples of a period tie, seasonal-naive takes the shortest one.
+        # Of tied multiples of a period, seasonal-naive has the shortest.
         lags = {len(last_period(channel)), *self_similar_lags(channel, LAGS)}
         lags = {lag for lag in lags if FEWEST_PERIODS * lag <= len(y)}
         tried = [level, *(_series(y, level, lag) for lag in sorted(lags))]
@@ -111,15 +110,15 @@ def periodic(y: Array) -> SinusoidRegression:
         if not best.harmonics:
             return best
         moved = best.refined(y).grown(y, FAST_DAMPING / len(y), VIBRATIONS)
-        # The lag of the best series is one of few, and counts as one parameter instead of `RATE`.
-        more = (RATE - 1) * np.log(len(known(y)))
-        return moved if moved.bic(y, strict=True) + more < best.bic(y, strict=True) else best
+        # The best series has one of few lags, which counts as one parameter instead of `RATE`.
+        penalty = (RATE - 1) * np.log(len(known(y)))
+        return moved if moved.bic(y, strict=True) + penalty < best.bic(y, strict=True) else best
 
     return SinusoidRegression.fit(y, of_channel)
 
 
 def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
-    """Return the Fourier series of a period on a `level`, with the harmonics that lower the BIC."""
+    """Return the Fourier series of a period on a `level`, with harmonics chosen by the BIC."""
     index = known(y)
     most = min(MOST_HARMONICS, lag // 2, (len(index) - 2) // 4)
     left = level.residual(y)
@@ -127,7 +126,7 @@ def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
     if most < 1 or not len(known(complete)):
         return level
     by_season = seasons(complete[:, None], lag)
-    with np.errstate(invalid="ignore"):  # 0 / 0 at a phase that was never measured
+    with np.errstate(invalid="ignore"):  # 0 / 0 at a phase without measurements
         mean_period = np.nansum(by_season, axis=0) / (~np.isnan(by_season)).sum(axis=0)
     mean_period = fill_gaps_periodically(mean_period)[:, 0]
     strength = abs(np.fft.rfft(mean_period)[1 : lag // 2 + 1])
@@ -142,13 +141,13 @@ def _series(y: Array, level: Sinusoids, lag: int) -> Sinusoids:
         pair = directions[:, 2 * j : 2 * j + 2]
         left[index] -= pair @ (pair.T @ left[index])
         criteria.append(bic(y, left, straight.shape[1] + RATE + 2 * (j + 1), strict=True))
-    kept = strongest[: int(np.argmin(criteria))]
-    if not len(kept):
+    harmonics = strongest[: int(np.argmin(criteria))]
+    if not len(harmonics):
         return level
-    # If all of them are harmonics of a fraction of the lag, that fraction is the period. Weak
-    # harmonics between them are kept too.
-    whole = int(np.gcd.reduce(kept))
-    order = np.arange(1, min(kept.max() // whole, MOST_HARMONICS) + 1)
+    # If all are harmonics of a fraction of the lag, this fraction is the period. Weak harmonics in
+    # between are included.
+    whole = int(np.gcd.reduce(harmonics))
+    order = np.arange(1, min(harmonics.max() // whole, MOST_HARMONICS) + 1)
     frequencies = np.append(order * whole / lag, level.frequencies)
     dampings = np.append(np.zeros(len(order)), level.dampings)
     series = replace(level, frequencies=frequencies, dampings=dampings, harmonics=len(order))
@@ -159,7 +158,7 @@ def last_period(y: Array) -> Array:
     """Return the last period of `y` `(time, ny)`, `(lag, ny)`, for the best lag."""
     most = int(np.clip(_COMPARED // y.size, _FEWEST_LAGS, _MOST_LAGS))
     by_lag = {lag: _last_period(y, lag) for lag in sorted(self_similar_lags(y, most))}
-    # A period and its multiples fit equally well up to rounding. The shortest one is taken.
+    # A period and its multiples fit equally well up to rounding: take the shortest.
     negligible = np.maximum(1e-24 * np.nanmean(y**2, axis=0), np.finfo(np.float64).tiny)
     errors = {lag: np.log(error + negligible).sum() for lag, (_, error) in by_lag.items()}
     good_enough = min(errors.values()) + 1e-9 * y.shape[1]
@@ -172,7 +171,7 @@ def self_similar_lags(y: Array, most: int = _MOST_LAGS) -> list[int]:
     Lags of up to half the length of `y` are considered.
     """
     difference = _differences(y)
-    # With infinity behind it, the last lag can be a minimum too.
+    # With infinity appended, the last lag can be a minimum, too.
     minima = scipy.signal.argrelmin(np.append(difference, np.inf))[0]
     ranked = minima[np.argsort(difference[minima], kind="stable")]
     return [1 + int(i) for i in ranked[:most]] or [len(difference)]
@@ -181,8 +180,8 @@ def self_similar_lags(y: Array, most: int = _MOST_LAGS) -> list[int]:
 def _differences(y: Array) -> Array:
     """Return the mean of (y_n - y_{n+lag})^2 for the lags 1, 2, ... to half of `y` `(time, ny)`.
 
-    The mean is taken over pairs of measured samples, and is infinite where these are few. The
-    channels are summed, each in units of its variance.
+    The mean is taken over pairs of measured samples, and is infinite for few pairs. Channels are
+    summed in units of their variances.
     """
     n = len(y)
     lags = np.arange(1, n // 2 + 1)
@@ -219,15 +218,17 @@ def fill_gaps_periodically(period: Array) -> Array:
     """Fill NaN in a period `(lag, ny)` by periodic linear interpolation."""
     filled, phase = period.copy(), np.arange(len(period))
     for channel in filled.T:
-        seen = ~np.isnan(channel)
-        channel[~seen] = np.interp(phase[~seen], phase[seen], channel[seen], period=len(period))
+        measured = ~np.isnan(channel)
+        channel[~measured] = np.interp(
+            phase[~measured], phase[measured], channel[measured], period=len(period)
+        )
     return filled
 
 
 def _last_period(y: Array, lag: int) -> tuple[Array, Array]:
     """Return the last measured sample by phase, `(lag, ny)`, and mean squared errors, `(ny,)`.
 
-    The errors compare all earlier samples with it; a channel without any gets its variance.
+    The errors are those of all earlier samples; a channel without earlier ones has its variance.
     """
     by_season = seasons(y, lag)
     count = len(by_season)

@@ -1,9 +1,9 @@
 """Choose the order of a linear model and its integrators by held-out simulation error.
 
 The records are cut into segments. The model without a segment follows from the model of all samples
-by one step of the normal equations without its share. It simulates the record from its own initial
-state, and its error in the segment is held out. Of the orders whose error is at most one standard
-error above the least, the smallest is taken (L. Breiman et al., Classification and Regression
+by one step of the normal equations without the segment. It simulates the record from its own
+initial state, and its error in the segment is held out. The smallest order with an error at most
+one standard error above the least is chosen (L. Breiman et al., Classification and Regression
 Trees, 1984, Sec. 3.4).
 """
 
@@ -43,54 +43,51 @@ _MOST, _MOST_FOR_SEVERAL = 40, 60
 _SAMPLES_EACH = 6
 """Fewest samples per parameter. Checked by halving and doubling."""
 _STRIDES = (1, 4, 16, 64)
-"""Samples that are averaged for subspace estimates of slow systems. Bounds the time."""
+"""Numbers of averaged samples in subspace estimates of slow systems. Bounds the time."""
 ITERATIONS = 12
-"""Most iterations of a refinement; half as many of a large candidate. Bounds the time."""
+"""Largest number of iterations of a refinement; half for a large candidate. Bounds the time."""
 _MISSES = 4
-"""Number of orders in a row without a gain after which no larger one is tried. Bounds the time."""
+"""Number of orders in a row without a gain at the end of the search. Bounds the time."""
 _MOST_REDUCED = 8
-"""Largest order that is reduced by leaving out each of its poles: where inputs wander, a subspace
-has a pole near 1 in the place of a pair, from which no refinement finds back: the linear model of
-the demo then has half as much again of error. Checked by halving and doubling."""
+"""Largest order for reduction pole by pole. With wandering inputs, a subspace has a pole near 1 in
+the place of a pair, which no refinement corrects: the linear model of the demo then has half as
+much again of error. Checked by halving and doubling."""
 _NEAR = 0.7
-"""Orders above 8 are tried from this share of the one that the singular values show. Bounds the
-time."""
+"""Least candidate order above 8, as a share of the order by singular values. Bounds the time."""
 _ALWAYS = 3
-"""Orders up to this one are always tried: of a nonlinear system they go on best. Without it five of
-44 records lose 13 to 65 % of fit, one gains."""
+"""Largest order of the candidates in every search: nonlinear systems continue best with few poles.
+Without these orders five of 44 records lose 13 to 65 % of fit, one gains."""
 _ORDERS = (*range(1, 9), *range(10, 26, 2), 28, 32, 36, 40, 44, 48, 54, 60)
-"""Orders that are tried."""
+"""Candidate orders. Bounds the time."""
 _MOST_AVERAGED = 8
-"""Largest order that is taken from averaged samples, which serve for slow systems. See
-docs/results/rules.md."""
+"""Largest order from averaged samples, for slow systems. See docs/results/rules.md."""
 _TOLERANCE = 0.01
-"""Difference of the logarithms of held-out errors that never decides. Checked by
-halving and doubling."""
+"""Negligible difference of the logarithms of held-out errors. Checked by halving and doubling.
+"""
 _NEGLIGIBLE = 1e-6
-"""Held-out RMS error, in standard deviations of the output, below which it is rounding.
-Rounding."""
+"""Smallest held-out RMS error, in standard deviations of the output. Rounding."""
 _DIVERGED = 1e30
-"""Largest mean squared error, which stands for all larger ones."""
+"""Upper limit of mean squared errors."""
 _DAMPED = 1e-6
 """Damping of the step to the model without a segment. Rounding."""
 _SLOW = 15.0
-"""A pole whose time constant exceeds the longest record divided by this may be an integrator.
-Checked by halving and doubling."""
+"""Least time constant of a possible integrator: the longest record divided by this number. Checked
+by halving and doubling."""
 _DECAYED = 3.0
-"""A vibration decays over the longest record by at least exp(-3): what decays more slowly cannot be
-told from what lasts, and would answer to whatever comes later. Without a limit, 3 of 30 records of
-`benchmarks.driven` lost 14 to 110 % of fit, and none gained."""
+"""Least decay of a vibration over the longest record, in e-foldings: a slower one is not
+distinguishable from a sustained vibration, and would respond to all later inputs. Without a limit,
+3 of 30 records of `benchmarks.driven` lost 14 to 110 % of fit, and none gained."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrderCandidate:
-    """Hold a fitted model.
+    """A fitted model.
 
     Attributes
     ----------
     solution : The model.
-    power : Its held-out mean squared error by segment and output, NaN where nothing was measured.
-    integrators : Number of poles that are fixed at 1.
+    power : Held-out mean squared error by segment and output, NaN without measurements.
+    integrators : Number of poles fixed at 1.
     """
 
     solution: Solution
@@ -109,9 +106,9 @@ class OrderCandidate:
         return float(np.exp(0.5 * np.log(power).mean()))
 
     def as_good_as(self, other: OrderCandidate) -> bool:
-        """Return whether it is worse by at most one standard error of the difference.
+        """Return whether this candidate is worse by at most one standard error of the difference.
 
-        Logarithms are compared, so that each output counts the same.
+        The comparison is of logarithms, with equal weights of the outputs.
         """
         floor = _NEGLIGIBLE**2
         worse = 0.5 * np.nanmean(np.log((self.power + floor) / (other.power + floor)), axis=1)
@@ -121,13 +118,13 @@ class OrderCandidate:
 
 @dataclass(eq=False)
 class OrderSearch:
-    """OrderSearch the order of a model of some outputs.
+    """The search for the order of a model of some outputs.
 
     Attributes
     ----------
     runs : The records, normalised.
-    direct : Whether each input may act at once.
-    integrators : Their number, or None to choose it.
+    direct : Whether an input has feedthrough, `nu` flags.
+    integrators : The number of integrators, or None to choose it.
     most : Largest order.
     values : Singular values of the data, once computed.
     errors : Held-out RMS error by order.
@@ -156,11 +153,11 @@ class OrderSearch:
 
     @property
     def shown(self) -> int:
-        """Return the order that the singular values show (D. Bauer, Automatica 37, 2001, SVC)."""
+        """Return the order by singular values (D. Bauer, Automatica 37, 2001, SVC)."""
         size = np.arange(max(len(self.values) - 1, 0))
         ny, samples = len(self.runs[0].y), length(self.runs)
-        each = (2 * ny + len(self.direct)) * np.log(samples) / samples
-        return int(np.argmin(self.values[size] ** 2 + size * each)) if len(size) else 0
+        penalty = (2 * ny + len(self.direct)) * np.log(samples) / samples
+        return int(np.argmin(self.values[size] ** 2 + size * penalty)) if len(size) else 0
 
     @property
     def limit(self) -> float:
@@ -168,7 +165,7 @@ class OrderSearch:
         return float(np.exp(-_DECAYED / max(run.u.shape[1] for run in self.runs)))
 
     def of_order(self, order: int, larger: OrderCandidate | None = None) -> OrderCandidate | None:
-        """Return the refined model of this order; it may begin as a `larger` one, reduced."""
+        """Return the refined model of this order, possibly from a `larger` one, reduced."""
         if self.integrators:
             return self._with_integrators(order, self.integrators)
         iterations = ITERATIONS if order <= _MOST_AVERAGED else ITERATIONS // 4
@@ -183,10 +180,10 @@ class OrderSearch:
         return OrderCandidate(at, held_out(at, runs), integrators)
 
     def on_all(self, chosen: OrderCandidate, runs: Sequence[Signals]) -> Solution:
-        """Return the chosen model refined on all samples of records, of which `self.runs` are some.
+        """Return the chosen model, refined on whole records; `self.runs` may be an excerpt.
 
-        Slow poles, which an excerpt does not show, are those of a subspace of averaged samples, and
-        integrators have to hold out on the whole.
+        Slow poles, not visible in an excerpt, come from a subspace of averaged samples, and
+        integrators have to hold out on whole records.
         """
         blocks = chosen.solution.blocks
         fitted = with_constant(runs) if blocks.constant else runs
@@ -204,36 +201,36 @@ class OrderSearch:
             if not blocks.constant or self.integrators is not None:
                 return at
             free = whole.of_order(chosen.order)
-            found = OrderCandidate(at, held_out(at, fitted), chosen.integrators)
-            if free and not (found.as_good_as(free) and whole.lasts(found, free)):
+            refit = OrderCandidate(at, held_out(at, fitted), chosen.integrators)
+            if free and not (refit.as_good_as(free) and whole.lasts(refit, free)):
                 return free.solution
         return at
 
     def first(self) -> OrderCandidate:
-        """Return the model of the order with the best information criterion, the first guess."""
+        """Return the first guess: the model of the order with the best information criterion."""
         self._grid = dict(sorted(self._criteria()))
         least = max(self.integrators or 0, 1)
         order = min(self._grid, key=lambda n: self._grid[n], default=least)
         return self.of_order(order) or self.of_order(least) or self._constant()
 
     def best(self) -> OrderCandidate:
-        """Return the model of the chosen order; that which the subspace shows comes first.
+        """Return the model of the chosen order.
 
-        From the order with the best information criterion on, smaller ones are tried one by one.
+        The search goes from the order with the best information criterion to smaller ones.
         """
         first = self.first()
         if not (grid := self._grid):
             return first
-        order, found = first.order, {first.order: first}
+        order, by_order = first.order, {first.order: first}
 
         def attempt(n: int) -> OrderCandidate:
-            if n not in found and not current().over:
-                larger = found.get(min((m for m in found if m > n), default=n))
+            if n not in by_order and not current().over:
+                larger = by_order.get(min((m for m in by_order if m > n), default=n))
                 if (new := self.of_order(n, larger)) is not None:
-                    found[n] = new
-            # The smallest order that is as good as the best.
-            least = min(found.values(), key=lambda c: c.error)
-            return found[min(m for m, c in found.items() if c.as_good_as(least))]
+                    by_order[n] = new
+            # The smallest order as good as the best.
+            least = min(by_order.values(), key=lambda c: c.error)
+            return by_order[min(m for m, c in by_order.items() if c.as_good_as(least))]
 
         small = [n for n in grid if n <= min(order, _ALWAYS)]
         near = [n for n in grid if n > order][:1] + [n for n in grid if n == self.shown]
@@ -245,40 +242,40 @@ class OrderSearch:
                 break
         if self.integrators is None:
             best = self.integrating(best)
-        self.errors = {n: found[n].error for n in sorted(found)}
+        self.errors = {n: by_order[n].error for n in sorted(by_order)}
         return best
 
-    def integrating(self, free: OrderCandidate, given: int | None = None) -> OrderCandidate:
-        """Return the model with integrators in place of its slowest poles if it holds out as well.
+    def integrating(self, free: OrderCandidate, fixed: int | None = None) -> OrderCandidate:
+        """Return the model with integrators in place of the slowest poles, if as good held out.
 
-        It may then need fewer poles, or more, but for a `given` order: a fit without an integrator
-        that belongs there often misses other poles, too. Orders are tried until a larger one is no
-        better, with as many integrators as there are slow poles, and with a further one.
+        Unless the order is `fixed`, it may have fewer poles, or more: a fit without an actual
+        integrator often misses other poles, too. Orders are tried until a larger one is no better,
+        with as many integrators as slow poles, and with one more.
         """
         longest = max(run.u.shape[1] for run in self.runs)
         poles = np.linalg.eigvals(free.solution.blocks.matrices()[0])
         slow = int((abs(1 - poles) < _SLOW / longest).sum())
-        found, least = [free], free
+        fits, least = [free], free
         for count in range(1, min(slow, len(self.runs[0].y)) + 2 if slow else 1):
             smaller, largest = None, min(least.order, _MOST_AVERAGED) + 1
-            for order in range(count, largest + 1) if given is None else [given] * (given >= count):
-                more = None if current().over else self._with_integrators(order, count)
-                if more is not None:
-                    found.append(more)
-                    least = min(found, key=lambda c: c.error)
+            for order in range(count, largest + 1) if fixed is None else [fixed] * (fixed >= count):
+                larger = None if current().over else self._with_integrators(order, count)
+                if larger is not None:
+                    fits.append(larger)
+                    least = min(fits, key=lambda c: c.error)
                     if smaller is not None and smaller.as_good_as(least):
                         break
-                    smaller = more
-        good = [c for c in found if c.as_good_as(least)]
+                    smaller = larger
+        good = [c for c in fits if c.as_good_as(least)]
         chosen = min(good, key=lambda c: (c.order, -c.integrators))
         return chosen if self.lasts(chosen, free) else free
 
     def lasts(self, chosen: OrderCandidate, free: OrderCandidate) -> bool:
-        """Return whether the record tells that the slowest pole hardly decays over its length.
+        """Return whether the slowest pole certainly decays little over the record.
 
-        Where the upper limit of its decay is more than `_DECAYED`, what looks like an integrator
-        may be a nonlinearity or chance, and would drift in a longer simulation. Several integrators
-        are judged by the held-out error alone: a free fit often misses them all.
+        If the upper limit of its decay exceeds `_DECAYED`, an apparent integrator may be a
+        nonlinearity or chance, and would drift in a longer simulation. Several integrators are
+        judged by the held-out error alone: a free fit often misses all of them.
         """
         if chosen.integrators != 1 or current().over:
             return True
@@ -286,8 +283,8 @@ class OrderSearch:
         if same is None:
             return True
         longest = max(run.u.shape[1] for run in self.runs)
-        found = uncertainty_of(same.solution, self.runs, same.solution.matrices, longest)
-        pole, error = found.poles[0], found.pole_errors[0, 2]
+        estimate = uncertainty_of(same.solution, self.runs, same.solution.matrices, longest)
+        pole, error = estimate.poles[0], estimate.pole_errors[0, 2]
         return bool(pole.imag != 0 or not longest * (1 - abs(pole) + NORMAL * error) > _DECAYED)
 
     def _constant(self) -> OrderCandidate:
@@ -297,9 +294,9 @@ class OrderSearch:
         return OrderCandidate(at, held_out(at, self.runs))
 
     def _criteria(self) -> Iterator[tuple[int, float]]:
-        """Yield by order the information criterion (BIC) of the subspace's poles.
+        """Yield orders with the information criteria (BIC) of the subspace's poles.
 
-        First that which the singular values show, then small ones, and larger ones from near it on.
+        The order by singular values comes first, then small orders, and larger ones near the first.
         """
         assert self.most is not None
         ny, least, misses = len(self.runs[0].y), np.inf, 0
@@ -319,7 +316,7 @@ class OrderSearch:
                 return
 
     def start_of(self, order: int, larger: OrderCandidate | None = None) -> Solution | None:
-        """Return the best model with the poles of a subspace, made stable, or of a reduced one."""
+        """Return the best model with stable poles of a subspace, or of a reduced model."""
         if order not in self._starts:
             self._starts[order] = self._fitted(self._matrices(order))
         if larger is None or larger.order > _MOST_REDUCED:
@@ -330,7 +327,7 @@ class OrderSearch:
         return min(both, key=lambda at: at.cost, default=None)
 
     def _fitted(self, tried: Iterable[tuple[Array, Array]]) -> Solution | None:
-        """Return the best model with one of these A and C, by linear least squares."""
+        """Return the best model of pairs A and C, by linear least squares."""
         starts = (
             linear_solution(blocks_of(stable(a, self.limit), c, self.direct), self.runs)
             for a, c in tried
@@ -338,15 +335,15 @@ class OrderSearch:
         return min(starts, key=lambda at: at.cost, default=None)
 
     def _matrices(self, order: int) -> Iterator[tuple[Array, Array]]:
-        """Yield A and C of this order; those of averaged samples for small orders."""
-        for each in self._subspaces:
-            if order <= each.largest and (each.stride == 1 or order <= _MOST_AVERAGED):
-                yield each.matrices(order)
+        """Yield pairs A and C of this order; of averaged samples for small orders only."""
+        for space in self._subspaces:
+            if order <= space.largest and (space.stride == 1 or order <= _MOST_AVERAGED):
+                yield space.matrices(order)
 
     def _with_integrators(self, order: int, count: int) -> OrderCandidate | None:
-        """Return the refined model with so many poles at 1 and a constant flow into them.
+        """Return the refined model with `count` poles at 1 and a constant flow into them.
 
-        Two of them are a chain, or side by side, where there are several outputs.
+        Two integrators are a chain or, with several outputs, parallel.
         """
         runs, direct = with_constant(self.runs), [*self.direct, False]
         starts = []
@@ -368,23 +365,23 @@ def with_constant(runs: Sequence[Signals]) -> list[Signals]:
 
 
 def reductions(a: Array, c: Array, fewer: int) -> Iterator[tuple[Array, Array]]:
-    """Yield A and C without each choice of one or two poles; of complex ones both go."""
+    """Yield A and C without every real pole, or every pair; complex poles go in pairs."""
     poles, vectors = np.linalg.eig(a)
-    own, basis = scipy.linalg.cdf2rdf(poles, vectors)  # complex ones side by side
+    modes, basis = scipy.linalg.cdf2rdf(poles, vectors)
     for dropped in itertools.combinations(range(len(poles)), fewer) if fewer <= 2 else ():
         if poles[[*dropped]].sum().imag == 0:
-            kept = np.delete(np.arange(len(poles)), dropped)
-            yield np.asarray(own[np.ix_(kept, kept)]), np.asarray(c @ basis[:, kept])
+            rest = np.delete(np.arange(len(poles)), dropped)
+            yield np.asarray(modes[np.ix_(rest, rest)]), np.asarray(c @ basis[:, rest])
 
 
 def held_out(solution: Solution, runs: Sequence[Signals]) -> Array:
-    """Return the mean squared error of each segment that is held out, `(segments, ny)`."""
+    """Return the mean squared errors of held-out segments, `(segments, ny)`."""
     blocks, cut = solution.blocks, segments(runs, SEGMENTS)
-    each = by_segment(solution, runs, blocks.free, cut)
-    whole, found = total(each), []
-    for part, (record, begin, end) in zip(each, cut, strict=True):
+    parts = by_segment(solution, runs, blocks.free, cut)
+    whole, powers = total(parts), []
+    for part, (record, begin, end) in zip(parts, cut, strict=True):
         step, states = solved(whole.plus(part, -1.0), _DAMPED, whole)
-        if begin == 0:  # the initial state shows in this segment alone
+        if begin == 0:  # the initial state depends on this segment alone
             states |= followed(part, step, _DAMPED, whole)
         move, first = np.zeros(len(blocks.free)), states[record]
         move[blocks.free] = step
@@ -400,8 +397,8 @@ def held_out(solution: Solution, runs: Sequence[Signals]) -> Array:
             measured = run.measured[:, begin:].sum(axis=1)
             power = (left**2).sum(axis=1) / np.maximum(measured, 1)
         power = np.minimum(np.nan_to_num(power, nan=_DIVERGED, posinf=_DIVERGED), _DIVERGED)
-        found.append(np.where(measured > 0, power, np.nan))
-    return np.array(found)
+        powers.append(np.where(measured > 0, power, np.nan))
+    return np.array(powers)
 
 
 def _subspaces(runs: Sequence[Signals], most: int) -> Iterator[Subspace]:
@@ -416,11 +413,11 @@ def _subspaces(runs: Sequence[Signals], most: int) -> Iterator[Subspace]:
         rows = min(max(rows, 10), fits, 60)
         if rows < 2 or (stride > 1 and rows < 8):
             return
-        found = subspace(records, rows, stride)
-        if found is None and stride == 1:
+        space = subspace(records, rows, stride)
+        if space is None and stride == 1:
             whole = [(np.apply_along_axis(filled, 0, y), u) for y, u in records]
-            found = subspace(whole, rows, stride)
-        if found is not None:
-            yield found
+            space = subspace(whole, rows, stride)
+        if space is not None:
+            yield space
         if current().over:
             return

@@ -1,9 +1,8 @@
-"""Fit sinusoids, which may decay, and a trend to each channel by least squares.
+"""Fit sustained or decaying sinusoids and a trend to channels by least squares.
 
 A strong baseline for records without inputs: the free response of a linear system is a sum of
-decaying sinusoids and exponentials, its response to sinusoids a sum of these. One rule decides how
-many sinusoids there are, which of them decay, and whether there is a trend: the Bayesian
-information criterion (BIC).
+decaying sinusoids and exponentials, its response to sinusoids a sum of sinusoids. The Bayesian
+information criterion (BIC) decides on the number of sinusoids, on decay and on a trend.
 `baselines.seasonal` fits Fourier series with the same code.
 """
 
@@ -21,53 +20,51 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import check
 
 MAX_FIT_SAMPLES = 4000
-"""Most measured samples of a channel in a least-squares fit, to limit its time. Bounds the time."""
+"""Largest number of measured samples of a channel in a least-squares fit. Bounds the time."""
 MAX_ROWS_BACK = 10 * MAX_FIT_SAMPLES
-"""Where there are gaps, only so many rows before a record's end are searched for them. Bounds the
-time."""
+"""Largest number of rows before a record's end with these samples, if it has gaps. Bounds the time.
+"""
 MOST_SINUSOIDS = 10
 """Largest number of sinusoids of a channel. Bounds the time."""
 MOST_BESIDE_TREND = 6
-"""Largest number of sinusoids that are fitted along with a trend. Bounds the time."""
+"""Largest number of sinusoids beside a trend. Bounds the time."""
 DAMPING = 0.3
-"""Decay within the record, in e-foldings, with which the fit of a decaying sinusoid begins.
-By eye."""
+"""Initial decay rate of a sinusoid in a fit, in e-foldings over the record. By eye."""
 FAST_DAMPING = 3.0
-"""The same of an exponential, and of a vibration beside a Fourier series. By eye."""
+"""Initial decay rate of an exponential, or of a vibration beside a Fourier series. By eye."""
 RATE = 3
-"""Parameters of the strict BIC that a frequency, a decay rate or a slope counts as: its information
+"""Weight in the strict BIC of a frequency, a decay rate or a slope, in parameters: its information
 grows with the third power of the number of samples (P. M. Djuric, IEEE Transactions on Signal
 Processing 44, 1996). Chosen on development records (docs/results/rules.md)."""
 RESOLUTION = 0.1
-"""Singular values below this share are cut: sinusoids of nearly the same frequency count as one.
-By eye."""
+"""Smallest singular value of regressors, as a share of the largest: sinusoids of nearly equal
+frequencies count as one. By eye."""
 AS_HIGH = 0.95
-"""Of several peaks of the spectrum with at least this share of the highest one's power the first
-is taken: gaps create images of a frequency at higher ones. By eye."""
+"""Least power of a peak as high as the highest, as a share of it. Of several, the peak of the
+lowest frequency is chosen, as gaps create images at higher ones. By eye."""
 FASTEST_DECAY = 20.0
-"""Most e-foldings of a sinusoid within the record: a faster decay leaves little to fit. By eye."""
+"""Largest decay rate of a sinusoid in a fit: a faster one leaves few samples to fit. By eye."""
 FEWEST_CYCLES = 0.5
 """Fewest cycles of a sinusoid within the record: a slower one resembles a constant. By eye."""
 MOST_BLOCKS, FEWEST_BLOCKS = 256, 15
-"""Most block means by which a trend is found, to limit its time; with fewer than 15 there is none.
-Bounds the time."""
+"""Largest and smallest number of block means in the fit of a trend. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sinusoids:
-    """Hold the sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a line.
+    """The sinusoids of one channel `y` `(time,)`, NaN in gaps, with an offset and a line.
 
-    A sinusoid with less than one cycle in the record cannot be told from a drift. It describes the
-    drift within the record, and is held constant before and after it.
+    A sinusoid with less than one cycle in the record is not distinguishable from a drift: it is
+    constant before and after the record.
 
     Attributes
     ----------
-    frequencies : Frequencies in cycles per sample; 0 for an exponential that decays.
+    frequencies : Frequencies in cycles per sample; 0 for a decaying exponential.
     dampings : Decay rates per sample; zero for sustained sinusoids.
-    coefficients : Offset, cosine and sine amplitudes, and the size of the line if there is one.
-    samples : Number of samples that were fitted, from index 0 on.
+    coefficients : Offset, cosine and sine amplitudes, and the size of a line.
+    samples : Number of fitted samples, from index 0 on.
     line : Whether there is a straight line, constant before index 0.
-    harmonics : Number of leading frequencies that stay multiples of the first one.
+    harmonics : Number of leading frequencies tied as multiples of the first one.
     """
 
     frequencies: Array
@@ -85,7 +82,7 @@ class Sinusoids:
         phase = 2 * np.pi * at * self.frequencies
         cosine, sine = np.cos(phase), np.sin(phase)
         if self.dampings.any():
-            # Before the record the amplitude is held, as it would grow there.
+            # Before the record the amplitude is constant: it would grow there.
             size = np.exp(-np.maximum(at, 0) * self.dampings)
             cosine, sine = size * cosine, size * sine
         columns = [np.ones((len(index), 1)), cosine, sine]
@@ -103,7 +100,7 @@ class Sinusoids:
 
     @property
     def leaders(self) -> list[int]:
-        """Return which frequencies are free: no other harmonics than the first, no zeros."""
+        """Return the indices of free frequencies: the first harmonic, but no other, no zeros."""
         tied = range(1, self.harmonics)
         return [i for i, f in enumerate(self.frequencies) if f > 0 and i not in tied]
 
@@ -111,14 +108,14 @@ class Sinusoids:
         """Return the Bayesian information criterion of the fit to `y`; see `bic`."""
         amplitudes = 2 * len(self.frequencies) - int((self.frequencies == 0).sum())
         rates = self.line + len(self.leaders) + int((self.dampings > 0).sum())
-        each = RATE if strict else 1
-        return bic(y, self.residual(y), 1 + amplitudes + each * rates, strict)
+        weight = RATE if strict else 1
+        return bic(y, self.residual(y), 1 + amplitudes + weight * rates, strict)
 
     def with_another(self, y: Array, damping: float) -> Sinusoids:
-        """Add a sinusoid at the peak of the residual's spectrum, and refine all of them.
+        """Add a sinusoid at the peak of the residual's spectrum, and refine all sinusoids.
 
-        `damping`: its decay rate per sample; 0 for one that stays sustained. The samples count the
-        less in the spectrum the more it has decayed.
+        `damping`: decay rate per sample; 0 for a sustained sinusoid. The spectrum is that of the
+        residual times the decay.
         """
         left = np.nan_to_num(self.residual(y)) * np.exp(-damping * np.arange(len(y)))
         frequencies, power = scipy.signal.periodogram(left, nfft=8 * len(y), detrend=False)
@@ -126,11 +123,11 @@ class Sinusoids:
         peaks = scipy.signal.argrelmax(power)[0]
         high = peaks[power[peaks] >= AS_HIGH * power.max()]
         peak = high[0] if len(high) else int(np.argmax(power))
-        more = np.append(self.frequencies, frequencies[peak]), np.append(self.dampings, damping)
-        return replace(self, frequencies=more[0], dampings=more[1]).refined(y)
+        extended = np.append(self.frequencies, frequencies[peak]), np.append(self.dampings, damping)
+        return replace(self, frequencies=extended[0], dampings=extended[1]).refined(y)
 
     def solved(self, y: Array) -> Sinusoids:
-        """Return it with the coefficients that fit `y` best."""
+        """Return the fit with the best coefficients for `y`."""
         rows = known(y)
         return replace(self, coefficients=_solver(self.basis(rows))(y[rows]))
 
@@ -151,7 +148,7 @@ class Sinusoids:
         def at(*moved: float) -> tuple[Sinusoids, Array]:
             """Return the fit, and a triangular factor of the columns of Jacobian and residual.
 
-            It has the same inner products as the columns, which is all that the solver needs.
+            The solver needs only inner products of the columns, which are those of the factor.
             """
             check()
             dampings = np.zeros(count)
@@ -161,15 +158,15 @@ class Sinusoids:
             )
             basis = new.basis(rows)
             solved = _solver(basis)
-            found = solved(values)
-            a, b = found[1 : 1 + count], found[1 + count : 1 + 2 * count]
+            coefficients = solved(values)
+            a, b = coefficients[1 : 1 + count], coefficients[1 + count : 1 + 2 * count]
             cosine, sine = basis[:, 1 : 1 + count], basis[:, 1 + count : 1 + 2 * count]
             turned = 2 * np.pi * rows[:, None] * (b * cosine - a * sine)
             shrunk = -rows[:, None] * (a * cosine + b * sine)
             slopes = np.hstack([turned @ multiples, shrunk[:, decaying]])
-            columns = [basis @ solved(slopes) - slopes, (values - basis @ found)[:, None]]
+            columns = [basis @ solved(slopes) - slopes, (values - basis @ coefficients)[:, None]]
             triangle: Array = np.asarray(np.linalg.qr(np.hstack(columns), mode="r"))
-            return replace(new, coefficients=found), triangle
+            return replace(new, coefficients=coefficients), triangle
 
         def left(moved: Array) -> Array:
             return at(*moved)[1][:, -1]
@@ -183,16 +180,16 @@ class Sinusoids:
         # The highest harmonic moves by a multiple of the step of the fundamental.
         around = reach / multiples.max(axis=0)
         slowest, decay = FEWEST_CYCLES * reach, FASTEST_DECAY * reach
-        each, dampings = np.ones(decaying.sum()), self.dampings[decaying]
-        low = np.append(np.clip(free - around, slowest, 0.5), 0 * each)
-        high = np.append(np.clip(free + around, 1.01 * slowest, 0.5 + 1e-9), decay * each)
+        ones, dampings = np.ones(decaying.sum()), self.dampings[decaying]
+        low = np.append(np.clip(free - around, slowest, 0.5), 0 * ones)
+        high = np.append(np.clip(free + around, 1.01 * slowest, 0.5 + 1e-9), decay * ones)
         begin = np.append(free, np.clip(dampings, 1e-3 * reach, 0.99 * decay))
         minimum = scipy.optimize.least_squares(
             left,
             np.clip(begin, low, high),
             jac=jacobian,
             bounds=(low, high),
-            x_scale=np.append(around, reach * each),
+            x_scale=np.append(around, reach * ones),
             ftol=1e-8,
             xtol=1e-12,
             max_nfev=50,
@@ -200,34 +197,34 @@ class Sinusoids:
         return at(*minimum.x)[0]
 
     def grown(self, y: Array, damping: float, most: int, strict: bool = False) -> Sinusoids:
-        """Return the fit with the lowest BIC of those with up to `most` further sinusoids.
+        """Return the fit with the lowest BIC among those with up to `most` further sinusoids.
 
-        They are added one by one, with the initial decay rate `damping`; 0 stays 0.
+        Sinusoids are added one by one, with the initial decay rate `damping`; 0 stays 0.
         """
-        found = [self]
+        fits = [self]
         for _ in range(most):
-            found.append(found[-1].with_another(y, damping))
-        return min(found, key=lambda fit: fit.bic(y, strict))
+            fits.append(fits[-1].with_another(y, damping))
+        return min(fits, key=lambda fit: fit.bic(y, strict))
 
     def sustained(self, y: Array) -> Sinusoids:
-        """Return it without the decays that raise the BIC, the slowest first."""
+        """Return the fit without decays that raise the BIC, the slowest first."""
         best = self
         for i in np.argsort(self.dampings):
             if best.dampings[i] > 0 and best.frequencies[i] > 0:
-                kept = np.where(np.arange(len(best.dampings)) == i, 0.0, best.dampings)
-                new = replace(best, dampings=kept).refined(y)
+                dampings = np.where(np.arange(len(best.dampings)) == i, 0.0, best.dampings)
+                new = replace(best, dampings=dampings).refined(y)
                 best = min(best, new, key=lambda fit: fit.bic(y))
         return best
 
 
 @dataclass(frozen=True, eq=False)
 class SinusoidRegression:
-    """Describe each channel by sinusoids, an offset and a line; `harmonic` fits them.
+    """Sinusoids, offsets and lines by channel; `harmonic` fits them.
 
     Attributes
     ----------
-    channels : The sinusoids of each channel.
-    begin : Index of the first fitted sample, from which on they decay.
+    channels : The sinusoids by channel.
+    begin : Index of the first fitted sample, at which decays begin.
     """
 
     channels: tuple[Sinusoids, ...]
@@ -235,7 +232,7 @@ class SinusoidRegression:
 
     @classmethod
     def fit(cls, y: Array, of_channel: Callable[[Array], Sinusoids]) -> SinusoidRegression:
-        """Fit `y` `(time, ny)`, NaN in gaps, each channel by itself, scaled to its range.
+        """Fit the channels of `y` `(time, ny)`, NaN in gaps, scaled to their ranges.
 
         The last `MAX_FIT_SAMPLES` samples of a long record are fitted.
         """
@@ -243,14 +240,14 @@ class SinusoidRegression:
         channels = []
         for channel in y.T:
             offset, scale = units(channel)
-            found = of_channel((channel - offset) / scale)
-            coefficients = scale * found.coefficients
+            sinusoids = of_channel((channel - offset) / scale)
+            coefficients = scale * sinusoids.coefficients
             coefficients[0] += offset
-            channels.append(replace(found, coefficients=coefficients))
+            channels.append(replace(sinusoids, coefficients=coefficients))
         return cls(tuple(channels), begin)
 
     def predict(self, start: float, steps: int) -> Array:
-        """Return the samples from `start` on, `(steps, ny)`; 0 is the first of the record."""
+        """Return the samples from `start` on, `(steps, ny)`; 0 is the record's first sample."""
         index = start - self.begin + np.arange(steps)
         return np.stack([channel.predict(index) for channel in self.channels], axis=1)
 
@@ -258,27 +255,27 @@ class SinusoidRegression:
         return "; ".join(map(_described, self.channels))
 
 
-def _described(found: Sinusoids) -> str:
-    """Return what a channel consists of."""
-    count, series, said = len(found.frequencies), found.harmonics, []
-    decaying = int((found.dampings[found.frequencies > 0] > 0).sum())
+def _described(channel: Sinusoids) -> str:
+    """Return the components of a channel in words."""
+    count, series, parts = len(channel.frequencies), channel.harmonics, []
+    decaying = int((channel.dampings[channel.frequencies > 0] > 0).sum())
     trend = "a constant"
-    if found.line:
+    if channel.line:
         trend = "a straight line"
-    elif (found.frequencies == 0).any():
+    elif (channel.frequencies == 0).any():
         trend = "an exponential"
-    count -= int((found.frequencies == 0).sum())
+    count -= int((channel.frequencies == 0).sum())
     if series:
-        period = f"a period of {1 / found.frequencies[0]:.6g} samples"
-        said.append(f"{series} harmonic{'s' * (series > 1)} of {period}")
+        period = f"a period of {1 / channel.frequencies[0]:.6g} samples"
+        parts.append(f"{series} harmonic{'s' * (series > 1)} of {period}")
     if count > series:
         of_them = f" ({decaying} decaying)" if decaying else ""
-        said.append(f"{count - series} sinusoid{'s' * (count - series > 1)}{of_them}")
-    return ", ".join([*said, trend])
+        parts.append(f"{count - series} sinusoid{'s' * (count - series > 1)}{of_them}")
+    return ", ".join([*parts, trend])
 
 
 def harmonic(y: Array) -> SinusoidRegression:
-    """Fit a trend and sinusoids, each sustained or decaying, to `y` `(time, ny)`."""
+    """Fit a trend and sustained or decaying sinusoids to `y` `(time, ny)`."""
 
     def of_channel(y: Array) -> Sinusoids:
         most = min(MOST_SINUSOIDS, max((len(known(y)) - 2) // 4, 0))
@@ -293,7 +290,7 @@ def harmonic(y: Array) -> SinusoidRegression:
 def trend(y: Array) -> Sinusoids:
     """Return the trend of a channel, without an offset: nothing, a line or an exponential.
 
-    Sinusoids are fitted along with it, to block means, so that neither is mistaken for the other.
+    Trend and sinusoids are fitted together, to block means: either could pass for the other.
     """
     offset, scale = units(y)
     length = -(-len(y) // MOST_BLOCKS)
@@ -313,37 +310,35 @@ def trend(y: Array) -> Sinusoids:
         (start.refined(means).grown(means, 0.0, most, strict=True) for start in starts),
         key=lambda fit: fit.bic(means, strict=True),
     )
-    # The centre of the first block is at this sample.
-    centre = (length - 1) / 2 - missing
-    kept = np.flatnonzero(best.frequencies == 0)
-    sizes = best.coefficients[1 + kept] * np.exp(best.dampings[kept] * centre / length)
+    centre = (length - 1) / 2 - missing  # sample at the centre of the first block
+    decays = np.flatnonzero(best.frequencies == 0)
+    sizes = best.coefficients[1 + decays] * np.exp(best.dampings[decays] * centre / length)
     line = [best.coefficients[-1] * len(y) / (blocks * length)] * best.line
-    coefficients = scale * np.array([0.0, *sizes, *np.zeros(len(kept)), *line])
-    dampings = best.dampings[kept] / length
-    return Sinusoids(np.zeros(len(kept)), dampings, coefficients, len(y), best.line)
+    coefficients = scale * np.array([0.0, *sizes, *np.zeros(len(decays)), *line])
+    dampings = best.dampings[decays] / length
+    return Sinusoids(np.zeros(len(decays)), dampings, coefficients, len(y), best.line)
 
 
 def bic(y: Array, left: Array, parameters: int, strict: bool = False) -> float:
     """Return the BIC of a fit to `y` with residuals `left`, NaN in gaps.
 
-    They are taken to be white, or, if it is `strict`, to be autoregressive of first order. A
-    residual of 1e-8 times the RMS of `y` is rounding error, so that the criterion can only rise.
+    Residuals are assumed white or, if `strict`, autoregressive of first order. A residual of 1e-8
+    times the RMS of `y` is rounding error, so that the criterion can only rise.
     """
-    seen = left[~np.isnan(left)]
-    variance = float(np.mean(seen**2))
-    if strict and len(seen) > 2 and (power := float(seen[:-1] @ seen[:-1])) > 0:
-        alike = max(float(seen[:-1] @ seen[1:]) / power, 0.0)
-        variance = min(variance, float(np.mean((seen[1:] - alike * seen[:-1]) ** 2)))
+    measured = left[~np.isnan(left)]
+    variance = float(np.mean(measured**2))
+    if strict and len(measured) > 2 and (power := float(measured[:-1] @ measured[:-1])) > 0:
+        alike = max(float(measured[:-1] @ measured[1:]) / power, 0.0)
+        variance = min(variance, float(np.mean((measured[1:] - alike * measured[:-1]) ** 2)))
     variance = max(variance, 1e-16 * float(np.nanmean(y**2)), 1e-300)
-    return float(len(seen) * np.log(variance) + parameters * np.log(len(seen)))
+    return float(len(measured) * np.log(variance) + parameters * np.log(len(measured)))
 
 
 def recent(y: Array) -> tuple[int, Array]:
-    """Return the first index of `y` `(time, ny)` that is fitted, and `y` from there on.
+    """Return the first fitted index of `y` `(time, ny)`, and `y` from there on.
 
-    The last `MAX_FIT_SAMPLES` measured samples of each channel are kept; others become NaN.
-    Samples more than `MAX_ROWS_BACK` rows before the end are dropped too, unless a channel has no
-    later ones.
+    All but the last `MAX_FIT_SAMPLES` measured samples of a channel become NaN, as do samples more
+    than `MAX_ROWS_BACK` rows before the end, unless a channel has no later ones.
     """
     y = y.copy()
     for channel in y.T:
@@ -355,7 +350,7 @@ def recent(y: Array) -> tuple[int, Array]:
 
 
 def known(y: Array) -> npt.NDArray[np.int_]:
-    """Return the indices at which a channel `(time,)` was measured."""
+    """Return the indices of the measured samples of a channel `(time,)`."""
     return np.flatnonzero(~np.isnan(y))
 
 
@@ -368,15 +363,15 @@ def units(y: Array) -> tuple[float, float]:
 def _solver(basis: Array) -> Callable[[Array], Array]:
     """Return a function from values `(time, ...)` to the columns' best coefficients.
 
-    Nearly dependent directions are left out, by the Gram matrix, in a tenth of the time of a
-    singular value decomposition. A second step corrects rounding errors of the first.
+    The Gram matrix excludes nearly dependent directions, in a tenth of the time of a singular value
+    decomposition. A second step corrects rounding errors of the first.
     """
     squares, directions = scipy.linalg.eigh(basis.T @ basis)
-    kept = squares > RESOLUTION**2 * squares[-1]
-    inverse = (directions[:, kept] / squares[kept]) @ directions[:, kept].T
+    strong = squares > RESOLUTION**2 * squares[-1]
+    inverse = (directions[:, strong] / squares[strong]) @ directions[:, strong].T
 
     def solved(values: Array) -> Array:
-        found = inverse @ (basis.T @ values)
-        return np.asarray(found + inverse @ (basis.T @ (values - basis @ found)))
+        solution = inverse @ (basis.T @ values)
+        return np.asarray(solution + inverse @ (basis.T @ (values - basis @ solution)))
 
     return solved

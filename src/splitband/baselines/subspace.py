@@ -17,22 +17,22 @@ import scipy
 from splitband.runtime.arrays import Array
 
 _WORK = 3e9
-"""Most operations of the triangular factor of the data: of more windows, some are left out at even
-distances. Bounds the time to about a second."""
+"""Largest number of operations for the triangular factor of the data; further windows are left out
+evenly. Bounds the time to about a second."""
 _RANK = 1e-9
-"""Directions of the data below this share of the largest one are rounding. Rounding."""
+"""Smallest direction of the data, as a share of the largest. Rounding."""
 _WINDOWS = 1.2
-"""Fewest windows of the records, in multiples of the values in one of them. By eye."""
+"""Fewest windows of the records, in multiples of the values in a window. By eye."""
 
 
 @dataclass(frozen=True, eq=False)
 class Subspace:
-    """Hold the range of the observability matrix, for all orders.
+    """The range of the observability matrix, for all orders.
 
     Attributes
     ----------
-    vectors : Its directions, `(rows * ny, directions)`, the most important first.
-    values : Their singular values.
+    vectors : Directions of the range, `(rows * ny, directions)`, the most important first.
+    values : Singular values of the directions.
     ny : Number of outputs.
     stride : Samples from one block row to the next.
     """
@@ -44,7 +44,7 @@ class Subspace:
 
     @property
     def largest(self) -> int:
-        """Return the largest order that can be taken from it."""
+        """Return the largest possible order."""
         return min(len(self.vectors) - self.ny, len(self.values))
 
     def matrices(self, order: int) -> tuple[Array, Array]:
@@ -58,7 +58,7 @@ class Subspace:
 
 
 def _root(a: Array, stride: int) -> Array:
-    """Return the matrix whose power `stride` is `a`, by its poles; negative ones are turned."""
+    """Return the root of degree `stride` of `a`, by its poles; negative ones become positive."""
     poles, vectors = np.linalg.eig(a)
     small = np.maximum(abs(poles), 1e-12)
     turned = small ** (1 / stride) * np.exp(1j * np.angle(poles) / stride)
@@ -67,28 +67,28 @@ def _root(a: Array, stride: int) -> Array:
 
 
 def most_rows(samples: int, records: int, signals: int) -> int:
-    """Return the most block rows for which so many records without gaps have enough windows."""
+    """Return the largest number of block rows with enough windows in records without gaps."""
     return int((samples + records) / (2 * records + 2 * _WINDOWS * signals))
 
 
 def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1) -> Subspace | None:
-    """Return the subspace of records, weighted as in CVA; None where too few windows have no gap.
+    """Return the subspace of records, weighted as in CVA; None for too few windows without gaps.
 
     The records are `y`, NaN in gaps, and `u` without an offset, `rows` the block rows of past and
-    of future. For slow systems `stride` samples each are averaged.
+    of future. For slow systems, blocks of `stride` samples are averaged.
     """
     ny, nu = records[0][0].shape[1], records[0][1].shape[1]
     width = 2 * rows * (ny + nu)
-    seen = list[Array]()
+    signals = list[Array]()
     for y, u in records:
         both = np.hstack([u, y])
         if stride > 1:
-            kept = len(both) // stride * stride
-            both = both[:kept].reshape(-1, stride, ny + nu).mean(axis=1)
+            length = len(both) // stride * stride
+            both = both[:length].reshape(-1, stride, ny + nu).mean(axis=1)
         if len(both) >= 2 * rows:
-            seen.append(both)
+            signals.append(both)
     # Where a window begins that has no gap.
-    begins = [_without_gaps(both, 2 * rows) for both in seen]
+    begins = [_without_gaps(both, 2 * rows) for both in signals]
     count = sum(map(len, begins))
     if count < _WINDOWS * width:
         return None
@@ -105,24 +105,26 @@ def subspace(records: Sequence[tuple[Array, Array]], rows: int, stride: int = 1)
     ]
     data, size = np.empty((sum(map(len, taken)), width), order="F"), np.empty(width)
     for k, (late, signal) in enumerate(columns):
-        x = np.concatenate([both[at + late, signal] for both, at in zip(seen, taken, strict=True)])
+        x = np.concatenate(
+            [both[at + late, signal] for both, at in zip(signals, taken, strict=True)]
+        )
         size[k] = np.sqrt(np.cumsum(x**2)[-1])
         data[:, k] = x / (size[k] or 1.0)
     r = scipy.linalg.qr(data, mode="raw", overwrite_a=True, check_finite=False)[1]
     lower = (r * size).T
     i, j = nu * rows, (2 * nu + ny) * rows
-    found, noise = lower[j:, i:j], lower[j:, j:]
+    projection, noise = lower[j:, i:j], lower[j:, j:]
     # The square root of the covariance of future outputs, given future inputs.
-    spread, axes = np.linalg.eigh(found @ found.T + noise @ noise.T)
+    spread, axes = np.linalg.eigh(projection @ projection.T + noise @ noise.T)
     spread = np.sqrt(np.maximum(spread, _RANK**2 * max(spread[-1], 1e-300)))
-    found = (axes / spread) @ axes.T @ found
+    projection = (axes / spread) @ axes.T @ projection
     root = (axes * spread) @ axes.T
-    outer, values, _ = np.linalg.svd(found, full_matrices=False)
+    outer, values, _ = np.linalg.svd(projection, full_matrices=False)
     return Subspace(root @ outer, values, ny, stride)
 
 
 def filled(y: Array) -> Array:
-    """Fill gaps by linear interpolation; a channel without a sample is 0."""
+    """Fill gaps by linear interpolation; a channel without samples becomes 0."""
     rows = np.flatnonzero(~np.isnan(y))
     return np.interp(np.arange(len(y)), rows, y[rows]) if len(rows) else np.zeros_like(y)
 

@@ -1,8 +1,8 @@
-"""Estimate how accurate a fitted linear model is: standard errors, and what no input excites.
+"""Estimate the accuracy of a fitted linear model: standard errors, and poles without excitation.
 
 The covariance of the parameters is that of least squares, N^-1 S N^-1, where N are the normal
-equations and S is the sum of squares of their right-hand sides over parts of the records. It holds
-for correlated noise, too (P. J. Huber, 1967; W. K. Newey and K. D. West, 1987).
+equations and S is the sum of squares of their right-hand sides over parts of the records, valid for
+correlated noise, too (P. J. Huber, 1967; W. K. Newey and K. D. West, 1987).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from splitband.baselines.refinement import Signals, Solution, by_segment, segmen
 from splitband.runtime.arrays import Array
 
 NORMAL = 1.96
-"""Half width of a 95 % interval in standard errors, of a normal distribution."""
+"""Half width of a 95 % interval of a normal distribution, in standard errors. Convention."""
 FREQUENCIES = 100
-"""Number of frequencies at which the response has a band. Layout."""
+"""Number of frequencies of the response's confidence band. Layout."""
 _PARTS = 40
-"""Parts of the records, over which right-hand sides are summed. Bounds the time."""
+"""Parts of the records with separate right-hand sides. Bounds the time."""
 _FREE = 1e-9
-"""Directions of the parameters below this share of the largest do not change the model."""
+"""Smallest direction of the parameters with effect, as a share of the largest. Rounding."""
 _STEP = 1e-4
 """Step of the numerical derivatives, in standard errors of a parameter. Rounding."""
 _MOST = 250
-"""Most parameters for which standard errors are computed: bounds the time."""
+"""Largest number of parameters with standard errors: bounds the time."""
 _SILENT = 1e-5
-"""Share of an input's mean power density below which it does not excite a pole. Rounding."""
+"""Least power density of an input that excites a pole, as a share of its mean. Rounding."""
 
 Complex = npt.NDArray[np.complex128]
 Matrices = tuple[Array, Array, Array, Array]
@@ -38,18 +38,18 @@ Matrices = tuple[Array, Array, Array, Array]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty:
-    """Hold estimates and their standard errors; an error is NaN where it was not computed.
+    """Estimates and their standard errors; missing errors are NaN.
 
     Attributes
     ----------
-    parts, pole_errors : Real and imaginary part of each pole in the z plane, `(n, 2)`; errors of
-        these two and of its absolute value, `(n, 3)`.
-    gains, gain_errors : Static gains, `(ny, nu)`; infinite where there is an integrator.
+    parts, pole_errors : Real and imaginary parts of the poles in the z plane, `(n, 2)`; errors of
+        these two and of the absolute value, `(n, 3)`.
+    gains, gain_errors : Static gains, `(ny, nu)`; infinite for an integrator.
     angles : Frequencies in radians per sample, `(frequencies,)`.
-    response, response_errors : Absolute value of the response there, `(frequencies, ny, nu)`, and
-        its error.
-    delay_errors : Of the delay of each input at each output in samples, `(ny, nu)`; 0 where none
-        was estimated.
+    response, response_errors : Absolute value of the response at `angles`, `(frequencies, ny, nu)`,
+        and its error.
+    delay_errors : Errors of the delays by output and input in samples, `(ny, nu)`; 0 without an
+        estimate.
     """
 
     parts: Array
@@ -64,11 +64,11 @@ class Uncertainty:
     def __repr__(self) -> str:
         """Return poles and static gains, with half of their 95 % intervals."""
         sizes = zip(self.poles, NORMAL * self.pole_errors[:, 2], strict=True)
-        said = [f"pole {pole:.4g}, its absolute value ± {error:.2g}" for pole, error in sizes]
+        lines = [f"pole {pole:.4g}, its absolute value ± {error:.2g}" for pole, error in sizes]
         for (i, j), gain in np.ndenumerate(self.gains):
             error = NORMAL * self.gain_errors[i, j]
-            said.append(f"static gain of output {i} for input {j}: {gain:.4g} ± {error:.2g}")
-        return "\n".join(said)
+            lines.append(f"static gain of output {i} for input {j}: {gain:.4g} ± {error:.2g}")
+        return "\n".join(lines)
 
     @property
     def poles(self) -> Complex:
@@ -76,7 +76,7 @@ class Uncertainty:
         return np.asarray(self.parts[:, 0] + 1j * self.parts[:, 1], np.complex128)
 
     def time_constants(self, sampling_time: float) -> tuple[Array, Array]:
-        """Return the time constant of each pole in seconds and its error, `(n,)` each."""
+        """Return the time constants of the poles in seconds and their errors, both `(n,)`."""
         size = abs(self.poles)
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = -np.log(size)
@@ -84,7 +84,7 @@ class Uncertainty:
 
     @np.errstate(all="ignore")
     def in_units(self, outputs: Array, inputs: Array) -> Uncertainty:
-        """Return it for signals in the record's units, given their standard deviations."""
+        """Return the uncertainty in the record's units, given the signals' standard deviations."""
         factor = outputs[:, None] / inputs
         return replace(
             self,
@@ -96,7 +96,7 @@ class Uncertainty:
 
     @classmethod
     def of_parts(cls, parts: Sequence[Uncertainty], back: npt.NDArray[np.int_]) -> Uncertainty:
-        """Return that of models of some outputs each, in the order `back`."""
+        """Return the uncertainty of several models of some outputs, in the order `back`."""
 
         def joined(name: str, axis: int = 0) -> Array:
             return np.concatenate([vars(part)[name] for part in parts], axis=axis)
@@ -119,14 +119,14 @@ def covariance_root(solution: Solution, runs: Sequence[Signals]) -> Array:
     parts = by_segment(solution, runs, solution.blocks.free, cuts)
     whole = total(parts)
     n, through = whole.n.copy(), dict[int, Array]()
-    for i, (cross, own, _) in whole.states.items():
-        ridge = 1e-10 * np.diag(own).max(initial=0.0) + 1e-300
-        through[i] = np.linalg.solve(own + ridge * np.eye(len(own)), cross).T
+    for i, (cross, square, _) in whole.states.items():
+        ridge = 1e-10 * np.diag(square).max(initial=0.0) + 1e-300
+        through[i] = np.linalg.solve(square + ridge * np.eye(len(square)), cross).T
         n -= through[i] @ cross
     size = np.sqrt(np.maximum(np.diag(whole.n), 1e-300))
     power, axes = np.linalg.eigh(n / size / size[:, None])
-    kept = power > _FREE * power[-1]
-    inverse = (axes[:, kept] / power[kept]) @ axes[:, kept].T / size / size[:, None]
+    strong = power > _FREE * power[-1]
+    inverse = (axes[:, strong] / power[strong]) @ axes[:, strong].T / size / size[:, None]
     slopes = [p.g - through[i] @ p.states[i][2] for p, (i, _, _) in zip(parts, cuts, strict=True)]
     count = len(slopes)
     root = inverse @ np.stack(slopes, axis=1)
@@ -143,7 +143,7 @@ def uncertainty_of(
     """Return the uncertainty of a model in normalised units.
 
     `matrices` returns A, B, C and D after a step of the values of `solution`. `longest` is the
-    length of the longest record, with what a fit of late inputs leaves out.
+    length of the longest record, its first samples before delayed inputs included.
     """
     a, b, c, d = matrices(None)
     order = np.argsort(-abs(np.linalg.eigvals(a)))
@@ -151,16 +151,22 @@ def uncertainty_of(
     angles = np.geomspace(np.pi / longest, np.pi, FREQUENCIES)
 
     def found(step: Array | None) -> Array:
-        """Return poles, gains and responses in one row, of real numbers."""
+        """Return poles, gains and responses in one vector of real numbers."""
         one, two, three, four = matrices(step)
-        own = np.linalg.eigvals(one)
-        # Each pole keeps its place, by the nearest one of the fitted model.
-        _, place = scipy.optimize.linear_sum_assignment(abs(poles[:, None] - own[None]))
-        own = own[place]
+        eigenvalues = np.linalg.eigvals(one)
+        # Match poles to the nearest ones of the fitted model.
+        _, place = scipy.optimize.linear_sum_assignment(abs(poles[:, None] - eigenvalues[None]))
+        eigenvalues = eigenvalues[place]
         response = _response(one, two, three, four, angles)
         gains = _response(one, two, three, four, np.zeros(1))[0].real
         return np.concatenate(
-            [own.real, own.imag, np.abs(own), gains.ravel(), np.abs(response).ravel()]
+            [
+                eigenvalues.real,
+                eigenvalues.imag,
+                np.abs(eigenvalues),
+                gains.ravel(),
+                np.abs(response).ravel(),
+            ]
         )
 
     base = found(None)
@@ -207,8 +213,8 @@ def _response(a: Array, b: Array, c: Array, d: Array, angles: Array | Complex) -
 
 
 def silent(poles: Complex, runs: Sequence[Signals]) -> list[float]:
-    """Return the angles of poles at whose frequencies no input has power."""
-    found = []
+    """Return the angles of poles without power of an input at their frequencies."""
+    angles = []
     for pole in poles[poles.imag >= 0]:
         angle, excited = float(abs(np.angle(pole))), False
         for run in runs:
@@ -222,5 +228,5 @@ def silent(poles: Complex, runs: Sequence[Signals]) -> list[float]:
                 (power[:, near].max(axis=1, initial=0) > _SILENT * mean)[mean > 0].any()
             )
         if not excited:
-            found.append(angle)
-    return found
+            angles.append(angle)
+    return angles

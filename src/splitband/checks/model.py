@@ -38,25 +38,25 @@ AHEAD = (1, 10)
 ORIGINS = 100
 """Largest number of origins of these predictions, evenly spaced. Bounds the time."""
 LONGER = 10
-"""Length of the free run that must stay in range, in multiples of the record. By eye."""
+"""Length of the free run in the check of stability, in multiples of the record. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelCheck:
-    """Hold the results of checking a forecaster on a record.
+    """The results of a check of a forecaster on a record.
 
     Attributes
     ----------
     method : Name of the forecaster.
     record : The record of the check.
     simulation : The free run from a warm-up on the first samples to the end.
-    fits : Fit in percent of each output: "simulation", and "1 step ahead" and so on.
-    tests : Of the residuals of each output.
+    fits : Fit in percent by output, of "simulation", "1 step ahead" and so on.
+    tests : Residual tests by output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
-        training record by far; None where it stays.
-    unchecked : Why there is no such run; empty where there is one.
+        training record by far; None for a run in range.
+    unchecked : Reason for a missing run; empty otherwise.
     beyond : Inputs and outputs outside their range in training.
-    title : What the forecaster is, in words, with its name.
+    title : Kind and name of the forecaster, in words.
     """
 
     method: str
@@ -71,11 +71,11 @@ class ModelCheck:
 
     @property
     def outcome(self) -> Outcome:
-        """Return the result of all tests; a long free run that leaves the range rejects, too."""
-        found = {test.outcome for test in self.tests}
-        if self.leaves is not None or "rejected" in found:
+        """Return the result of all tests; a long free run out of range rejects, too."""
+        outcomes = {test.outcome for test in self.tests}
+        if self.leaves is not None or "rejected" in outcomes:
             return "rejected"
-        return "not rejected" if "not rejected" in found else "accepted"
+        return "not rejected" if "not rejected" in outcomes else "accepted"
 
     @property
     def accepted(self) -> bool:
@@ -84,19 +84,20 @@ class ModelCheck:
 
     def in_words(self) -> list[str]:
         """Return the results in sentences, without the fits."""
-        said = [test.finding() for test in self.tests]
+        sentences = [test.finding() for test in self.tests]
         if self.unchecked:
-            said.append(f"Stability was not checked: {self.unchecked}.")
+            sentences.append(f"Stability was not checked: {self.unchecked}.")
         elif self.leaves is None:
-            said.append(f"The free run over {LONGER} times the record stays in range.")
+            sentences.append(f"The free run over {LONGER} times the record stays in range.")
         else:
-            said.append(
+            sentences.append(
                 f"The free run over {LONGER} times the record, with its inputs repeated, leaves "
                 f"the range of the training record by far after {self.leaves:,} samples."
             )
-        said += self.simulation.doubts
+        sentences += self.simulation.doubts
         names = {"input": self.record.inputs, "output": self.record.columns}
-        return said + [each.describe(names[each.kind][each.channel]) for each in self.beyond]
+        beyond = [signal.describe(names[signal.kind][signal.channel]) for signal in self.beyond]
+        return sentences + beyond
 
     def __str__(self) -> str:
         fits = [
@@ -126,13 +127,13 @@ class ModelCheck:
             "residuals": [test.as_json() for test in self.tests],
             "leaves_range_after": self.leaves,
             "unchecked": self.unchecked,
-            "beyond_training": [asdict(each) for each in self.beyond],
+            "beyond_training": [asdict(signal) for signal in self.beyond],
             "in_words": self.in_words(),
         }
 
 
 def check(forecaster: Forecaster, record: Record) -> ModelCheck:
-    """Check a fitted forecaster on a record, preferably one that it was not fitted to.
+    """Check a fitted forecaster on a record, preferably not the training record.
 
     Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
     residuals, whether a long free run stays in range, and signals beyond their range in training.
@@ -142,8 +143,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     Raises
     ------
     ValueError
-        For a forecaster that has not been fitted, and a record that does not match it or is too
-        short.
+        For an unfitted forecaster, and a record with other columns or too few samples.
     """
     fitted = forecaster.require_fitted()
     require_records("record", record)
@@ -171,7 +171,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
 def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:
     """Test the residuals of a simulation or forecast to the end of a record.
 
-    Returns nothing where it has fewer than 2 `LAGS` samples.
+    Returns nothing for fewer than 2 `LAGS` samples.
     """
     if len(simulated) < 2 * LAGS:
         return ()
@@ -180,17 +180,17 @@ def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]
 
 
 def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...]:
-    """Test the residuals of a fitted forecaster on a record that it was not fitted to, as `check`.
+    """Test the residuals of a fitted forecaster on another record, as `check` does.
 
-    Returns nothing where `check` would not find enough samples.
+    Returns nothing for a record with too few samples for `check`.
     """
     free = _free_run(forecaster, record)
     return () if free is None else tests_of(record, free)
 
 
 def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
-    """Simulate a record to its end, from a warm-up on its first samples; None if it is short."""
-    warmup = forecaster.warmup or default_warmup(len(record))  # as a comparison on test records
+    """Simulate a record to its end, from a warm-up on its first samples; None for a short one."""
+    warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
     begin = first_after(record.complete, max(warmup, 2))
     if begin is None or len(record) - begin < 2 * LAGS:
         return None
@@ -200,7 +200,7 @@ def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
 
 
 def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tuple[float, ...]]:
-    """Return the fit of predictions a few samples ahead, from many origins."""
+    """Return the fits of predictions a few samples ahead, from many origins."""
     last = len(record) - max(AHEAD)
     origins = np.unique(np.linspace(begin, last, min(ORIGINS, last - begin + 1)).astype(int))
     other, made = not forecaster.anchored, dict[int, Array]()
@@ -218,7 +218,7 @@ def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tupl
 
 
 def _leaves(forecaster: Forecaster, record: Record, begin: int) -> int | None:
-    """Return after how many samples a long free run, with inputs repeated, leaves the range."""
+    """Return the samples of a long free run, with inputs repeated, before it leaves the range."""
     steps = LONGER * len(record)
     u = None if record.u is None else np.tile(record.u, (LONGER + 1, 1))[begin : begin + steps]
     other = not forecaster.anchored

@@ -1,19 +1,18 @@
 """Test the residuals of a model: the record minus the simulation.
 
 See L. Ljung, System Identification: Theory for the User (2nd ed., 1999, section 16.6). If residuals
-depend on past inputs, the model misses dynamics that the inputs drive. If they depend on their own
-past alone, either a disturbance acts or the model lacks dynamics that the inputs of this record do
-not show.
+depend on past inputs, the model lacks dynamics driven by the inputs. If residuals depend on their
+own past alone, either a disturbance acts or the model lacks dynamics not excited in this record.
 
-Whether they depend on the inputs is an F test of nested regressions, after C. W. J. Granger (1969):
-do past inputs help to predict the residuals, beyond their own past? Under the hypothesis the inputs
-may be anything, a single step or a few sinusoids, as the regression is conditional on them. Powers
-of the simulated output are tested with them, as in the RESET test of J. B. Ramsey (1969): a static
-nonlinearity that the model misses need not be correlated with the inputs.
+Dependence on the inputs is an F test of nested regressions, after C. W. J. Granger (1969): do past
+inputs help to predict the residuals, beyond the residuals' own past? The regression is conditional
+on the inputs, which may be arbitrary, a single step or a few sinusoids. Powers of the simulated
+output are tested, too, as in the RESET test of J. B. Ramsey (1969): a static nonlinearity missing
+in the model need not be correlated with the inputs.
 
-Signals that wander like a random walk seem to depend on each other where they have nothing in
-common, and so does what a model of them leaves: the spurious regression of C. W. J. Granger and
-P. Newbold (1974). Where the output wanders, the inputs must also help to predict its changes.
+Unrelated signals that wander like a random walk seem to depend on one another, and so do residuals
+of models of them: the spurious regression of C. W. J. Granger and P. Newbold (1974). If the output
+wanders, the inputs must also help to predict its changes.
 """
 
 from __future__ import annotations
@@ -40,42 +39,45 @@ LAGS = 25
 MAX_ORDER = 20
 """Largest order of the autoregressive model of the residuals. Bounds the time."""
 MAX_LAG, LAG_MEANS = 100, 12
-"""Past inputs in the regression: up to this lag in samples, or a tenth of the record if that is
-less, as means over so many intervals whose lengths grow with the lag. By eye."""
+"""Largest lag of past inputs in samples, or a tenth of the record, and the number of means over
+intervals of growing lengths. By eye."""
 UNIT_ROOT = -4.1
-"""Statistic of Dickey and Fuller from which on a signal may wander: below it lies one random walk
-in 1,000, by J. G. MacKinnon (1994)."""
+"""Least Dickey-Fuller statistic of a wandering signal: one random walk in 1,000 lies below it, by
+J. G. MacKinnon (1994)."""
 RELATED = 0.001
-"""p-value below which inputs help to predict the changes of a signal that wanders. By eye."""
+"""p-value below which inputs help to predict the changes of a wandering signal: the level of
+`UNIT_ROOT`."""
 SAMPLES_PER_LAG = 50
-"""Samples for each lag of the autoregressive model of changes. Of 1,600 unrelated walks with 350
-samples 9 pass for related; with half as many lags 4, and more effects pass for chance."""
-POWERS, POWER_LAG, POWER_MEANS = (2, 3), 30, 4
-"""The same for the powers of the simulated output. By eye."""
+"""Samples per lag of the autoregressive model of changes. Of 1,600 unrelated walks with 350 samples
+9 pass for related; with half as many lags 4, and more effects pass for chance."""
+POWERS = 2, 3
+"""Powers of the simulated output. Convention, of statsmodels' `linear_reset`."""
+POWER_LAG, POWER_MEANS = 30, 4
+"""Largest lag and number of means of these powers. By eye."""
 SMALL_COMPONENT = 1e-3
-"""Regressors have to differ: principal components whose singular value is below this share of the
-largest one are left out. Rounding."""
+"""Smallest singular value of a principal component of regressors, as a share of the largest.
+Rounding."""
 COLLINEAR = 1e-8
-"""The same for several inputs together. Rounding."""
+"""Smallest singular value of several inputs together, as a share of the largest. Rounding."""
 EXPLAINED = 1e-12
-"""Share of the residuals' energy below which nothing is left of them. Rounding."""
+"""Energy of fully explained residuals, as a share of the residuals' energy. Rounding."""
 EXACT = 1e-6
-"""Residuals below this share of the signal's deviation are rounding errors. Rounding."""
+"""Largest residuals of an exact model, as a share of the signal's deviation. Rounding."""
 
 
 Outcome = Literal["accepted", "not rejected", "rejected"]
-"""Accepted: white noise. Not rejected: no white noise, but the inputs do not explain it."""
+"""Accepted: white noise. Not rejected: other noise, not explained by the inputs."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correlation:
-    """Hold the correlation of residuals with their own past, or with that of an input.
+    """The correlation of residuals with their own past, or with an input's past.
 
     Attributes
     ----------
     of : "residuals", or the input's name.
     values : By lag: from 1 on for residuals, from 0 on for an input.
-    band : Confidence limit: without correlation, `CONFIDENCE` of the values lie within +- this.
+    band : Confidence limit: without correlation, `CONFIDENCE` of the values lie within +- `band`.
     p : The p-value of the test.
     """
 
@@ -87,17 +89,17 @@ class Correlation:
 
 @dataclass(frozen=True, eq=False)
 class ResidualTests:
-    """Hold the tests of one output's residuals.
+    """The tests of one output's residuals.
 
     Attributes
     ----------
-    output : Its name.
+    output : Name of the output.
     whiteness : Correlation with their own past, and the Ljung-Box test.
-    inputs : For each input that changes: correlation with its past, both filtered by the
-        autoregressive model of the residuals, and the F test of this input beside the others.
+    inputs : By varying input: correlation of residuals with the input's past, both filtered by the
+        autoregressive model of the residuals, and the F test of the input beside the others.
     p : The p-value of the F test of all inputs together.
-    size : RMS of the residuals as a share of the output's standard deviation; None for an output
-        that is constant.
+    size : RMS of the residuals as a share of the output's standard deviation; None for a constant
+        output.
     unrelated : Whether the output wanders, and the inputs do not help to predict its changes.
     """
 
@@ -115,23 +117,23 @@ class ResidualTests:
 
     @property
     def dependent(self) -> list[str]:
-        """Return the inputs that the residuals depend on, with `CONFIDENCE` for all together.
+        """Return the inputs with an effect on the residuals, at `CONFIDENCE` for all together.
 
-        Where all inputs together are significant and none beside the others, all are returned.
+        If all inputs together are significant and none beside the others, all are returned.
         """
         if self.p >= SIGNIFICANT or self.unrelated:
             return []
-        return self._alone or [each.of for each in self.inputs]
+        return self._alone or [correlation.of for correlation in self.inputs]
 
     @property
     def _alone(self) -> list[str]:
-        """Return the inputs that are significant beside the others."""
+        """Return the significant inputs beside the others."""
         least = SIGNIFICANT / max(len(self.inputs), 1)
-        return [each.of for each in self.inputs if each.p < least]
+        return [correlation.of for correlation in self.inputs if correlation.p < least]
 
     @property
     def outcome(self) -> Outcome:
-        """Return the result of the tests: residuals that depend on the inputs reject a model."""
+        """Return the result of the tests: dependence on the inputs rejects a model."""
         if self.dependent:
             return "rejected"
         return "accepted" if self.white else "not rejected"
@@ -147,7 +149,7 @@ class ResidualTests:
         return f"{self.outcome.capitalize()}{level}: {self.finding('the')}"
 
     def finding(self, the: str = "The") -> str:
-        """Return what the tests find, in a sentence or two that begin with `the`."""
+        """Return the finding of the tests in a sentence or two, the first word being `the`."""
         if self.dependent:
             return f"{the} {self._rejection()}"
         if self.white:
@@ -166,19 +168,21 @@ class ResidualTests:
         )
 
     def _rejection(self) -> str:
-        """Return which inputs the residuals depend on, and how large they are."""
+        """Return a sentence with the inputs in the residuals, and the size of the residuals."""
         *first, last = (f"`{name}`" for name in self.dependent)
         names, whose = (f"{', '.join(first)} and {last}", "their") if first else (last, "its")
         if not self._alone:
             names += f", if only nonlinearly (all tests together: p = {self.p:.1g})"
-        said = (
+        sentence = (
             f"residuals of {self.output} still depend on {names}, so the model does not capture "
             f"{whose} full effect."
         )
         if self.size is None:
-            return said
+            return sentence
         left = np.format_float_positional(100 * self.size, 2, fractional=False, trim="-")
-        return f"{said} The RMS of the residuals is {left} % of the output's standard deviation."
+        return (
+            f"{sentence} The RMS of the residuals is {left} % of the output's standard deviation."
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return the tests for a JSON file."""
@@ -192,12 +196,12 @@ def residual_tests(
     inputs: Sequence[str],
     simulated: Array | None = None,
 ) -> tuple[ResidualTests, ...]:
-    """Test the residuals `(time, ny)` of each output, NaN in gaps.
+    """Test the residuals `(time, ny)` by output, NaN in gaps.
 
-    The inputs `u` may begin earlier, and end with the residuals. Powers of what was `simulated`,
-    `(time, ny)`, are tested with them.
+    The inputs `u` may begin earlier, and end with the residuals. Powers of the `simulated` outputs,
+    `(time, ny)`, are tested with the inputs.
     """
-    found = []
+    tests = []
     simulated = np.zeros_like(residuals) if simulated is None else simulated
     for column, e, y in zip(columns, residuals.T, simulated.T, strict=True):
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
@@ -205,8 +209,8 @@ def residual_tests(
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
         white = _whiteness(e)
         unrelated = bool(driven) and white.p < 1 - CONFIDENCE and _unrelated(e + y, driven)
-        found.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated))
-    return tuple(found)
+        tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated))
+    return tuple(tests)
 
 
 def _size(e: Array, simulated: Array) -> float | None:
@@ -227,7 +231,7 @@ def _whiteness(e: Array) -> Correlation:
 def _dependence(
     e: Array, simulated: Array, inputs: Mapping[str, Array]
 ) -> tuple[float, tuple[Correlation, ...]]:
-    """Return the p-value of the test of all inputs, and the tests of each of them."""
+    """Return the p-value of the test of all inputs, and the tests by input."""
     x, samples = _centred(e)
     past, rows = _own_past(x, ~np.isnan(e), MAX_ORDER)
     y, of_inputs = x[rows], _past_inputs(inputs, rows, min(MAX_LAG, len(x) // 10))
@@ -261,7 +265,7 @@ def _unrelated(y: Array, inputs: Mapping[str, Array]) -> bool:
 def _wanders(y: Array) -> bool:
     """Return whether a signal may have a unit root: the test of S. E. Said and D. A. Dickey (1984).
 
-    The number of its lags is by G. W. Schwert (1989).
+    The number of lags is by G. W. Schwert (1989).
     """
     x, samples = _centred(y)
     past, rows = _own_past(x, ~np.isnan(y), 1 + int(4 * (samples / 100) ** 0.25))
@@ -275,11 +279,11 @@ def _wanders(y: Array) -> bool:
 
 
 class _NestedTest:
-    """Test by F which groups of regressors help to predict a signal beside its own past.
+    """F tests of groups of regressors as predictors of a signal beside its own past.
 
-    The autoregression has all orders there are, as choosing the order raises the level: by AIC to
-    2 %, and by BIC, for a slow disturbance with white noise and 5 steps, to 15 %. Where nothing is
-    left beside all groups, it has the first order that does: a higher one explains sinusoids alone.
+    The autoregression has the largest possible order, as choosing the order raises the level: by
+    AIC to 2 %, and by BIC, for a slow disturbance with white noise and 5 steps, to 15 %. If the
+    regression is exact, it has the least sufficient order: a higher one explains sinusoids alone.
     """
 
     def __init__(self, y: Array, past: Array, groups: Sequence[Array]) -> None:
@@ -292,9 +296,9 @@ class _NestedTest:
         self.order = int(np.argmax(np.append(left[:-1] <= least, True)))
         self._left = max(float(left[self.order]), least)
 
-    def p(self, kept: Sequence[int]) -> float:
-        """Return the p-value of the hypothesis that the `kept` groups alone do as well."""
-        span = self._basis(kept)
+    def p(self, groups: Sequence[int]) -> float:
+        """Return the p-value of the hypothesis that these groups alone are sufficient."""
+        span = self._basis(groups)
         fewer = self._span.shape[1] - span.shape[1]
         freedom = len(self._y) - self._span.shape[1] - self.order
         if fewer < 1 or freedom < 1:
@@ -304,42 +308,42 @@ class _NestedTest:
         ratio = (float(left @ left) - self._left) / fewer / (self._left / freedom)
         return float(scipy.stats.f.sf(ratio, fewer, freedom))
 
-    def _basis(self, kept: Iterable[int]) -> Array:
-        """Return an orthonormal basis of a constant and the groups."""
+    def _basis(self, groups: Iterable[int]) -> Array:
+        """Return an orthonormal basis of a constant and these groups."""
         constant = np.full((len(self._y), 1), len(self._y) ** -0.5)
-        every = np.hstack([constant, *(self._groups[i] for i in kept)])
+        every = np.hstack([constant, *(self._groups[i] for i in groups)])
         return _span(every, COLLINEAR)
 
 
 def _past_inputs(
     inputs: Mapping[str, Array], rows: npt.NDArray[np.bool_], longest: int
 ) -> list[Array]:
-    """Return the regressors of each input's past up to the `longest` lag."""
+    """Return the regressors by input of the past up to the `longest` lag."""
     most = max(int(rows.sum()) // (4 * len(inputs)), 1)
     means = (_lag_means(u, len(rows), longest, LAG_MEANS) for u in inputs.values())
     return [_components(of_input[rows], most) for of_input in means]
 
 
 def _own_past(
-    x: Array, known: npt.NDArray[np.bool_], order: int
+    x: Array, measured: npt.NDArray[np.bool_], order: int
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the past of a signal, `(rows, order)`, and the rows where it is measured.
+    """Return the past of a signal, `(rows, order)`, and a mask of the rows with measurements.
 
-    Gaps limit the order: half of the measured samples remain at least.
+    Gaps limit the order: at least half of the measured samples remain.
     """
-    rows, past = known, list[Array]()
+    rows, past = measured, list[Array]()
     for k in range(1, min(order, MAX_ORDER, len(x) // 10) + 1):
-        fewer = rows & np.append(np.zeros(k, dtype=bool), known[:-k])
-        if 2 * fewer.sum() < known.sum():
+        fewer = rows & np.append(np.zeros(k, dtype=bool), measured[:-k])
+        if 2 * fewer.sum() < measured.sum():
             break
         rows, past = fewer, [*past, np.append(np.zeros(k), x[:-k])]
     return np.stack([*past, x], axis=1)[rows, :-1], rows
 
 
 def _lag_means(u: Array, samples: int, longest: int, means: int) -> Array:
-    """Return means of a signal's past by lag, `(samples, means)`, over longer and longer intervals.
+    """Return means of a signal's past by lag, `(samples, means)`, over growing intervals.
 
-    Before its first sample, it is assumed to have been constant.
+    The signal is assumed constant before its first sample.
     """
     edges = np.unique(np.append(0, np.geomspace(1, max(longest, 2), means).round().astype(int)))
     begun = np.append(np.full(edges[-1], u[0]), u)
@@ -363,7 +367,7 @@ def _components(x: Array, most: int) -> Array:
 
 
 def _span(x: Array, least: float) -> Array:
-    """Return an orthonormal basis of columns, without components below this share of the first."""
+    """Return an orthonormal basis of columns, without components below a `least` share."""
     u, s, _ = np.linalg.svd(x, full_matrices=False)
     return np.asarray(u[:, s > max(least * s[0], np.finfo(float).tiny)])
 
@@ -381,12 +385,12 @@ def _correlated(of: str, r: Array, samples: int, p: float) -> Correlation:
 
 def _centred(x: Array) -> tuple[Array, int]:
     """Return a signal minus its mean, 0 in gaps, and the number of measured samples."""
-    known = ~np.isnan(x)
-    return np.where(known, x - x[known].mean(), 0.0), max(int(known.sum()), 1)
+    measured = ~np.isnan(x)
+    return np.where(measured, x - x[measured].mean(), 0.0), max(int(measured.sum()), 1)
 
 
 def _correlation(later: Array, earlier: Array) -> Array:
-    """Return the correlation of `later` with `earlier`, from 0 to `LAGS` samples before it."""
+    """Return the correlation of `later` with `earlier` at lags from 0 to `LAGS`."""
     n = len(later)
     size = math.sqrt(float(later @ later) * float(earlier @ earlier))
     r = np.array([later[k:] @ earlier[: n - k] for k in range(LAGS + 1)])

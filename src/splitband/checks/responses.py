@@ -1,4 +1,4 @@
-"""Simulate responses to small steps of the inputs, and the frequency responses that follow."""
+"""Simulate responses to small steps of the inputs, and derive frequency responses."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ SHARE = 0.1
 """Size of the step, and distance of operating points from the ends, as a share of the input's range
 in training. By eye."""
 SETTLED = 0.02
-"""A step response has settled where its slope stays within this share of its largest one from what
-it ends with, for the last quarter; the 2 % of the settling time, a convention."""
+"""Largest change of the slope in the last quarter of a settled step response, as a share of the
+largest slope: the 2 % of the settling time, a convention."""
 LONGEST = 16
-"""Longest simulation of a response for its frequency response, in multiples of the samples asked
-for. Bounds the time."""
+"""Longest simulation for a frequency response, in multiples of `steps`. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Hold the response of each output to a small step of each input around an operating point.
+    """The responses of the outputs to small steps of the inputs around an operating point.
 
     Attributes
     ----------
@@ -38,10 +37,10 @@ class Responses:
     columns, inputs : Names of outputs and inputs.
     at : The operating point, `(nu,)`.
     size : Sizes of the simulated steps, `(nu,)`.
-    whole : The response until it has settled, or to `LONGEST` times the samples of `y`.
-    system : A, B, C and D of a linear model in state space, whose frequency response is exact.
-    share : Where all inputs are in their ranges in training; None for their means, or as asked.
-    remarks : Sentences on what is missing, see `respond_over_range`.
+    whole : The response until settled, or to `LONGEST` times the samples of `y`.
+    system : A, B, C and D of a linear model in state space, with an exact frequency response.
+    share : Position of all inputs in their ranges in training; None for another operating point.
+    remarks : Sentences on missing responses, see `respond_over_range`.
     """
 
     y: Array
@@ -57,12 +56,12 @@ class Responses:
 
     @property
     def place(self) -> str:
-        """Return where the inputs are in their ranges, in words."""
+        """Return the position of the inputs in their ranges, in words."""
         return "the mean" if self.share is None else f"{self.share:.0%}".replace("%", " %")
 
     @property
     def settled(self) -> bool:
-        """Return whether the frequency response is that of the model, also at low frequencies."""
+        """Return whether the frequency response is right at low frequencies, too."""
         return self.system is not None or _settled(self.whole)
 
     @property
@@ -79,9 +78,9 @@ class Responses:
     def frequency_response(self) -> tuple[Array, npt.NDArray[np.complex128]]:
         """Return frequencies above 0 in Hz, and the small-signal gain there, `(n, ny, nu)`.
 
-        That of `Linear` is exact. For others it is the Fourier transform of the impulse response
-        of `whole`, whose last value is taken to stay: it is near 0 where the step response settles,
-        and the slope of an integrator. It is wrong where this has not `settled`.
+        For `Linear` the gain is exact. For others it is the Fourier transform of the impulse
+        response of `whole`, continued with its last value: near 0 for a settled step response, the
+        slope for an integrator. It is wrong unless `settled`.
         """
         frequencies = np.fft.rfftfreq(len(self.y), self.sampling_time)[1:]
         z = np.exp(2j * np.pi * frequencies * self.sampling_time)[:, None, None]
@@ -100,7 +99,7 @@ def _impulse(y: Array) -> Array:
 
 
 def _settled(y: Array) -> bool:
-    """Return whether the slope of all step responses has come to its last value."""
+    """Return whether the slopes of all step responses have come to their last values."""
     impulse = _impulse(y)
     left = abs(impulse[-(len(y) // 4 or 1) :] - impulse[-1]).max(axis=0)
     return bool((left <= SETTLED * abs(impulse).max(axis=0)).all())
@@ -113,17 +112,17 @@ def step_responses(
     size: npt.ArrayLike | None = None,
     moving: bool = False,
 ) -> Responses:
-    """Return the response of each output of a fitted forecaster to a small step of each input.
+    """Return the responses of a fitted forecaster's outputs to small steps of its inputs.
 
     Parameters
     ----------
-    forecaster : With inputs; a simulator whose output must be given has no responses.
-    steps : Samples of the response. The outputs settle for as many samples before it, with
+    forecaster : A forecaster with inputs that needs no simulator's output from a record.
+    steps : Samples of the response. Before the step, the outputs settle for as many samples, with
         constant inputs.
     at : The operating point, `(nu,)`; by default the means of the training inputs.
-    size : Step sizes, `(nu,)`; by default a tenth of each input's range in training. One run
-        steps up by half of it and one down; `y` is their difference, scaled to a step of 1.
-    moving : Whether inputs that were constant in training are left out.
+    size : Step sizes, `(nu,)`; by default a tenth of the inputs' ranges in training. One run
+        steps up by half the size and one down; `y` is their difference, scaled to a step of 1.
+    moving : Whether constant inputs in training are left out.
 
     Raises
     ------
@@ -147,19 +146,19 @@ def step_responses(
             "size must not be 0: give one for an input that was constant in training, "
             f"got {sizes.tolist()}"
         )
-    for each in fitted.inputs_beyond(held + 0.5 * np.stack([-abs(sizes), abs(sizes)])):
+    for beyond in fitted.inputs_beyond(held + 0.5 * np.stack([-abs(sizes), abs(sizes)])):
+        name = record.inputs[beyond.channel]
         warnings.warn(
-            f"input {record.inputs[each.channel]} is beyond its range in training ({each.low:g} to "
-            f"{each.high:g}) in a step response, at {each.farthest:g}: the response is an "
-            "extrapolation",
+            f"input {name} is beyond its range in training ({beyond.low:g} to {beyond.high:g}) "
+            f"in a step response, at {beyond.farthest:g}: the response is an extrapolation",
             ExtrapolationWarning,
             stacklevel=2,
         )
 
     def simulated(steps: int) -> Array:
-        found = np.empty((steps, record.ny, len(of)))
+        responses = np.empty((steps, record.ny, len(of)))
         for k, i in enumerate(of):
-            # Up and down: even-order nonlinearities cancel.
+            # In the difference of steps up and down, even-order nonlinearities cancel.
             ends = []
             for half in (0.5 * sizes[i], -0.5 * sizes[i]):
                 u = np.tile(held, (2 * steps, 1))
@@ -167,8 +166,8 @@ def step_responses(
                 with without_warnings(ExtrapolationWarning):
                     ends.append(forecaster.predict(2 * steps, u=u).y[steps:])
             up, down = (np.where(abs(y) < OVERFLOWED, y, np.nan) for y in ends)
-            found[:, :, k] = (up - down) / sizes[i]
-        return found
+            responses[:, :, k] = (up - down) / sizes[i]
+        return responses
 
     y = settled = longer = simulated(steps)
     system = forecaster.system_matrices()
@@ -188,9 +187,9 @@ def step_responses(
 def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     """Return the responses of a fitted forecaster at the means of its training inputs.
 
-    Those of a nonlinear one follow with all inputs at `SHARE` and at 1 - `SHARE` of their ranges in
-    training. There are none for one without inputs, or whose simulator stays outside of it. What
-    else is left out, `remarks` of the first say.
+    Responses of a nonlinear one follow with all inputs at `SHARE` and at 1 - `SHARE` of their
+    ranges in training. Forecasters without inputs, or with a simulator outside, have none. The
+    `remarks` of the first response name other missing ones.
     """
     try:
         every = [step_responses(forecaster, moving=True)]
@@ -200,25 +199,29 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     for share in () if forecaster.affine else (SHARE, 1 - SHARE):
         at = low + share * (high - low)
         every.append(replace(step_responses(forecaster, at=at, moving=True), share=share))
-    finite = [each for each in every if np.isfinite(each.y).all()]
+    finite = [responses for responses in every if np.isfinite(responses.y).all()]
     if not finite or not finite[0].y.any():
         return []
     names = forecaster.require_fitted().record.inputs
     still = [name for name in names if name not in every[0].inputs]
-    said = [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
-    lost = [each.place for each in every if each not in finite]
-    said += [f"The response at {at} of the training inputs is not finite: left out." for at in lost]
-    for each in [each for each in finite if not each.settled][:1]:
-        after = len(each.whole) * each.sampling_time
-        said.append(
+    remarks = (
+        [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
+    )
+    lost = [responses.place for responses in every if responses not in finite]
+    remarks += [
+        f"The response at {at} of the training inputs is not finite: left out." for at in lost
+    ]
+    for moving in [responses for responses in finite if not responses.settled][:1]:
+        after = len(moving.whole) * moving.sampling_time
+        remarks.append(
             f"{forecaster.name} has not settled after {after:.4g} s: its gain and phase at low "
             "frequencies are uncertain."
         )
-    return [replace(finite[0], remarks=tuple(said)), *finite[1:]]
+    return [replace(finite[0], remarks=tuple(remarks)), *finite[1:]]
 
 
 def _each(what: str, value: npt.ArrayLike, nu: int) -> Array:
-    """Return a number for each input."""
+    """Return the numbers by input; raises ValueError, naming the argument."""
     numbers = np.asarray(value, dtype=np.float64)
     if numbers.shape not in ((), (nu,)) or not np.isfinite(numbers).all():
         raise InputError(f"{what} must be a finite number for each of {nu} inputs, got {value!r}")

@@ -1,6 +1,6 @@
 """Choose the filter pair from the training samples: cut-off, order and down-sampling.
 
-Not in the paper, which sets them by eye. No network is trained.
+The paper sets them by hand. No network is trained.
 """
 
 from __future__ import annotations
@@ -20,45 +20,46 @@ from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
 
 ORDERS = (1, 2)
-"""Order 2 is chosen only where order 1 is not acceptable: on held-out samples it is no better, and
-on the simulated pendulum (iii) and on (vi) it is worse (0.31 and 0.17, 0.35 and 0.28)."""
+"""Order 2 is chosen only where order 1 is not acceptable: its held-out errors are no lower, and on
+the simulated pendulum (iii) and on (vi) higher (0.31 and 0.17, 0.35 and 0.28)."""
 MOST_DOWNSAMPLING = 10
-"""Largest down-sampling factor of the low band. By eye."""
+"""Largest down-sampling factor of the low band. Convention: `scipy.signal.decimate` advises a
+second stage above 13."""
 LEAST_WARMUP = 10
 """Smallest number of warm-up samples of the down-sampled low band. By eye."""
 LEAST_PASSED = 0.5
-"""Smallest share of the power that the low-pass filter must pass. By eye."""
+"""Smallest share of the power in the low band. Checked by halving and doubling."""
 MOST_LOST = 0.15
 """Largest share of the power lost to the overlap of the bands and to the ends of warm-ups.
 By eye."""
 MOST_ALIASED = 1e-3
-"""Largest share of the power beyond the Nyquist frequency of the down-sampled low band. By eye."""
+"""Largest share of the power beyond the Nyquist frequency of the down-sampled low band. Checked by
+halving and doubling."""
 LEFT_BY_NETWORK = 0.02
-"""Share of the power that a network conditioned on the simulator is expected not to predict. From
-held-out errors of hybrids on (v) and (vi), with the simulator in the low band
-(docs/results/rules.md)."""
+"""Expected error of a network conditioned on the simulator, as a share of the power. From held-out
+errors of hybrids on (v) and (vi), with the simulator in the low band (docs/results/rules.md)."""
 WORTH_USING = 0.5
-"""The error of a simulator's band must have less than this share of the power in that band. By
-eye."""
+"""Largest error of a usable simulator in its band, as a share of the power there. By eye."""
 _CUTOFFS = 24
-"""Number of cut-offs that are tried, evenly spaced on a logarithmic scale. Bounds the time."""
+"""Number of candidate cut-offs, evenly spaced on a logarithmic scale. Bounds the time."""
 _WARMUPS = 40
 """Number of warm-ups over which the error at their ends is averaged. Bounds the time."""
 _NYQUIST_MARGIN = 0.8
-"""Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. By eye."""
+"""Highest cut-off, as a share of the Nyquist frequency of the down-sampled low band. Convention, of
+`scipy.signal.decimate` and MATLAB's `decimate`."""
 
 
 @dataclass(frozen=True)
 class CutoffCandidate:
-    """Describe a filter pair that was considered.
+    """A candidate filter pair.
 
     Attributes
     ----------
     cutoff : In Hz.
     order : Of each Butterworth filter.
-    downsampling : The largest k that keeps the low band, and enough samples of a warm-up.
-    passed : Share of the power that passes the low-pass filter or, with a simulator, the filter of
-        its band. It differs from the share on that side of the cut-off, as the filter is not steep.
+    downsampling : The largest k for the low band and a warm-up of `LEAST_WARMUP` samples.
+    passed : Share of the power after the low-pass filter or, with a simulator, after the filter of
+        its band. The filter is not steep: the share on this side of the cut-off differs.
     loss : Criterion, as a share of the power, see `choose` and `choose_with_simulator`.
     """
 
@@ -71,15 +72,15 @@ class CutoffCandidate:
 
 @dataclass(frozen=True)
 class Choice:
-    """Describe the chosen filter pair and the reason for it.
+    """The chosen filter pair and the reason for it.
 
     Attributes
     ----------
     cutoff, order, downsampling : See `CutoffCandidate`.
     reason : Reason of the choice, in words.
     loss : Meaning of `CutoffCandidate.loss`, in words.
-    candidates : All pairs that were considered, including the chosen one.
-    simulator_helps : Whether the simulator's band is worth using; None without a simulator.
+    candidates : All candidates, including the chosen one.
+    simulator_helps : Whether the simulator's band is usable; None without a simulator.
     """
 
     cutoff: float
@@ -105,16 +106,16 @@ def choose(
     order: int | None = None,
     downsampling: int | None = None,
 ) -> Choice:
-    """Choose the filter pair for networks that are learned from a record alone.
+    """Choose the filter pair of a split model, without a simulator.
 
-    The chosen cut-off is the lowest one that leaves half of the power in the low band and loses
-    `MOST_LOST` of it at most. Power is lost to band overlap (2 |L H|, which neither network sees
-    as it is) and to errors at the ends of filtered warm-ups. A lower cut-off allows more
-    down-sampling, so that the low-band network predicts fewer samples.
+    The lowest cut-off wins with half of the power in the low band and a loss of at most
+    `MOST_LOST`. Power is lost to band overlap (2 |L H|, undistorted in neither band) and to errors
+    at the ends of filtered warm-ups. A lower cut-off allows more down-sampling, so that the
+    low-band network predicts fewer samples.
 
-    `y` are the training samples, of which constant channels do not count; cut-off, order and
-    down-sampling may be given. Raises ValueError for constant samples if no cut-off is given, and
-    for given values that violate the Nyquist condition.
+    `y` are the training samples; constant channels do not count. Given values of cut-off, order and
+    down-sampling are kept. Raises ValueError for constant samples without a given cut-off, and for
+    given values against the Nyquist condition.
     """
     y = y[:, _varying(y)]
     spectrum = periodogram(y, sampling_rate)
@@ -155,15 +156,14 @@ def choose_with_simulator(  # noqa: PLR0913
     downsampling: int | None = None,
     simulator_band: Band = "low",
 ) -> Choice:
-    """Choose the filter pair of a hybrid model, one band of which comes from the simulator.
+    """Choose the filter pair of a hybrid model, with the simulator in `simulator_band`.
 
     The pair minimises the expected error of the hybrid: the simulator's error after its filter,
     plus the network's expected error (`LEFT_BY_NETWORK`) in the other band. Both filters run one
-    way, as in the model. A simulator that is wrong even in its own band (`WORTH_USING`) is better
-    left out.
+    way, as in the model. A simulator with too large an error in its own band (`WORTH_USING`) is
+    better left out.
 
-    Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if the model uses the
-    calibrated simulator.
+    Parameters as for `choose`; `y_sim` is aligned with `y`, and calibrated if the model's is.
     """
     varying = _varying(y)
     scale = spread(y)[varying]
@@ -178,10 +178,10 @@ def choose_with_simulator(  # noqa: PLR0913
     candidates, wrongness = [], {}
     for f, pair in _pairs(y, sampling_rate, warmup, cutoff, order, downsampling):
         response = pair.one_way().response(spectrum.frequencies)[0 if below else 1]
-        own, rest = abs(response) ** 2, abs(1 - response) ** 2
-        low = power * (own if below else rest)
+        gain, rest = abs(response) ** 2, abs(1 - response) ** 2
+        low = power * (gain if below else rest)
         k = downsampling or _downsampling(low, spectrum.frequencies, f, warmup)
-        passed, wrong_own = float(np.sum(own * power)), float(np.sum(own * error)) + offset
+        passed, wrong_own = float(np.sum(gain * power)), float(np.sum(gain * error)) + offset
         left = wrong_own + LEFT_BY_NETWORK * float(np.sum(rest * power))
         candidates.append(CutoffCandidate(f, pair.order, k, passed, left))
         wrongness[f, pair.order] = wrong_own / (passed or 1.0)
@@ -206,7 +206,7 @@ def choose_with_simulator(  # noqa: PLR0913
 
 
 def _varying(y: Array) -> Flags:
-    """Return a mask of the channels that vary; all channels if none does."""
+    """Return a mask of the varying channels; all channels if none varies."""
     varying = np.ptp(y, axis=0) > 0
     return varying if varying.any() else ~varying
 
@@ -219,7 +219,7 @@ def _pairs(
     order: int | None,
     downsampling: int | None,
 ) -> list[tuple[float, ComplementaryPair]]:
-    """Return the cut-offs in Hz to consider and their pairs, from three cycles per record on."""
+    """Return candidate cut-offs in Hz, from three cycles per record on, and their pairs."""
     orders = [order] if order is not None else [n for n in ORDERS if _shortest(n) <= warmup] or [1]
     design = partial(ComplementaryPair.butterworth, sampling_rate=sampling_rate)
     pairs = [] if cutoff is None else [(cutoff, design(cutoff, order=n)) for n in orders]
@@ -232,14 +232,14 @@ def _pairs(
     lowest = min(3 * sampling_rate / len(y), highest / 2)
     cutoffs = [float(f"{value:.3g}") for value in np.geomspace(lowest, highest, _CUTOFFS)]
     for f, n in product(cutoffs, orders):
-        # At a low cut-off, rounding makes a filter of high order unstable; such pairs are left out.
+        # At a low cut-off, rounding makes filters of high order unstable: `design` raises.
         with suppress(ValueError):
             pairs.append((f, design(f, order=n)))
     return pairs or [(cutoffs[-1], design(cutoffs[-1], order=orders[0]))]
 
 
 def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) -> int:
-    """Return the largest k whose Nyquist frequency is above the cut-off and nearly all power."""
+    """Return the largest k with the cut-off and nearly all power below its Nyquist frequency."""
     nyquist = frequencies[-1]
     for k in range(max(2, min(MOST_DOWNSAMPLING, warmup // LEAST_WARMUP)), 1, -1):
         aliased = float(np.sum(low[frequencies > nyquist / k]))
@@ -249,7 +249,7 @@ def _downsampling(low: Array, frequencies: Array, cutoff: float, warmup: int) ->
 
 
 def _shortest(order: int) -> int:
-    """Return the fewest samples that zero-phase filtering, with its padding, can process."""
+    """Return the minimum number of samples for zero-phase filtering, with its padding."""
     return 3 * (order + 1) + 1
 
 

@@ -1,7 +1,7 @@
 """Filter batches of signals by IIR filters, one way or both ways, exactly and differentiably.
 
-All is composed of single passes, of `arrays` or `tensors`, so that torch derives the gradient of
-the rest. They compute in float64, whatever the dtype of the signal: filters of high order lose many
+Filters are composed of single passes, of `arrays` or `tensors`, so that torch derives the gradient
+of the rest. Passes compute in float64 for signals of any dtype: filters of high order lose many
 digits.
 """
 
@@ -36,12 +36,10 @@ def lfilter(
 ) -> Signal:
     """Filter one way: a_0 y_n = sum_k b_k x_{n-k} - sum_{k>=1} a_k y_{n-k}.
 
-    That is the paper's Eq. 4, recurrence.
+    The paper's Eq. 4, recurrence, with SciPy's sign of the feedback (reproduction/REPORT.md).
 
-    The sign of the feedback is SciPy's, not the paper's (reproduction/REPORT.md).
-
-    Raises ValueError for `start="odd"`, which needs both directions, and for a `first` that does
-    not have P samples.
+    Raises ValueError for `start="odd"`, which needs both directions, and unless `first` has P
+    samples.
 
     Parameters
     ----------
@@ -61,10 +59,10 @@ def lfilter(
     if first is None:
         return of.signal(_pass(of, b, a, rows, start), axis, x)
     check_first(first.shape, x.shape, order, axis)
-    known = of.rows(first, axis)
-    state = of.xp.stack(_state_after(b, a, rows, known), -1)
+    outputs = of.rows(first, axis)
+    state = of.xp.stack(_state_after(b, a, rows, outputs), -1)
     rest = of.one_pass(b, a, rows[..., order:], state)
-    return of.signal(of.xp.concatenate([known, rest], -1), axis, x)
+    return of.signal(of.xp.concatenate([outputs, rest], -1), axis, x)
 
 
 def filtfilt(
@@ -77,7 +75,7 @@ def filtfilt(
 ) -> Signal:
     """Filter forwards and backwards: no phase shift, and a squared magnitude response.
 
-    Raises ValueError for a signal that is too short for the extension.
+    Raises ValueError for a signal shorter than the extension.
 
     Parameters
     ----------
@@ -107,7 +105,7 @@ def filtfilt(
 
 
 def _kind(x: Any) -> Any:
-    """Return the module that filters signals of the kind of `x`."""
+    """Return the module with the passes for arrays or tensors, by the type of `x`."""
     if isinstance(x, np.ndarray):
         return arrays
     from splitband.filters import tensors  # noqa: PLC0415  whoever has a tensor has torch
@@ -139,7 +137,7 @@ def _state_after(b: Array, a: Array, x: Any, y: Any) -> list[Any]:
 @lru_cache(maxsize=64)
 def _steady(b: tuple[float, ...], a: tuple[float, ...]) -> Array:
     """Return the steady state `(P,)` for a constant input of 1."""
-    # From SciPy 1.18 on it lies backwards in memory, which torch refuses.
+    # From SciPy 1.18 on the state has a negative stride, which torch refuses.
     return scipy.signal.lfilter_zi(b, a).copy()
 
 
@@ -152,16 +150,16 @@ def check_first(first: tuple[int, ...], signal: tuple[int, ...], order: int, axi
     """Check that `first` has the shape of the signal's first `order` samples."""
     if signal[axis] < order:
         raise InputError(f"the signal must have at least {order} samples, got {signal[axis]}")
-    wanted = [*signal]
-    wanted[axis] = order
-    if tuple(first) != tuple(wanted):
+    shape = [*signal]
+    shape[axis] = order
+    if tuple(first) != tuple(shape):
         raise InputError(
-            f"first must hold the first {order} outputs, shape {tuple(wanted)}, got {tuple(first)}"
+            f"first must hold the first {order} outputs, shape {tuple(shape)}, got {tuple(first)}"
         )
 
 
 def time_axis(ndim: int, dim: int | None) -> int:
-    """Return `dim`, or the conventional time axis of a signal if it is None."""
+    """Return `dim`, or the conventional time axis of a signal for None."""
     if dim is None:
         return -2 if ndim > 1 else -1
     if not -ndim <= dim < ndim:

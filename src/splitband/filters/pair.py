@@ -29,8 +29,8 @@ def butterworth(
 ) -> tuple[Array, Array]:
     """Design a Butterworth filter; return its coefficients `(b, a)`, each `(order + 1,)`.
 
-    Raises ValueError for a cut-off outside the Nyquist range, or an order so high for the cut-off
-    that the coefficients no longer describe the filter in double precision.
+    Raises ValueError for a cut-off outside the Nyquist range, or an order too high for coefficients
+    in double precision at this cut-off.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ def butterworth(
 
 @dataclass(frozen=True, eq=False)
 class ComplementaryPair:
-    """Combine a low-pass and a high-pass filter that sum to the identity.
+    """A low-pass and a high-pass filter with the identity as their sum.
 
-    That is the paper's Eq. 3, complementarity; both together run as its Eq. 6, joint recurrence.
+    The paper's Eq. 3, complementarity; both together run as its Eq. 6, joint recurrence.
 
     Use `ComplementaryPair.butterworth` or `ComplementaryPair.perfect`.
 
@@ -77,7 +77,7 @@ class ComplementaryPair:
     sampling_rate : In Hz.
     cutoff : In Hz, where it is known.
     zero_phase : Whether the filters run in both directions.
-    start : How they start, see `lfilter` and `filtfilt`.
+    start : Initial state of the filters, see `lfilter` and `filtfilt`.
 
     Examples
     --------
@@ -123,16 +123,16 @@ class ComplementaryPair:
         zero_phase: bool = True,
         start: Start | None = None,
     ) -> ComplementaryPair:
-        """Return two Butterworth filters that share a cut-off.
+        """Return two Butterworth filters with a common cut-off.
 
         They satisfy `|L|^2 + |H|^2 = 1`: filtered in both directions, the bands sum to the signal
-        for any order, except at its ends. One way, only order 1 does.
+        for any order, except at its ends; one way, for order 1 only.
 
         Parameters
         ----------
         cutoff, sampling_rate : In Hz.
         order : Of each filter, one way.
-        zero_phase : Run both directions: no delay, but each output then depends on later samples.
+        zero_phase : Run in both directions: no delay, but outputs then depend on later samples.
         start : By default `"odd"` in both directions and `"steady"` one way.
         """
         b_low, a = butterworth(cutoff, sampling_rate, order, "low")
@@ -192,7 +192,7 @@ class ComplementaryPair:
 
         One way, `first` may give the first P outputs of the sum. The recurrence is linear: the low
         band is filtered separately, and the high band starts from `first` minus the low band. A
-        low band that does not change then needs to be filtered only once.
+        constant low band then needs to be filtered only once.
         """
         if first is not None:
             check_first(first.shape, low.shape, self.order, time_axis(low.ndim, dim))

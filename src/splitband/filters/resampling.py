@@ -19,8 +19,8 @@ Alignment = Literal["time", "paper"]
 def check_downsampling(downsampling: int, cutoff: float, sampling_rate: float) -> None:
     """Check that down-sampling keeps frequencies up to `cutoff`: 2 cutoff < sampling_rate / k.
 
-    Raises ValueError for k < 1, and for a cut-off (Hz) that is not below the Nyquist frequency
-    after down-sampling.
+    Raises ValueError for k < 1, and for a cut-off (Hz) at or above the Nyquist frequency after
+    down-sampling.
     """
     if downsampling < 1:
         raise InputError(f"downsampling must be at least 1, got {downsampling}")
@@ -50,15 +50,15 @@ def upsample(y: Signal, k: int, length: int | None = None, align: Alignment = "t
     ----------
     y : The down-sampled signal, n samples.
     k : The factor.
-    length : How many samples to return, at most k n; all by default.
-    align : `"time"` keeps sample j of `y` at index j k, and holds the last one for k - 1 samples;
+    length : Number of samples to return, at most k n; all by default.
+    align : `"time"` keeps sample j of `y` at index j k, and repeats the last sample k - 1 times;
         `"paper"` is torch's `align_corners=False`, which shifts time by (k - 1) / 2 samples.
     """
     if k < 1:
         raise InputError(f"k must be at least 1, got {k}")
     if align not in get_args(Alignment):
         raise InputError(f"align must be one of {get_args(Alignment)}, got {align!r}")
-    import torch  # noqa: PLC0415  what chooses a factor needs none
+    import torch  # noqa: PLC0415  `check_downsampling` and `downsample` need no torch
 
     from splitband.filters.tensors import floating  # noqa: PLC0415
 

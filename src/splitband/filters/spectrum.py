@@ -16,12 +16,12 @@ LOBE = 2
 MOST_PEAKS = 5
 """Largest number of peaks. Layout."""
 LEAST_PEAK = 0.005
-"""Least share of the power that a peak has. Layout."""
+"""Least share of the power in a peak. Layout."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Hold the power spectral density of a record.
+    """The power spectral density of a record.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Spectrum:
         for i in maxima[np.argsort(-power[maxima], kind="stable")]:
             if len(strongest) == MOST_PEAKS:
                 break
-            if left[i] > 0:  # otherwise it is part of a stronger peak
+            if left[i] > 0:  # otherwise bin i is part of a stronger peak
                 lobe = slice(max(i - LOBE, 0), i + LOBE + 1)
                 strongest.append((float(self.frequencies[i]), float(left[lobe].sum() / total)))
                 left[lobe] = 0.0
@@ -74,7 +74,7 @@ class Spectrum:
 def periodogram(y: Array, sampling_rate: float) -> Spectrum:
     """Return the periodogram of `y` `(time,)` or `(time, ny)`, mean removed, with a Hann window."""
     y = y[:, None] if y.ndim == 1 else y
-    y = y - y[:1]  # so that a constant is exactly zero, not rounding of its mean
+    y = y - y[:1]  # a constant becomes exactly zero, not the rounding of a mean
     frequencies, density = scipy.signal.periodogram(
         y, sampling_rate, window="hann", detrend="constant", axis=0
     )
@@ -96,7 +96,7 @@ def coherence(y: Array, y_sim: Array, sampling_rate: float) -> tuple[Array, Arra
 
 @dataclass(frozen=True)
 class Oracle:
-    """Hold the RMSE that a hybrid could reach at a cut-off (paper, Sec. 4.4).
+    """The least RMSE of a hybrid at a cut-off (paper, Sec. 4.4).
 
     Attributes
     ----------
@@ -113,14 +113,14 @@ class Oracle:
     def nothing_to_learn(self) -> bool:
         """Return whether a perfect network has a larger error than a zero network.
 
-        Training minimises the error, so it does not find the perfect network then. This happens
-        where the delay of the low-pass filter compensates for a simulator that runs ahead:
-        L(y_sim) is then closer to y than L(y) is.
+        Training minimises the error, and then does not find the perfect network. This happens where
+        the delay of the low-pass filter compensates for a simulator ahead of the record: L(y_sim)
+        is then closer to y than L(y) is.
         """
         return self.perfect_network > self.no_network
 
     def describe(self) -> str:
-        """Return a sentence for the case in which there is nothing to learn."""
+        """Return a sentence for `nothing_to_learn`."""
         return (
             "nothing to learn: on the training samples the low-passed simulator alone has RMSE "
             f"{self.no_network:.3g}, with a network that is exactly right "
@@ -138,7 +138,7 @@ def oracle(
 ) -> Oracle:
     """Run the oracle check of the paper's filter design, with the hybrid's one-way pair.
 
-    If gaps of `y` have been filled, errors are computed against `seen`, with NaN in the gaps.
+    Errors are computed against `seen`, the measurements with NaN in the gaps, by default `y`.
     """
     seen = y if seen is None else seen
     b, a = butterworth(cutoff, sampling_rate, order)

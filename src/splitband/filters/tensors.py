@@ -40,7 +40,7 @@ def one_pass(b: Array, a: Array, x: Tensor, state: Tensor, reverse: bool = False
 
 
 def floating(x: npt.NDArray[Any] | Tensor) -> Tensor:
-    """Return a signal as a floating-point tensor, which may share its memory."""
+    """Return a signal as a floating-point tensor, which may share the signal's memory."""
     if not isinstance(x, Tensor):
         x = torch.from_numpy(np.require(x, requirements=["C", "W"]))
     return x if x.is_floating_point() else x.double()

@@ -1,7 +1,7 @@
-"""Compile whole rollouts: warm-up, free run and their gradients in one call each.
+"""Compile whole rollouts: warm-up and free run in one call, their gradients in another.
 
-The plain loop, `networks.rollout`, is the definition; these take a cell's tensors and give the
-same samples and gradients, on the CPU in float32 and float64. Numba compiles a kernel on its first
-call, says so on the log, and keeps it on disk. Each kernel is imported from its own file: that of
-differential equations needs no torch.
+The plain loop, `networks.rollout`, is the definition; kernels take a cell's tensors and return
+equal samples and gradients, on the CPU in float32 and float64. Numba compiles a kernel on its first
+call, with a line in the log, and keeps it on disk. Kernels are imported from their own files: the
+one for differential equations needs no torch.
 """

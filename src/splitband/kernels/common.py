@@ -1,4 +1,4 @@
-"""Compile kernels and their parts, and provide the parts that they share."""
+"""Compile kernels and their parts, and provide their common parts."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _LOG = logging.getLogger("splitband")
 F = TypeVar("F", bound=Callable[..., Any])
 
 PAD = 16
-"""The last axis of a buffer is padded to a multiple of this: vector loops need no remainder."""
-# Without "nnan" and "ninf", by which LLVM assumes that there is no NaN and no infinity.
-# With the error model of NumPy, division by zero gives infinity and does not raise.
+"""The last axis of a buffer is a multiple of `PAD`: vector loops need no remainder."""
+# "nnan" and "ninf" are absent: with them LLVM assumes the absence of NaN and infinity.
+# In the error model of NumPy, division by zero gives infinity and does not raise.
 _OPTIONS: Any = {
     "fastmath": {"contract", "reassoc", "nsz"},
     "error_model": "numpy",
@@ -37,8 +37,8 @@ _OPTIONS: Any = {
 def part(function: F) -> F:
     """Compile a part of a kernel into the kernel.
 
-    A part that is left as a function of its own is linked otherwise where the kernel is compiled
-    than where it comes from the disk: the last bits then differ between the two processes.
+    Without inlining, linking differs between a process that compiles the kernel and one that loads
+    the kernel from the disk, and so do the last bits of results.
     """
     compiled: F = njit(forceinline=True, **_OPTIONS)(function)
     return compiled
@@ -52,17 +52,17 @@ _SOURCES = hashlib.sha256(
 def kernel(function: F) -> F:
     """Compile on the first call and keep the result on disk, until a file of this folder changes.
 
-    Numba itself compares the kernel's own file, and would not see that a part of it has changed.
+    Numba itself compares the kernel's own file only, not those of the parts.
     """
     compiled: Any = njit(cache=True, **_OPTIONS)(function)
-    kept = compiled._cache._cache_file
-    kept._source_stamp = kept._source_stamp, _SOURCES
+    cache = compiled._cache._cache_file
+    cache._source_stamp = cache._source_stamp, _SOURCES
     compile_or_load = compiled.compile
 
     def alone(signature: Any) -> Any:
         """Wait while another process compiles the kernel, then load it."""
-        lock = FileLock(f"{kept._index_path}.lock")
-        with suppress(OSError, NotImplementedError):  # of a folder that cannot be written
+        lock = FileLock(f"{cache._index_path}.lock")
+        with suppress(OSError, NotImplementedError):  # a read-only folder
             compiled._cache._impl.locator.ensure_cache_path()
             lock.acquire()
         try:
@@ -76,7 +76,7 @@ def kernel(function: F) -> F:
 
 
 class _Announcement(event.Listener):
-    """Announce that kernels are compiled; where they are on disk, there is no such event."""
+    """Announce compilation; kernels loaded from disk cause no such event."""
 
     def on_start(self, event: Any) -> None:
         announce()
@@ -87,13 +87,13 @@ class _Announcement(event.Listener):
 
 @cache
 def announce() -> None:
-    """Say once in a process that kernels are compiled."""
-    # A warning, as Python prints these even where no logging has been set up.
+    """Log once in a process that kernels are compiled."""
+    # A warning: without logging handlers, Python prints warnings but no infos.
     _LOG.warning("splitband: compiling kernels, once after installation (some seconds)")
 
 
 def tanh(x: float) -> float:
-    """Return tanh by rational approximations that vectorise, to 4 ulp."""
+    """Return tanh by vectorisable rational approximations, to 4 ulp."""
     return math.tanh(x)
 
 
@@ -156,7 +156,7 @@ def tanh_of(x: Array) -> None:
 
 @part
 def tanh_back(a: Array, da: Array) -> None:
-    """Bring the gradient of a = tanh(x) to x, in place."""
+    """Propagate the gradient of a = tanh(x) to x, in place."""
     one = a.dtype.type(1)
     for i in range(a.size):
         da[i] *= one - a[i] * a[i]

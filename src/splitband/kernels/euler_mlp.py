@@ -61,8 +61,8 @@ def euler_rollout(
     Parameters
     ----------
     h0 : The state h_R of the first sample `(batch, S)`, float32 or float64.
-    steps : How many samples to simulate.
-    ny : How many entries of the state are the sample.
+    steps : Number of samples to simulate.
+    ny : Number of outputs, the first entries of the state.
     step_size : dt.
     u : Known inputs `(batch, steps - 1, nu)` or longer, from time R on, or None.
     weight_1, bias_1 : `(M, S + nu)` and `(M,)`.
@@ -89,12 +89,12 @@ def euler_rollout(
 
 @dataclass(frozen=True)
 class _EulerMLP(Kernel):
-    """Keep x and b of each step; the narrow first layer is cheap: a is computed again."""
+    """Keep x and b of all steps; the narrow first layer is cheap, so a is computed again."""
 
     step_size: float
 
     def pack(self, *weights: Array) -> Arrays:
-        """Pack each layer's W' over its bias, to multiply from the right, and dt."""
+        """Pack the layers as W' over the bias, to multiply from the right, and dt."""
         layers = zip(weights[::2], weights[1::2], strict=True)
         return *(_packed(w, bias) for w, bias in layers), self._step_size(weights)
 
@@ -133,10 +133,10 @@ def _packed(w: Array, bias: Array) -> Array:
 
 
 @kernel
-def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+def _forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
     h0, u = inputs
     w1, w2, w3, step_size = weights
-    xs, bs = kept
+    xs, bs = buffers
     rows, size = h0.shape
     steps, ny = y.shape[1:]
     one = size + u.shape[2]
@@ -170,10 +170,10 @@ def _layer(out: Array, values: Array, ones: Array, w: Array) -> None:
 
 @kernel
 def _backward(
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     first, w1, w2, w3, step_size = weights
-    xs, bs, as_, das, dbs, dcs = kept
+    xs, bs, as_, das, dbs, dcs = buffers
     dw1, dw2, db2, dw3, db3 = sums
     dh, du = gradients
     rows, size = dh.shape

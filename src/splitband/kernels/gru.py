@@ -5,7 +5,7 @@ With x = [y, u, 1], the biases as last columns of W, and the formulas of `torch.
     r = sigma(W_r x + U_r h),  z = sigma(W_z x + U_z h),  m = U_m h + c_m,
     n = tanh(W_n x + r m),     h' = n + z (h - n),        y = C h + c.
 
-The gates of a step are kept as planes r, z, m, n: U has the first three, W all but m.
+The gates of a step are stored as planes r, z, m, n: U has the first three, W all but m.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ def gru_rollout(
     Parameters
     ----------
     y_warmup : Measured samples `(batch, R, ny)`, float32 or float64.
-    steps : How many samples to simulate.
+    steps : Number of samples to simulate.
     u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
     weight_ih, weight_hh : `(3 H, ny + nu)` and `(3 H, H)`, gates r, z, n as in `torch.nn.GRUCell`.
-    bias_ih, bias_hh : `(3 H,)` each.
+    bias_ih, bias_hh : `(3 H,)`.
     weight_out, bias_out : C `(ny, H)` and c `(ny,)`.
     """
     batch, warmup, ny = y_warmup.shape
@@ -70,10 +70,10 @@ def gru_rollout(
 
 @dataclass(frozen=True)
 class _GRU(Kernel):
-    """Keep x, h and the gates of each step."""
+    """Keep x, h and the gates of all steps."""
 
     def pack(self, *weights: Array) -> Arrays:
-        """Pack W' and U' by planes, and C' over c, all to multiply from the right."""
+        """Pack W' and U' by planes, and C' over c, to multiply from the right."""
         weight_ih, weight_hh, bias_ih, bias_hh, weight_out, bias_out = weights
         size = weight_hh.shape[1]
         wx = np.zeros((4, weight_ih.shape[1] + 1, size), weight_ih.dtype)
@@ -113,14 +113,14 @@ class _GRU(Kernel):
 
 
 @kernel
-def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
+def _forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
     y_warmup, u = inputs
     wx, wh, wy = weights
-    xs, hs, gates = kept
+    xs, hs, gates = buffers
     rows, warmup, ny = y_warmup.shape
     one, size = ny + u.shape[2], wh.shape[1]
     last = warmup + y.shape[1] - 1
-    seen = np.empty((rows, wy.shape[1]), y.dtype)
+    sample = np.empty((rows, wy.shape[1]), y.dtype)
     hs[0] = 0
     for t in range(last + 1):
         x, h = xs[t % len(xs)], hs[t % len(hs)]
@@ -128,10 +128,10 @@ def _forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
         if t < warmup:
             copy(x, y_warmup[:, t])
         else:
-            matmul(seen, x[:, one:], wy[size:], False)
-            matmul(seen, h[:, :size], wy[:size], True)
-            copy(x, seen[:, :ny])
-            copy(y[:, t - warmup], seen[:, :ny])
+            matmul(sample, x[:, one:], wy[size:], False)
+            matmul(sample, h[:, :size], wy[:size], True)
+            copy(x, sample[:, :ny])
+            copy(y[:, t - warmup], sample[:, :ny])
         if t == last:
             break
         copy(x[:, ny:], u[:, t])
@@ -157,10 +157,10 @@ def _gate(g: Array, h: Array, h_next: Array) -> None:
 
 @kernel
 def _backward(
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
     wih, whh, wy = weights
-    xs, hs, gates, dgates = kept
+    xs, hs, gates, dgates = buffers
     dwx, dwh, dwy, dby = sums
     dy_warmup, du = gradients
     rows, warmup, ny = dy_warmup.shape
@@ -169,11 +169,11 @@ def _backward(
     dh, dx = np.zeros((rows, width), dy.dtype), np.zeros((rows, wih.shape[2]), dy.dtype)
     for t in range(last, -1, -1):
         if t >= warmup:
-            seen = dy[:, t - warmup] + dx[:, :ny]
+            dsample = dy[:, t - warmup] + dx[:, :ny]
             for i in range(ny):
-                dby[i] += seen[:, i].sum()
-            matmul(dwy, seen.T, hs[t], True)
-            matmul(dh, seen, wy, True)
+                dby[i] += dsample[:, i].sum()
+            matmul(dwy, dsample.T, hs[t], True)
+            matmul(dh, dsample, wy, True)
         elif wanted:
             copy(dy_warmup[:, t], dx[:, :ny])
         if t == 0:

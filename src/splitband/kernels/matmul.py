@@ -1,8 +1,8 @@
 """Compile the matrix product of the kernels, for the many small products of a rollout.
 
-BLAS spends most of such a product on packing its operands and waking its threads. Here a block
-of the result stays in registers while the inner index runs. That takes LLVM instructions, since
-a loop over an array goes through memory.
+BLAS spends most of a small product on packing operands and waking threads. Here a block of the
+result stays in registers while the inner index runs, by LLVM instructions: a loop over an array
+would go through memory.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from splitband.kernels.common import Array, part
 cgutils: Any = _cgutils  # its helpers have no types
 _VECTOR_BYTES = 64
 """Bytes of the widest vectors, those of AVX-512."""
-# Vectors by rows of a block of sums: 16 of the 32 registers of AVX-512, or 12 of 16 half as wide.
-# The smaller ones take what is left over.
 _WIDE = ((4, (4, 1)), (2, (8, 4, 1)), (1, (8, 4, 1)))
+"""Vectors by rows of a block of sums in 16 of the 32 registers of AVX-512. Smaller blocks cover the
+remainder."""
 _NARROW = ((1, (6, 4, 1)),)
+"""The same in 12 of 16 registers half as wide."""
 _HAS_32_REGISTERS = bool(binding.get_host_cpu_features().get("avx512f"))
 _BLOCKS = _WIDE if _HAS_32_REGISTERS else _NARROW
-# Rows of a and of b whose products are summed at once.
 _SUMS = (4, 1) if _HAS_32_REGISTERS else (2, 1)
+"""Rows of a and of b in a block of `add_products`."""
 
 
 @part
@@ -47,10 +48,10 @@ def add_products(out: Array, a: Array, b: Array) -> None:
 
 
 def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
-    """Return the signature of a product for Numba, and the function that emits its code.
+    """Return the signature of a product for Numba, and the generator of its code.
 
-    The code stands in a function of its own, once for each layout of the arrays: inlined into every
-    call, kernels take twice as long to compile, and no less time to run.
+    The code is a function for every layout of the arrays: inlined into all calls, kernels take
+    twice as long to compile, and no less time to run.
     """
     of_item, item_bytes = types_of_args[1].dtype, types_of_args[1].dtype.bitwidth // 8
 
@@ -66,13 +67,17 @@ def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
         product = ir.Function(module, kinds, module.get_unique_name(kind.__name__))
         product.linkage = "internal"
         product.attributes.add("noinline")
-        given = iter(product.args)
+        arguments = iter(product.args)
         out, a, w = (
-            _View(next(given), [next(given) for _ in v.shape], [next(given) for _ in v.strides])
+            _View(
+                next(arguments),
+                [next(arguments) for _ in v.shape],
+                [next(arguments) for _ in v.strides],
+            )
             for v in views
         )
         inner = ir.IRBuilder(product.append_basic_block())
-        kind(inner, out, a, w, context.get_value_type(of_item), item_bytes, *given).emit()
+        kind(inner, out, a, w, context.get_value_type(of_item), item_bytes, *arguments).emit()
         inner.ret_void()
         builder.call(product, values)
         return context.get_dummy_value()
@@ -81,7 +86,7 @@ def _emitted_by(kind: type[_Product], *types_of_args: Any) -> tuple[Any, Any]:
 
 
 class _View(NamedTuple):
-    """Hold an array's pointer, shape and strides, as LLVM values."""
+    """An array's pointer, shape and strides, as LLVM values."""
 
     data: Any
     shape: list[Any]
@@ -108,7 +113,7 @@ _add_products: Any = intrinsic(_sum_of_products)
 
 @dataclass(frozen=True)
 class _Product:
-    """Emit one product; rows, columns and sizes are LLVM integers unless they are `int`."""
+    """A product to emit; rows, columns and sizes are LLVM integers unless typed `int`."""
 
     builder: Any
     out: _View
@@ -149,7 +154,7 @@ class _Product:
                 x = self.spread(self.load(self.a, (r, k.index), self.item))
                 for c in across:
                     self.add(sums[r, c], self.builder.fmul(x, ws[c], flags=("contract",)))
-        # The old values are added last, which rounds less than adding each product to them.
+        # The old values are added last: rounding is less than with products added to them.
         with self.builder.if_then(self.accumulate):
             for (r, c), register in sums.items():
                 self.add(register, self.load(self.out, (r, c), self.vector))
@@ -158,14 +163,14 @@ class _Product:
             self.builder.store(self.builder.load(register), target, align=self.item_bytes)
 
     def registers(self, places: Iterable[tuple[Any, Any]]) -> dict[tuple[Any, Any], Any]:
-        """Return a vector of zeros for each place of the result."""
-        found = {place: cgutils.alloca_once(self.builder, self.vector) for place in places}
-        for register in found.values():
+        """Return vectors of zeros by place in the result."""
+        vectors = {place: cgutils.alloca_once(self.builder, self.vector) for place in places}
+        for register in vectors.values():
             self.builder.store(ir.Constant(self.vector, None), register)
-        return found
+        return vectors
 
     def divide(self, start: Any, stop: Any, length: int) -> tuple[Any, Any]:
-        """Return how many whole lengths fit between start and stop, and where they end."""
+        """Return the number of whole lengths between start and stop, and their end."""
         count = self.builder.sdiv(self.builder.sub(stop, start), start.type(length))
         return count, self.step(start, count, length)
 
@@ -193,7 +198,7 @@ class _Product:
 
 
 class _SumOfProducts(_Product):
-    """Emit products of rows, summed over lanes and over the first axis; `w` is b."""
+    """Products of rows to emit, summed over lanes and over the first axis; `w` is b."""
 
     def emit(self) -> None:
         rows, columns = self.out.shape

@@ -1,9 +1,9 @@
-"""Solve ordinary differential equations on the time grid of a record, compiled where it can be.
+"""Solve ordinary differential equations on the time grid of a record, compiled where possible.
 
 Dormand and Prince's method of order 5 (J. Comp. Appl. Math. 6, 1980), with the step size control of
-Hairer, Nørsett and Wanner (Solving Ordinary Differential Equations I, Sec. II.4). A step ends at
-each sample, where inputs may have a kink. Steps are chosen once and taken again for neighbouring
-parameters and states, so that finite differences see a smooth function.
+Hairer, Nørsett and Wanner (Solving Ordinary Differential Equations I, Sec. II.4). Steps end at
+samples, where inputs may have a kink. Neighbouring parameters and states repeat the chosen steps,
+so that finite differences are taken of a smooth function.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ MOST_STEPS = 10_000
 SHORTEST = 1e-12
 """Shortest step, as a share of the interval between two samples. Rounding."""
 WORTH_COMPILING = 30_000
-"""Steps after which an equation is compiled: they take about as long as compiling."""
+"""Steps after which an equation is compiled, for about the time of compiling it."""
 _OPTIONS: Any = {"error_model": "numpy"}
 NODES = np.array([0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1])
+"""Nodes of Dormand and Prince's stages."""
 WEIGHTS = np.zeros((7, 7))
 WEIGHTS[1, :1] = 1 / 5
 WEIGHTS[2, :2] = 3 / 40, 9 / 40
@@ -38,10 +39,9 @@ WEIGHTS[3, :3] = 44 / 45, -56 / 15, 32 / 9
 WEIGHTS[4, :4] = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
 WEIGHTS[5, :5] = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
 WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
-"""Weights of the stages, whose nodes are `NODES`; the last stage is the step."""
-_ERRORS = np.array(
-    [71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40]
-)  # of order 5 less order 4
+"""Weights of the stages at `NODES`; the last stage is the step."""
+_ERRORS = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+"""Weights of order 5 less those of order 4."""
 
 
 def solve(  # noqa: PLR0912  one loop, for Numba
@@ -53,39 +53,38 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     steps: tuple[Array, float],
     tolerances: tuple[float, float],
 ) -> tuple[Array, Array, float]:
-    """Return the states at the times `time`, the steps that were taken, and the size of the next.
+    """Return the states at the times `time`, the steps taken, and the size of the next step.
 
-    The states are `(time, nx)`, NaN from where the tolerances cannot be reached or a state is not
-    finite. A step is given by its end, as a share of the interval between two samples: 1 ends it.
+    The states are `(time, nx)`, NaN from the first missed tolerance or non-finite state on. Steps
+    are given by their ends, as shares of the interval between two samples.
 
     Parameters
     ----------
     rhs : `rhs(t, x, u, p) -> dx/dt`, as a list, a tuple or an array.
-    p : What it gets as `p`.
+    p : Parameters, passed on to `rhs`.
     initial : `(nx,)`, at the first time.
     time : `(time,)`, in s.
-    inputs : `(time, nu)`, and whether they are held between samples; otherwise they run along
-        straight lines.
-    steps : Steps to take, empty to choose them; and the size in s of the first one that is tried, 0
-        for the first interval.
+    inputs : `(time, nu)`, and whether to hold them between samples, else linear interpolation.
+    steps : Steps to take, empty to choose them; and the size in s of the first trial step, 0 for
+        the first interval.
     tolerances : Relative and absolute tolerance of a step.
     """
     u, held = inputs
-    given, size = steps
+    schedule, size = steps
     rtol, atol = tolerances
     nx, nu = initial.shape[0], u.shape[1]
     states = np.full((time.shape[0], nx), np.nan)
-    ends, taken = np.empty(max(len(given), 2 * time.shape[0])), 0
+    ends, taken = np.empty(max(len(schedule), 2 * time.shape[0])), 0
     k, stage, now = np.empty((7, nx)), np.empty(nx), np.empty(nu)
     x = initial.copy()
     states[0] = x
     for n in range(time.shape[0] - 1):
         width = time[n + 1] - time[n]
         size = size if size > 0 else width
-        begin, known, tried = 0.0, 0, 0  # `known`: whether k[0] holds the slope at `begin`
+        begin, stages, tried = 0.0, 0, 0  # `stages`: 1 if k[0] holds the slope at `begin`, else 0
         while begin < 1.0:
-            if len(given):
-                end = given[taken] if taken < len(given) else begin
+            if len(schedule):
+                end = schedule[taken] if taken < len(schedule) else begin
             else:
                 end = begin + size / width
                 end = 1.0 if end > 1.0 - SHORTEST else end
@@ -93,7 +92,7 @@ def solve(  # noqa: PLR0912  one loop, for Numba
             if not end - begin > SHORTEST or tried > MOST_STEPS:
                 return states, ends[:taken], size
             h = (end - begin) * width
-            for s in range(known, 7):
+            for s in range(stages, 7):
                 for j in range(nx):
                     stage[j] = x[j]
                     for r in range(s):
@@ -104,19 +103,19 @@ def solve(  # noqa: PLR0912  one loop, for Numba
                 slope = rhs(time[n] + share * width, stage, now, p)
                 for j in range(nx):
                     k[s, j] = slope[j]
-            known = 1
+            stages = 1
             error = 0.0
             for j in range(nx):  # the last stage is the new state
-                each = 0.0
+                difference = 0.0
                 for r in range(7):
-                    each += h * _ERRORS[r] * k[r, j]
-                error += (each / (atol + rtol * max(abs(x[j]), abs(stage[j])))) ** 2
+                    difference += h * _ERRORS[r] * k[r, j]
+                error += (difference / (atol + rtol * max(abs(x[j]), abs(stage[j])))) ** 2
             error = np.sqrt(error / nx)
-            if not len(given):
+            if not len(schedule):
                 factor = 0.2 if np.isnan(error) else min(max(0.9 * error**-0.2, 0.2), 10.0)
-                # One that ends at a sample may have been shorter than it could be.
+                # A step to the next sample may be shorter than the tolerances allow.
                 size = max(size, h * factor) if error <= 1.0 and end == 1.0 else h * factor
-            if len(given) or error <= 1.0:
+            if len(schedule) or error <= 1.0:
                 if taken == len(ends):
                     ends = np.concatenate((ends, np.empty(len(ends))))
                 ends[taken] = end
@@ -132,8 +131,8 @@ def solve(  # noqa: PLR0912  one loop, for Numba
 
 @overload(np.clip, strict=False)
 def _clip(a: Any, a_min: Any, a_max: Any) -> Any:
-    """Return `np.clip` of a number, as of a hard saturation: Numba has that of arrays alone."""
-    numbers = all(isinstance(each, types.Number) for each in (a, a_min, a_max))
+    """Return `np.clip` of a number, such as a hard saturation: Numba clips arrays only."""
+    numbers = all(isinstance(argument, types.Number) for argument in (a, a_min, a_max))
     return (lambda a, a_min, a_max: np.minimum(np.maximum(a, a_min), a_max)) if numbers else None
 
 
@@ -141,12 +140,12 @@ _compiled = njit(**_OPTIONS)(solve)
 
 
 class Solver:
-    """Solve an equation; after many steps it is compiled with Numba, if possible.
+    """The solver of an equation, compiled with Numba after many steps, if possible.
 
     Parameters
     ----------
     rhs : A function of the first `arguments` of (t, x, u, p), see `solve`.
-    arguments : Their number, 2 to 4.
+    arguments : The number of arguments of `rhs`, 2 to 4.
     """
 
     def __init__(self, rhs: Rhs, arguments: int) -> None:
@@ -165,21 +164,21 @@ class Solver:
         steps: tuple[Array, float],
         tolerances: tuple[float, float],
     ) -> tuple[Array, Array, float]:
-        """Return what `solve` returns."""
+        """Return the result of `solve`."""
         with np.errstate(all="ignore"):
             if self.solve is not self.python and self.kept != referred(self.rhs):
                 self.solve, self.taken, self.tried = self.python, 0, False
             if self.taken > WORTH_COMPILING and not self.tried:
                 probe = p, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
                 self._compile(*probe, tolerances)
-            found: tuple[Array, Array, float] = self.solve(
+            solution: tuple[Array, Array, float] = self.solve(
                 p, initial, time, inputs, steps, tolerances
             )
-        self.taken += len(found[1])
-        return found
+        self.taken += len(solution[1])
+        return solution
 
     def _compile(self, *probe: Any) -> None:
-        """Use compiled code if it agrees on a short simulation: it does not check indices."""
+        """Use compiled code, without checks of indices, if it agrees on a short simulation."""
         self.tried, self.kept = True, referred(self.rhs)
         expected = self.python(*probe)[0]
         try:
@@ -187,12 +186,12 @@ class Solver:
             if self.arguments <= 3:
                 wrapped = njit(**_OPTIONS)(_prefixed(fast, self.arguments))
             compiled = partial(_compiled, wrapped)
-            found = compiled(*probe)[0]
-        except Exception as error:  # code that Numba does not support
-            said = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
-            reason = next(iter(said), "") or type(error).__name__
+            states = compiled(*probe)[0]
+        except Exception as error:  # code without support in Numba
+            lines = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
+            reason = next(iter(lines), "") or type(error).__name__
         else:
-            if np.allclose(found, expected, rtol=1e-6, equal_nan=True):
+            if np.allclose(states, expected, rtol=1e-6, equal_nan=True):
                 self.solve = compiled
                 return
             reason = "compiled, it gives other numbers"
@@ -207,34 +206,34 @@ class Solver:
 
 @cache
 def solver(rhs: Rhs, arguments: int) -> Solver:
-    """Return the solver of an equation, one for all that solve it."""
+    """Return the common solver of an equation."""
     return Solver(rhs, arguments)
 
 
 def referred(function: Any) -> list[Any]:
-    """Return the values that the names in a function stand for now, which compiled code keeps.
+    """Return the present values of the names in a function, constants in compiled code.
 
-    Attributes of modules are among them. What an object does that is no function is not known.
+    Attributes of modules are included, the code of callable objects is not.
     """
     function = getattr(function, "py_func", function)
     if not isinstance(function, FunctionType):
         return []
     codes, names = [function.__code__], set[str]()
-    for code in codes:  # to which those of functions in it are added
+    for code in codes:  # grows by the inner functions of `code`
         names |= {*code.co_names}
         codes += [const for const in code.co_consts if isinstance(const, CodeType)]
-    spaces, found = [function.__globals__], list[Any]()
+    spaces, objects = [function.__globals__], list[Any]()
     for space in spaces:
         values = [space[name] for name in sorted(names & space.keys())]
         inner = [vars(value) for value in values if isinstance(value, ModuleType)]
-        spaces += [each for each in inner if not any(each is other for other in spaces)]
-        found += [value for value in values if not isinstance(value, ModuleType)]
+        spaces += [new for new in inner if not any(new is other for other in spaces)]
+        objects += [value for value in values if not isinstance(value, ModuleType)]
     cells = (cell.cell_contents for cell in function.__closure__ or ())
-    return [_content(value) for value in [*found, *cells]]
+    return [_content(value) for value in [*objects, *cells]]
 
 
 def _content(value: Any) -> Any:
-    """Return what tells a value from others, also from itself after a change in place."""
+    """Return a fingerprint of a value, which a change in place changes, too."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.shape, value.tobytes()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
@@ -242,7 +241,7 @@ def _content(value: Any) -> Any:
 
 
 def _prefixed(rhs: Rhs, arguments: int) -> Rhs:
-    """Return `rhs(t, x, u, p)` of a function of the first of these arguments."""
+    """Return `rhs(t, x, u, p)` for a function of the first 2 to 4 of these arguments."""
     if arguments == 2:
         return lambda t, x, _u, _p: rhs(t, x)
     if arguments == 3:

@@ -7,12 +7,12 @@ import numpy as np
 from splitband.kernels.common import Array, kernel
 
 _LANES = 8
-"""Rows that run side by side, in one vector."""
+"""Rows in a vector."""
 
 
 @kernel
 def recurrence(b: Array, a: Array, state: Array, x: Array, y: Array, reverse: bool) -> None:
-    """Filter each row of `x` `(rows, time)` into `y`, which may be `x` itself.
+    """Filter the rows of `x` `(rows, time)` into `y`, possibly `x` itself.
 
     Parameters
     ----------
@@ -24,18 +24,18 @@ def recurrence(b: Array, a: Array, state: Array, x: Array, y: Array, reverse: bo
     order, samples = state.shape[1], x.shape[1]
     for first in range(0, len(x), _LANES):
         n = min(_LANES, len(x) - first)
-        s, seen, out = np.zeros((order + 1, _LANES)), np.zeros(_LANES), np.zeros(_LANES)
+        s, sample, out = np.zeros((order + 1, _LANES)), np.zeros(_LANES), np.zeros(_LANES)
         for m in range(order):
             for j in range(n):
                 s[m, j] = state[first + j, m]
         for k in range(samples):
             t = samples - 1 - k if reverse else k
             for j in range(n):
-                seen[j] = x[first + j, t]
+                sample[j] = x[first + j, t]
             for j in range(_LANES):
-                out[j] = b[0] * seen[j] + s[0, j]
+                out[j] = b[0] * sample[j] + s[0, j]
             for m in range(order):
                 for j in range(_LANES):
-                    s[m, j] = b[m + 1] * seen[j] - a[m + 1] * out[j] + s[m + 1, j]
+                    s[m, j] = b[m + 1] * sample[j] - a[m + 1] * out[j] + s[m + 1, j]
             for j in range(n):
                 y[first + j, t] = out[j]

@@ -21,12 +21,12 @@ from splitband.runtime.errors import InputError
 Shapes = Sequence[tuple[int, ...]]
 
 CROWDED = 512
-"""Rows that `pad` makes are not a multiple of this many numbers apart. Of 512 columns, products
-take 0.4 to 0.6 of the time (501 rows, 8 to 50 rows of data, 512 KiB of second-level cache)."""
+"""`pad` avoids rows at multiples of this distance, in numbers. With 512 columns, products then take
+0.4 to 0.6 of the time (501 rows, 8 to 50 rows of data, 512 KiB of second-level cache)."""
 _WORTH_A_THREAD = 1e7
-"""Multiplications that take as long as waking a thread."""
+"""Multiplications in the time of waking a thread."""
 _GRADIENT_ROWS = 64
-"""Rows of gradients worth a product with them."""
+"""Least rows of gradients in a product."""
 
 # Numba's own threads may not be entered from several threads at once on every platform.
 _POOL = ThreadPoolExecutor(os.cpu_count(), "splitband")
@@ -34,16 +34,16 @@ _POOL = ThreadPoolExecutor(os.cpu_count(), "splitband")
 
 @dataclass(frozen=True)
 class Kernel(ABC):
-    """Describe the compiled rollout of a kind of cell, which `run` calls.
+    """The compiled rollout of a kind of cell, for `run`.
 
     Attributes
     ----------
     batch, steps, ny, nu : Sizes of the samples and of the known inputs.
-    last : Steps of the state, those of the warm-up included.
-    forward, backward : Compiled functions of a job, which has some rows of the batch.
-        `forward(inputs, weights, kept, y)` writes the samples, and what `backward` needs.
-        `backward(wanted, dy, weights, kept, sums, gradients)` adds gradients of weights to `sums`
-        and writes those of `inputs`; those of samples and known inputs only where `wanted`.
+    last : Steps of the state, the warm-up included.
+    forward, backward : Compiled functions of a job, some rows of the batch.
+        `forward(inputs, weights, buffers, y)` writes the samples, and intermediate values.
+        `backward(wanted, dy, weights, buffers, sums, gradients)` adds gradients of weights to
+        `sums` and writes gradients of `inputs`; of samples and known inputs only if `wanted`.
     """
 
     batch: int
@@ -56,31 +56,31 @@ class Kernel(ABC):
 
     @abstractmethod
     def pack(self, *weights: Array) -> Arrays:
-        """Return the weights as `forward` takes them."""
+        """Return the weights in the layout of `forward`."""
 
     def pack_back(self, *weights: Array) -> Arrays:
-        """Return the weights as `backward` takes them."""
+        """Return the weights in the layout of `backward`."""
         return self.pack(*weights)
 
     @abstractmethod
     def split(self, packed: Arrays) -> list[slice]:
-        """Return the rows of each job."""
+        """Return the rows by job."""
 
     @abstractmethod
     def kept(self, packed: Arrays, rows: int, keep: bool) -> Shapes:
-        """Return the shapes of what `forward` writes of each step, or overwrites unless `keep`."""
+        """Return the shapes of `forward`'s intermediate values: of all steps, or of one."""
 
     def scratch(self, packed: Arrays, rows: int) -> Shapes:
-        """Return the shapes of what `backward` has in `kept` beside it, to work with."""
+        """Return the shapes of `backward`'s work space, appended to `buffers`."""
         return ()
 
     @abstractmethod
     def sums(self, packed: Arrays) -> Shapes:
-        """Return the shapes of the gradients that `backward` adds up."""
+        """Return the shapes of the gradients of the weights."""
 
     @abstractmethod
     def unpack(self, *sums: Array) -> Iterable[Array]:
-        """Return a gradient for each weight; entries beyond its shape are ignored."""
+        """Return the gradients by weight; entries beyond the weight's shape are ignored."""
 
 
 def run(kernel: Kernel, inputs: tuple[Tensor, ...], weights: tuple[Tensor, ...]) -> Tensor:
@@ -90,9 +90,8 @@ def run(kernel: Kernel, inputs: tuple[Tensor, ...], weights: tuple[Tensor, ...])
 
     Parameters
     ----------
-    inputs : What differs from row to row, the last two of it measured samples or a state, and
-        known inputs.
-    weights : What all rows share.
+    inputs : Tensors by row; the last two are measured samples or a state, and known inputs.
+    weights : Tensors common to all rows.
     """
     if not kernel.steps:
         return inputs[0].new_empty(kernel.batch, 0, kernel.ny)
@@ -120,15 +119,15 @@ class _Rollout(torch.autograd.Function):
         gradients = [zeros(dy, *shape) for shape in ctx.shapes]
         scratch = [kernel.scratch(packed, rows.stop - rows.start) for rows in split]
         shapes = [kernel.sums(packed) for _ in split]
-        kept, working = _cut(whole, ctx.kept), _cut(dy.new_empty(_length(scratch)), scratch)
+        buffers, working = _cut(whole, ctx.kept), _cut(dy.new_empty(_length(scratch)), scratch)
         sums = _cut(zeros(dy, _length(shapes)), shapes)
-        # Of the inputs, all but the state at the first sample.
+        # All inputs but the state at the first sample.
         wanted = any(ctx.needs_input_grad[len(ctx.shapes) : 2 + len(ctx.shapes)])
-        given, written = dy.contiguous().numpy(), [g.numpy() for g in gradients]
+        dy_rows, written = dy.contiguous().numpy(), [g.numpy() for g in gradients]
         jobs = []
         for i, rows in enumerate(split):
-            arrays = packed, kept[i] + working[i], sums[i], tuple(g[rows] for g in written)
-            jobs.append((wanted, given[rows], *arrays))
+            arrays = packed, buffers[i] + working[i], sums[i], tuple(g[rows] for g in written)
+            jobs.append((wanted, dy_rows[rows], *arrays))
         run_jobs(kernel.backward, jobs)
         of_weights = kernel.unpack(*(sum(parts) for parts in zip(*sums, strict=True)))
         cut = (g[tuple(map(slice, w.shape))] for g, w in zip(of_weights, weights, strict=True))
@@ -138,23 +137,23 @@ class _Rollout(torch.autograd.Function):
 def _simulate(
     kernel: Kernel, inputs: Sequence[Tensor], weights: Sequence[Tensor], keep: bool
 ) -> tuple[Tensor, Tensor, list[Shapes], list[slice]]:
-    """Return the samples, what is kept and its shapes by job, and the rows of each job."""
+    """Return the samples, the intermediate values, their shapes and the rows by job."""
     packed = kernel.pack(*(w.detach().numpy() for w in weights))
     split = kernel.split(packed)
     shapes = [kernel.kept(packed, rows.stop - rows.start, keep) for rows in split]
     y = inputs[0].new_empty(kernel.batch, kernel.steps, kernel.ny)
     whole = y.new_empty(_length(shapes))
-    samples, given = y.numpy(), [x.detach().contiguous().numpy() for x in inputs]
+    samples, arrays = y.numpy(), [x.detach().contiguous().numpy() for x in inputs]
     jobs = [
-        (tuple(x[rows] for x in given), packed, kept, samples[rows])
-        for rows, kept in zip(split, _cut(whole, shapes), strict=True)
+        (tuple(x[rows] for x in arrays), packed, buffers, samples[rows])
+        for rows, buffers in zip(split, _cut(whole, shapes), strict=True)
     ]
     run_jobs(kernel.forward, jobs)
     return y, whole, shapes, split
 
 
 def check(like: Tensor, **tensors: tuple[Tensor, tuple[int, ...]]) -> None:
-    """Raise ValueError unless each tensor has its shape, and the dtype of `like`, on the CPU."""
+    """Raise ValueError for a tensor of another shape, dtype or device than `like`'s, the CPU."""
     if like.dtype not in (torch.float32, torch.float64):
         raise InputError(f"the kernels take float32 or float64, got {like.dtype}")
     for name, (tensor, shape) in tensors.items():
@@ -166,9 +165,9 @@ def check(like: Tensor, **tensors: tuple[Tensor, tuple[int, ...]]) -> None:
 
 
 def pad(x: Array) -> Array:
-    """Return a copy whose last axis is padded with zeros to a multiple of `PAD`.
+    """Return a copy with the last axis padded with zeros to a multiple of `PAD`.
 
-    Rows a multiple of `CROWDED` apart get `PAD` more, as they would share few places of the cache.
+    Rows a multiple of `CROWDED` apart would share few places of the cache: they get `PAD` more.
     """
     width = padded(x.shape[-1])
     width += PAD * (width % CROWDED == 0)
@@ -185,8 +184,8 @@ def padded(n: int) -> int:
 def zeros(like: Tensor, *shape: int) -> Tensor:
     """Return zeros in the dtype of `like`.
 
-    Buffers come from torch, which aligns them to 64 bytes. NumPy fills them: torch might use its
-    own threads, which go on spinning for milliseconds on the cores that `run_jobs` needs.
+    Buffers come from torch, which aligns them to 64 bytes. NumPy fills them: torch's own threads
+    would go on spinning for milliseconds on the cores of `run_jobs`.
     """
     out = like.new_empty(shape)
     out.numpy().fill(0)
@@ -194,15 +193,15 @@ def zeros(like: Tensor, *shape: int) -> Tensor:
 
 
 def _length(jobs: Iterable[Shapes]) -> int:
-    """Return the length of a buffer that `_cut` can take apart."""
+    """Return the length of a buffer for `_cut`."""
     return sum(padded(math.prod(shape)) for shapes in jobs for shape in shapes)
 
 
 def _cut(buffer: Tensor, jobs: Iterable[Shapes]) -> list[Arrays]:
-    """Return for each job an array of each shape.
+    """Return arrays of the given shapes by job, as views of one buffer.
 
-    All are cut from one allocation: the C library gives several large ones back to the system,
-    and taking them again page by page costs as much as the products.
+    The C library returns several large allocations to the system, and taking them again page by
+    page costs as much as the products.
     """
     values, at = buffer.numpy(), 0
     by_job: list[Arrays] = []
@@ -216,24 +215,20 @@ def _cut(buffer: Tensor, jobs: Iterable[Shapes]) -> list[Arrays]:
 
 
 def gradient_steps(rows: int) -> int:
-    """Return of how many steps gradients are kept until they are multiplied."""
+    """Return the number of steps with gradients in one product."""
     return -(-_GRADIENT_ROWS // max(rows, 1))
 
 
 def split_rows(batch: int, work: float, least: int = 1) -> list[slice]:
-    """Split batch rows over torch's threads, if `work` (multiplications) is worth them.
-
-    There are at least `least` parts.
-    """
+    """Split batch rows over torch's threads by `work` (multiplications), into at least `least`."""
     n = max(1, min(torch.get_num_threads(), batch, int(work / _WORTH_A_THREAD)), least)
     return [slice(batch * i // n, batch * (i + 1) // n) for i in range(n)]
 
 
 def run_jobs(function: Callable[..., None], jobs: Sequence[Sequence[Any]]) -> None:
-    """Call `function` with each of the `jobs`, on at most torch's many threads.
+    """Call `function` with all `jobs`, on as many threads as torch has.
 
-    This thread takes jobs too, so that none waits for a thread that is busy, or that a fork of
-    the process has lost.
+    This thread takes jobs too: no job waits for a busy thread, or one lost by a fork.
     """
     waiting = [*jobs]
 

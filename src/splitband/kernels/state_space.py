@@ -4,11 +4,11 @@ With z_n = [x_n, 1, u_n], s_n = [u_{n-1}, x_n, 1], and u_0 in place of u_{-1},
 
     x_{n+1} = [A a B] z_n + W_f tanh(F z_n) + K e_n,    y_n = [D C c] s_n + W_g tanh(G s_n),
 
-where e_n is the measured sample minus y_n in the warm-up, and zero after it.
+where e_n is the measured sample minus y_n in the warm-up, and zero afterwards.
 
-Networks of this kind have a few states and a few dozen units, often fewer than a vector has lanes.
-So the rows of a batch are the lanes (`state_space_lanes`). A few rows would leave most lanes empty:
-they are taken one after the other (`state_space_rows`).
+These networks have a few states and a few dozen units, often fewer than a vector has lanes. So the
+rows of a batch are the lanes (`state_space_lanes`). A few rows would leave most lanes empty: they
+are processed one after the other (`state_space_rows`).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from splitband.kernels.common import Array, Arrays
 from splitband.kernels.rollouts import Kernel, Shapes, check, padded, run, split_rows
 
 _MOST_LANES = 128
-"""Rows of a job: so many that its steps stay in the cache."""
+"""Rows of a job, with steps that fit into the cache."""
 _FEW = 4
-"""Rows that take less time one after the other."""
+"""Fewest rows of `state_space_lanes`; fewer take less time one after the other."""
 
 
 def state_space_rollout(
@@ -43,7 +43,7 @@ def state_space_rollout(
     bias_y: Tensor,
     gain: Tensor,
 ) -> Tensor:
-    """Follow the measured samples as an observer, then simulate.
+    """Warm up as an observer of the measured samples, then simulate.
 
     Differentiable once, with respect to every tensor.
 
@@ -53,9 +53,9 @@ def state_space_rollout(
     ----------
     x0 : The state at the first sample `(batch, S)`, float32 or float64.
     y_warmup : Measured samples `(batch, R, ny)`.
-    steps : How many samples to simulate.
+    steps : Number of samples to simulate.
     u : Known inputs `(batch, R + steps - 1, nu)` or longer, or None.
-    weight_f, bias_f, weight_g, bias_g : The units, `(H, S + nu)` and `(H,)` each, H >= 0.
+    weight_f, bias_f, weight_g, bias_g : The units, `(H, S + nu)` and `(H,)`, H >= 0.
     weight_x, bias_x : [A, B, W_f] `(S, S + nu + H)` and a `(S,)`.
     weight_y, bias_y : [C, D, W_g] `(ny, S + nu + H)` and c `(ny,)`.
     gain : K `(S, ny)`.
@@ -63,19 +63,19 @@ def state_space_rollout(
     batch, warmup, ny = y_warmup.shape
     size, hidden, last = x0.shape[-1], len(bias_f), max(warmup + steps - 1, 0)
     u = y_warmup.new_empty(batch, last, 0) if u is None else u
-    seen = size + u.shape[-1]
+    columns = size + u.shape[-1]
     check(
         x0,
         x0=(x0, (batch, size)),
         y_warmup=(y_warmup, (batch, warmup, ny)),
         u=(u, (batch, max(last, *u.shape[1:2]), u.shape[-1])),
-        weight_f=(weight_f, (hidden, seen)),
+        weight_f=(weight_f, (hidden, columns)),
         bias_f=(bias_f, (hidden,)),
-        weight_g=(weight_g, (hidden, seen)),
+        weight_g=(weight_g, (hidden, columns)),
         bias_g=(bias_g, (hidden,)),
-        weight_x=(weight_x, (size, seen + hidden)),
+        weight_x=(weight_x, (size, columns + hidden)),
         bias_x=(bias_x, (size,)),
-        weight_y=(weight_y, (ny, seen + hidden)),
+        weight_y=(weight_y, (ny, columns + hidden)),
         bias_y=(bias_y, (ny,)),
         gain=(gain, (size, ny)),
     )
@@ -90,14 +90,14 @@ class _StateSpace(Kernel):
 
     def pack(self, *weights: Array) -> Arrays:
         weight_f, bias_f, weight_g, bias_g, weight_x, bias_x, weight_y, bias_y, gain = weights
-        size, seen = gain.shape[0], weight_f.shape[1]
-        f = np.concatenate([weight_f, weight_x[:, :seen]])
-        g = np.concatenate([weight_g, weight_y[:, :seen]])
+        size, columns = gain.shape[0], weight_f.shape[1]
+        f = np.concatenate([weight_f, weight_x[:, :columns]])
+        g = np.concatenate([weight_g, weight_y[:, :columns]])
         of_f = np.concatenate([bias_f, bias_x])[:, None]
         of_g = np.concatenate([bias_g, bias_y])[:, None]
         z = np.concatenate([f[:, :size], of_f, f[:, size:]], axis=1)
         s = np.concatenate([g[:, size:], g[:, :size], of_g], axis=1)
-        packed = z, weight_x[:, seen:], s, weight_y[:, seen:], gain
+        packed = z, weight_x[:, columns:], s, weight_y[:, columns:], gain
         return tuple(np.ascontiguousarray(w) for w in packed)
 
     def sums(self, packed: Arrays) -> Shapes:
@@ -118,7 +118,7 @@ class _StateSpace(Kernel):
 
 
 class _Lanes(_StateSpace):
-    """Take the rows of a job side by side."""
+    """Process the rows of a job side by side."""
 
     def split(self, packed: Arrays) -> list[slice]:
         work = float(self.batch) * self.last * sum(w.size for w in packed)
@@ -133,7 +133,7 @@ class _Lanes(_StateSpace):
 
 
 class _Rows(_StateSpace):
-    """Take the rows one after the other."""
+    """Process the rows one after the other."""
 
     def split(self, packed: Arrays) -> list[slice]:
         return [slice(row, row + 1) for row in range(self.batch)]

@@ -1,7 +1,7 @@
 """Roll out a state-space network with the rows of a batch as lanes of vectors.
 
-Each quantity is an array (quantities, rows). All z and s are views of one stream of such
-quantities, ..., u_{n-1}, x_n, 1, u_n, x_{n+1}, 1, ... See `state_space` for the formulas.
+Quantities are arrays (quantities, rows). All z and s are views of one stream of quantities, ...,
+u_{n-1}, x_n, 1, u_n, x_{n+1}, 1, ... See `state_space` for the formulas.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from splitband.kernels.common import Array, Arrays, kernel, part, tanh_back, tan
 from splitband.kernels.matmul import add_products, matmul
 
 _GRADIENT_STEPS = 16
-"""Steps whose gradients are kept until they are multiplied with what they belong to."""
+"""Steps with gradients in one product."""
 
 
 @kernel
-def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
-    """Follow the warm-up and simulate; where there is room in `kept`, all steps are kept."""
+def forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
+    """Warm up and simulate; `buffers` store all steps if they have room."""
     x0, y_warmup, u = inputs
     wz, wf, ws, wg, gain = weights
-    stream, fs, gs, es = kept
+    stream, fs, gs, es = buffers
     warmup, ny = y_warmup.shape[1:]
     (size, hidden), nu, width, lanes = wf.shape, u.shape[2], wz.shape[1], stream.shape[1]
     last = warmup + y.shape[1] - 1
     keep = len(fs) > last
-    seen = np.empty((ny, lanes), y.dtype)
+    outputs = np.empty((ny, lanes), y.dtype)
     _to_lanes(stream[:nu], u[:, 0])
     _to_lanes(stream[nu : nu + size], x0)
     stream[nu + size] = 1
@@ -35,14 +35,14 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
         s, g = stream[at : at + width], gs[slot]
         matmul(g, ws[:hidden], s, False)
         tanh_of(g.reshape(-1))
-        matmul(seen, ws[hidden:], s, False)
-        matmul(seen, wg, g, True)
+        matmul(outputs, ws[hidden:], s, False)
+        matmul(outputs, wg, g, True)
         if t < warmup:
             e = es[t * ny : (t + 1) * ny]
             _to_lanes(e, y_warmup[:, t])
-            e -= seen
+            e -= outputs
         else:
-            _to_rows(y[:, t - warmup], seen)
+            _to_rows(y[:, t - warmup], outputs)
         if t == last:
             break
         following = stream[at + width : at + 2 * width]
@@ -62,19 +62,19 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
 
 @kernel
 def backward(  # noqa: PLR0915
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
-    """Add the gradients of the weights, and write or add the others."""
+    """Add the gradients of the weights, and write or add those of the inputs."""
     wz, wf, ws, wg, gain = weights
     dwz, dwf, dws, dwg, dgain = sums
     dx0, dy_warmup, du = gradients
-    stream, fs, gs, es = kept
+    stream, fs, gs, es = buffers
     rows, warmup, ny = dy_warmup.shape
     (size, hidden), nu, width, lanes = wf.shape, du.shape[2], wz.shape[1], stream.shape[1]
     last = warmup + dy.shape[1] - 1
     ss = stream.reshape(last + 1, width, lanes)
     zs = stream[nu : nu + last * width].reshape(last, width, lanes)
-    # Of each step: the gradients of the units and of what they are added to.
+    # By step: gradients of the units, then of the state or the outputs.
     dfs = np.empty((_GRADIENT_STEPS, hidden + size, lanes), dy.dtype)
     dgs = np.empty((_GRADIENT_STEPS, hidden + ny, lanes), dy.dtype)
     dx, dw = np.zeros((size, lanes), dy.dtype), np.empty((nu, lanes), dy.dtype)
@@ -85,15 +85,15 @@ def backward(  # noqa: PLR0915
             df[hidden:] = dx
             matmul(df[:hidden], wf.T, dx, False)
             tanh_back(fs[t].reshape(-1), df[:hidden].reshape(-1))
-        seen = dg[hidden:]
+        doutputs = dg[hidden:]
         if t >= warmup:
-            _to_lanes(seen, dy[:, t - warmup])
-            seen[:, rows:] = 0
+            _to_lanes(doutputs, dy[:, t - warmup])
+            doutputs[:, rows:] = 0
         else:
-            matmul(seen, gain.T, dx, False)
-            _to_rows(dy_warmup[:, t], seen)
-            seen *= -1
-        matmul(dg[:hidden], wg.T, seen, False)
+            matmul(doutputs, gain.T, dx, False)
+            _to_rows(dy_warmup[:, t], doutputs)
+            doutputs *= -1
+        matmul(dg[:hidden], wg.T, doutputs, False)
         tanh_back(gs[t].reshape(-1), dg[:hidden].reshape(-1))
         matmul(dx, ws[:, nu : nu + size].T, dg, False)
         if t < last:
@@ -122,7 +122,7 @@ def backward(  # noqa: PLR0915
 
 @part
 def _to_lanes(out: Array, values: Array) -> None:
-    """Copy rows to lanes; left-over lanes follow the last row, so that none overflows alone."""
+    """Copy rows to lanes; the remaining lanes repeat the last row, to avoid overflow."""
     rows = len(values)
     for i in range(out.shape[1]):
         for j in range(out.shape[0]):

@@ -1,8 +1,8 @@
 """Roll out a state-space network for one row of a batch, with its quantities as lanes.
 
-Row t + 1 of `xs` is z_t = [x_t, 1, u_t], padded; row 0 holds u_{-1}. In a free run nothing depends
-on the outputs, so that those of a chunk of samples are products of matrices, and the state equation
-alone goes step by step. See `state_space` for the formulas.
+Row t + 1 of `xs` is z_t = [x_t, 1, u_t], padded; row 0 holds u_{-1}. A free run does not depend on
+the outputs: the state equation goes step by step, and the outputs of a chunk of samples are
+products of matrices. See `state_space` for the formulas.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from splitband.kernels.common import PAD, Array, Arrays, copy, kernel, part, tan
 from splitband.kernels.matmul import matmul
 
 CHUNK = 64
-"""Samples whose outputs, and gradients of weights, are computed at once."""
+"""Samples with outputs, and gradients of weights, in one product."""
 
 
 @part
 def _wide(w: Array) -> Array:
-    """Return a copy whose rows are padded with zeros."""
+    """Return a copy with rows padded with zeros."""
     out = np.zeros((w.shape[0], -(-w.shape[1] // PAD) * PAD), w.dtype)
     copy(out, w)
     return out
 
 
 @kernel
-def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
-    """Follow the warm-up and simulate; where there is room in `kept`, all steps are kept."""
+def forward(inputs: Arrays, weights: Arrays, buffers: Arrays, y: Array) -> None:
+    """Warm up and simulate; `buffers` store all steps if they have room."""
     x0, y_warmup, u = inputs
     wz, wf, ws, wg, gain = weights
-    xs, fs, gs, es = kept
+    xs, fs, gs, es = buffers
     warmup, ny = y_warmup.shape[1:]
     (size, hidden), nu, width = wf.shape, u.shape[2], wz.shape[1]
     last = warmup + y.shape[1] - 1
@@ -38,7 +38,7 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
     x_of_units, x_of_e = _wide(wf.T), _wide(gain.T)
     of_x, of_u = _wide(ws[:hidden, nu:].T), _wide(ws[:hidden, :nu].T)
     y_of_x, y_of_u, y_of_units = _wide(ws[hidden:, nu:].T), _wide(ws[hidden:, :nu].T), _wide(wg.T)
-    seen = np.empty((CHUNK, y_of_x.shape[1]), y.dtype)
+    outputs = np.empty((CHUNK, y_of_x.shape[1]), y.dtype)
     copy(xs[:1, size + 1 :], u[:, 0])
     copy(xs[1:2], x0)
     for begin in range(0, last + 1, CHUNK):
@@ -50,9 +50,9 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
             copy(now[:, size + 1 :], u[:, t])
             if t < warmup:
                 _units(gs[i : i + 1], xs, i, size + 1, of_x, of_u)
-                _outputs(seen[:1], gs[i : i + 1], xs, i, size + 1, y_of_x, y_of_u, y_of_units)
+                _outputs(outputs[:1], gs[i : i + 1], xs, i, size + 1, y_of_x, y_of_u, y_of_units)
                 for j in range(ny):
-                    es[t, j] = y_warmup[0, t, j] - seen[0, j]
+                    es[t, j] = y_warmup[0, t, j] - outputs[0, j]
             matmul(f, now[:, :width], units_of_z, False)
             tanh_of(f.reshape(-1))
             x = xs[i + 2 : i + 3, : x_of_z.shape[1]]
@@ -66,8 +66,8 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
         if first < end:
             i, n = base + first - begin, end - first
             _units(gs[i : i + n], xs, i, size + 1, of_x, of_u)
-            _outputs(seen[:n], gs[i : i + n], xs, i, size + 1, y_of_x, y_of_u, y_of_units)
-            copy(y[0, first - warmup :], seen[:n, :ny])
+            _outputs(outputs[:n], gs[i : i + n], xs, i, size + 1, y_of_x, y_of_u, y_of_units)
+            copy(y[0, first - warmup :], outputs[:n, :ny])
         if not keep:
             xs[0] = xs[CHUNK]
             xs[1] = xs[CHUNK + 1]
@@ -75,7 +75,7 @@ def forward(inputs: Arrays, weights: Arrays, kept: Arrays, y: Array) -> None:
 
 @part
 def _units(g: Array, xs: Array, i: int, ones: int, of_x: Array, of_u: Array) -> None:
-    """Write the units of g for the samples from slot i on."""
+    """Write the units of g of the samples from slot i on."""
     matmul(g, xs[i + 1 : i + 1 + len(g), :ones], of_x, False)
     matmul(g, xs[i : i + len(g), ones : ones + len(of_u)], of_u, True)
     tanh_of(g.reshape(-1))
@@ -92,13 +92,13 @@ def _outputs(
 
 @kernel
 def backward(  # noqa: PLR0915
-    wanted: bool, dy: Array, weights: Arrays, kept: Arrays, sums: Arrays, gradients: Arrays
+    wanted: bool, dy: Array, weights: Arrays, buffers: Arrays, sums: Arrays, gradients: Arrays
 ) -> None:
-    """Add the gradients of the weights, and write or add the others."""
+    """Add the gradients of the weights, and write or add those of the inputs."""
     wz, wf, ws, wg, gain = weights
     dwz, dwf, dws, dwg, dgain = sums
     dx0, dy_warmup, du = gradients
-    xs, fs, gs, es = kept
+    xs, fs, gs, es = buffers
     warmup, ny = dy_warmup.shape[1:]
     (size, hidden), nu, width = wf.shape, du.shape[2], wz.shape[1]
     last = warmup + dy.shape[1] - 1
@@ -106,7 +106,7 @@ def backward(  # noqa: PLR0915
     units_of_x, units_of_y, e_of_x = _wide(wf), _wide(wg), _wide(gain)
     z_of_units, z_of_x = _wide(wz[:hidden]), _wide(wz[hidden:])
     s_of_units, s_of_y = _wide(ws[:hidden]), _wide(ws[hidden:])
-    # Sums have the columns of `xs`. Those of s are made twice: u_{t-1} is in the row before.
+    # Sums have the columns of `xs`. Sums for s are computed twice: u_{t-1} is in the row before.
     sum_z, sum_x = np.zeros((hidden, wide), dtype), np.zeros((size, wide), dtype)
     sum_f, sum_g = np.zeros_like(units_of_x), np.zeros_like(units_of_y)
     sum_e = np.zeros_like(e_of_x)
@@ -173,7 +173,7 @@ def backward(  # noqa: PLR0915
 def _through(
     ds: Array, dg: Array, dseen: Array, g: Array, of_y: Array, s_of_units: Array, s_of_y: Array
 ) -> None:
-    """Bring gradients of outputs to the units of g and to s."""
+    """Propagate gradients of outputs to the units of g and to s."""
     matmul(dg, dseen[:, : len(of_y)], of_y, False)
     for i in range(len(g)):
         tanh_back(g[i], dg[i])

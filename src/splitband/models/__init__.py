@@ -1,9 +1,8 @@
-"""Define models of a record: what is trained, and how it simulates from a warm-up.
+"""Define models of a record: networks to train, and simulation from a warm-up.
 
-A model defines its networks and the signal that each must reproduce (`tasks`), which is all that
-`training.loop` needs. Training and simulation call the same methods, so that a network has the same
-kind of inputs in both. What is handed out stands in `__init__.pyi`, and is loaded with torch when
-it is used.
+`training.loop` needs only a model's `tasks`: networks and their target signals. Training and
+simulation call the same methods, so that networks have equal kinds of inputs in both.
+`__init__.pyi` lists the exports, loaded with torch on first use.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Define the interface of all models: networks with training tasks, and components to add up."""
+"""Define the interface of all models: networks with training tasks, and components to sum."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from splitband.runtime.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Hold a model's normalised signals: `(time, n)` for a record, or `(batch, time, n)`."""
+    """A model's normalised signals: `(time, n)` for a record, or `(batch, time, n)`."""
 
     y: Tensor
     u: Tensor | None = None
     y_sim: Tensor | None = None
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Signals:
-        """Apply a function to each signal."""
+        """Apply a function to all signals."""
         u, y_sim = (None if s is None else function(s) for s in (self.u, self.y_sim))
         return Signals(function(self.y), u, y_sim)
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Describe the training of one network.
+    """The training of one network.
 
     Attributes
     ----------
     name : For messages and loss curves.
     network : The network to train.
-    known : Signals from which windows are cut, aligned with the record.
-    target : Signal that the output must reproduce, `(time, ny)`, aligned with the record.
+    known : Signals to cut windows from, aligned with the record.
+    target : The desired output, `(time, ny)`, aligned with the record.
     simulate : Maps the signals of a batch of windows, `y` over the warm-up only, and a number of
-        samples to the output, `(batch, samples, ny)`, which is compared with `target`.
+        samples to the output, `(batch, samples, ny)`.
     stride : The output holds every `stride`-th sample, the first right after the warm-up.
     """
 
@@ -57,7 +57,7 @@ class Task:
 
 
 class Model(nn.Module, ABC):
-    """Simulate a system learned from records; subclasses define the components.
+    """A simulator of a system, learned from records; subclasses define the components.
 
     `ny` and `nu`: measured channels and known inputs.
     """
@@ -67,15 +67,15 @@ class Model(nn.Module, ABC):
     u_mean: Tensor
     u_std: Tensor
     feedthrough = False
-    """Whether the step to a sample also uses the inputs of that sample."""
+    """Whether the step to a sample also uses the inputs at its time."""
     conditioned = False
-    """Whether one component is an input of the network of the other."""
+    """Whether one component is an input of the other component's network."""
     uses_simulator = False
     """Whether a simulator's output is a component of the model."""
     steps: ClassVar[type[Stepped] | None] = None
-    """Class that runs the model sample by sample."""
+    """Class of the model's step form."""
     units_kept = False
-    """Whether `adapt_to` keeps the scaling, for which the weights were trained."""
+    """Whether `adapt_to` keeps the scaling of earlier training."""
 
     def __init__(self, ny: int, nu: int) -> None:
         super().__init__()
@@ -86,25 +86,25 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return the components of a simulation, to be added: `steps` samples after `known.y`."""
+        """Return the summands of a simulation: `steps` samples after `known.y`."""
 
     @abstractmethod
     def tasks(self, record: Signals) -> list[Task]:
-        """Return the training task of each network for a normalised record."""
+        """Return the networks' training tasks for a normalised record."""
 
     def simulate_components(
         self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
     ) -> dict[str, Array]:
-        """Simulate after a measured warm-up; return the components to add, each `(steps, ny)`.
+        """Simulate after a measured warm-up; return the summands, `(steps, ny)`, by name.
 
-        The first one includes the record's mean.
+        The first component includes the record's mean.
 
         Parameters
         ----------
         y_warmup : Measured samples `(R, ny)`.
-        steps : How many samples to simulate.
+        steps : Number of samples to simulate.
         u : Known inputs over warm-up and simulation, `(R + steps, nu)`.
-        y_sim : A simulator's output over both, `(R + steps, ny)`, where one is used.
+        y_sim : A simulator's output over warm-up and simulation, `(R + steps, ny)`.
         """
         with torch.no_grad():
             parts = self.components(self._batch_of_one(y_warmup, u, y_sim), steps)
@@ -116,9 +116,9 @@ class Model(nn.Module, ABC):
     def simulate_unfiltered(
         self, y_warmup: Array, steps: int, u: Array | None = None, y_sim: Array | None = None
     ) -> dict[str, Array]:
-        """Return the signals before a model's filters, by name, which do not add up.
+        """Return the signals before a model's filters, by name; their sum has no meaning.
 
-        There are none for a model without filters. Parameters as for `simulate_components`.
+        Empty for a model without filters. Parameters as for `simulate_components`.
         """
         with torch.no_grad():
             parts = self.unfiltered(self._batch_of_one(y_warmup, u, y_sim), steps)
@@ -128,7 +128,7 @@ class Model(nn.Module, ABC):
         }
 
     def stepped(self) -> Stepped:
-        """Return the model in a form that runs sample by sample; raises ValueError without one."""
+        """Return the model's step form; raises ValueError without one."""
         if self.steps is None:
             raise InputError(f"{type(self).__name__} cannot be stepped")
         return self.steps(self)
@@ -138,9 +138,9 @@ class Model(nn.Module, ABC):
         return {}
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
-        """Set from the training records what is not trained by gradient: here, the scaling.
+        """Fit the parameters without a gradient, here the scaling, to the training records.
 
-        With `normalize`, that is the mean and the standard deviation of each channel and input.
+        With `normalize`: mean and standard deviation by channel and input.
         """
         inputs = [record.u for record in records if record.u is not None]
         if not normalize or self.units_kept:
@@ -154,7 +154,7 @@ class Model(nn.Module, ABC):
                 std.copy_(torch.from_numpy(spread(values)))
 
     def normalised(self, record: Record) -> Signals:
-        """Return the normalised signals of a record, each `(time, n)`."""
+        """Return the normalised signals of a record, `(time, n)`."""
         return self._signals(record.y, record.u if self.nu else None, record.y_sim)
 
     def _rows(self, u: Tensor | None) -> Tensor | None:
@@ -173,24 +173,24 @@ class Model(nn.Module, ABC):
         return self._signals(y, u, y_sim).map(lambda signal: signal[None])
 
     def _to_network(self, x: Array, mean: Tensor, std: Tensor) -> Tensor:
-        # Subtract in float64: with a large offset, float32 has too few digits for the signal.
+        # Subtract in float64: beside a large offset, float32 has too few digits for the signal.
         values = torch.from_numpy(np.array(x, dtype=np.float64)).to(mean)
         return ((values - mean) / std).to(next(self.parameters()).dtype)
 
 
 def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
-    """Return the inputs that condition a network on a slower signal: its value and its slope.
+    """Return value and slope of a slow signal, the inputs of a network conditioned on it.
 
-    The row that acts on the step from n to n + 1 holds both at n + 1. The slope is a central
-    difference, or, with known inputs, on which the slow signal may depend, a backward one: a
-    central one would then use future inputs.
+    The row for the step from n to n + 1 holds value and slope at n + 1. The slope is a central
+    difference. If the slow signal may depend on known inputs, it is a backward difference: a
+    central one would use future inputs.
 
     Returns `(..., time, 2 ny)`; the last row acts on no step.
 
     Parameters
     ----------
     slow : `(..., time, ny)`.
-    scale : Of each channel's slope, `(ny,)`, see `slope_scale`.
+    scale : Scale of the slope by channel, `(ny,)`, see `slope_scale`.
     driven : Whether the slow signal may depend on known inputs.
     """
     values = value_and_slope(slow, scale, driven)[..., 1:, :]
@@ -198,7 +198,7 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
 
 
 def value_and_slope(signal: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
-    """Return a signal and its scaled slope at the same sample, `(..., time, 2 ny)`.
+    """Return a signal and its scaled slope, `(..., time, 2 ny)`.
 
     Arguments as for `conditioning`.
     """
@@ -206,25 +206,25 @@ def value_and_slope(signal: Tensor, scale: Tensor, driven: bool = False) -> Tens
 
 
 def with_next_input(u: Tensor) -> Tensor:
-    """Return each row of inputs followed by the next row, `(..., time, 2 nu)`.
+    """Return rows of inputs followed by their next rows, `(..., time, 2 nu)`.
 
-    The step from n to n + 1 then has the inputs of both samples, as direct feedthrough requires.
-    The last row acts on no step.
+    The step from n to n + 1 then has the inputs of both samples, for direct feedthrough. The last
+    row acts on no step.
     """
     following = torch.cat([u[..., 1:, :], u[..., -1:, :]], dim=-2)
     return torch.cat([u, following], dim=-1)
 
 
-def concat_inputs(u: Tensor | None, given: Tensor) -> Tensor:
-    """Return the known inputs, if any, followed by `given`, up to the end of the shorter one."""
+def concat_inputs(u: Tensor | None, extra: Tensor) -> Tensor:
+    """Return the known inputs, if any, and `extra` ones, up to the end of the shorter signal."""
     if u is None:
-        return given
-    rows = min(u.shape[-2], given.shape[-2])
-    return torch.cat([u[..., :rows, :], given[..., :rows, :]], dim=-1)
+        return extra
+    rows = min(u.shape[-2], extra.shape[-2])
+    return torch.cat([u[..., :rows, :], extra[..., :rows, :]], dim=-1)
 
 
 def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
-    """Return the slope's standard deviation by channel, in records `(time, ny)`; 1 if constant.
+    """Return the slope's standard deviation by channel of records `(time, ny)`; 1 if constant.
 
     `driven` as for `conditioning`.
     """
@@ -242,15 +242,15 @@ def _slope(x: Tensor, backward: bool) -> Tensor:
     return torch.gradient(x, dim=-2)[0]
 
 
-def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
-    """Return the number of a model's inputs from its network's, of which `told` condition it.
+def inputs_of(cell: Cell, extra: int, feedthrough: bool) -> int:
+    """Return the number of a model's inputs: its network's without the `extra` ones.
 
-    Raises ValueError where the network has too few, or with feedthrough an odd number.
+    Raises ValueError for a network with too few, or with feedthrough an odd number.
     """
-    nu = cell.nu - told
+    nu = cell.nu - extra
     if nu < 0:
         raise InputError(
-            f"a conditioned network must have at least 2 ny = {told} inputs, for the "
+            f"a conditioned network must have at least 2 ny = {extra} inputs, for the "
             f"simulator's value and slope, got nu = {cell.nu}"
         )
     if feedthrough and nu % 2:
@@ -264,35 +264,35 @@ def inputs_of(cell: Cell, told: int, feedthrough: bool) -> int:
 def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Model:
     """Return a model with these weights; tied parameters stay tied.
 
-    It is built on the meta device first, which takes no memory, to compare names, shapes and types.
-    Raises ValueError where they differ.
+    Names, shapes and types are compared first, with a model on the meta device, without memory.
+    Raises ValueError for other ones.
     """
     try:
         with torch.device("meta"):
             expected = build().state_dict()
-    except RuntimeError:  # a user's own cell may compute with values
+    except RuntimeError:  # a user's own cell may compute with values, which meta tensors lack
         expected = build().state_dict()
-    found = {name: torch.as_tensor(x) for name, x in weights.items()}
-    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (found, expected))
+    tensors = {name: torch.as_tensor(x) for name, x in weights.items()}
+    shapes, needed = ({k: tuple(t.shape) for k, t in of.items()} for of in (tensors, expected))
     if shapes != needed:
         name = min(k for k in shapes | needed if shapes.get(k) != needed.get(k))
         raise InputError(
             f"{name} of the weights must be {needed.get(name)}, got {shapes.get(name)}"
         )
-    for name, tensor in found.items():
+    for name, tensor in tensors.items():
         floating = tensor.dtype in (torch.float32, torch.float64)
-        wanted = expected[name].dtype
-        if not (floating if wanted.is_floating_point else tensor.dtype == wanted):
+        dtype = expected[name].dtype
+        if not (floating if dtype.is_floating_point else tensor.dtype == dtype):
             raise InputError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
     model = build()
-    # In place, so that tied parameters stay tied; the saved precision is kept.
+    # In place: tied parameters stay tied, and the saved precision remains.
     for name, tensor in model.state_dict(keep_vars=True).items():
-        tensor.data = found[name]
+        tensor.data = tensors[name]
     return model
 
 
 def as_module(cell: Cell) -> nn.Module:
-    """Return the cell as a module; raises TypeError where it is none."""
+    """Return the cell, typed as a module; raises TypeError for another object."""
     if not isinstance(cell, nn.Module):
         raise TypeError(f"a cell must be an nn.Module, got {type(cell).__name__}")
     return cell

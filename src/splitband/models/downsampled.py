@@ -18,16 +18,16 @@ from splitband.runtime.tracing import cond
 
 @dataclass(frozen=True, eq=False)
 class LowBand:
-    """Simulate a low band by a network that sees every k-th sample of it (paper, Sec. 4.2).
+    """A network on every k-th sample of a low band (paper, Sec. 4.2).
 
-    Inputs act on no sample before them: the step from n to n + k uses the mean of the k rows up to
-    n, as the interpolation from n on needs the sample n + k.
+    Inputs act on no earlier sample: the step from n to n + k uses the mean of the k rows up to n,
+    as the interpolation from n on needs the sample n + k.
 
     Attributes
     ----------
     cell : The network.
     k : Down-sampling.
-    at_once : With k = 1: a row of inputs is that of a step, and may hold those at its end, too.
+    at_once : With k = 1: rows of inputs belong to steps, and may include inputs at their ends.
     """
 
     cell: Cell
@@ -51,16 +51,16 @@ class LowBand:
         """Return `steps` samples at the full rate, `(batch, steps, ny)`; arguments as for `run`."""
         if self.k == 1:
             return self.run(low, steps, rows)
-        # Interpolation needs a sample at or beyond the last one.
+        # Interpolation needs a low-band sample at or after the last time.
         run = self.run(low, (steps - 2) // self.k + 2, rows)
         return upsample(run, self.k, steps, alignment)
 
 
 class SteppedLowBand:
-    """Step such a network.
+    """The step form of `LowBand`.
 
-    Unless `at_once`, it is one of its steps ahead, and the low band is interpolated between its
-    last two samples. That needs no future input, see `LowBand`.
+    Unless `at_once`, the network is one of its steps ahead, and the low band is interpolated
+    between its last two samples, without future inputs, see `LowBand`.
     """
 
     def __init__(self, network: LowBand) -> None:
@@ -82,7 +82,7 @@ class SteppedLowBand:
         return {"slow": slow, "current": current, "phase": np.array(k - 1.0), "sum": recent}
 
     def moved(self, run: Run, row: Array) -> Run:
-        """Return the run one sample later; `row` is of that sample or, `at_once`, of the step."""
+        """Return the run one sample later; `row` is of the new sample or, `at_once`, the step."""
         if self.at_once:
             moved = self.cell.advance(run["slow"], row)
             return {**run, "slow": moved, "current": moved["y"]}
@@ -98,7 +98,7 @@ class SteppedLowBand:
         return {**run, "slow": moved, "current": current, "phase": phase, "sum": total}
 
     def values(self, run: Run, ahead: int = 0) -> list[Array]:
-        """Return the low band at the sample to predict and `ahead` later ones, each `(1, ny)`."""
+        """Return the low band at the sample to predict and `ahead` later ones, `(1, ny)`."""
         current = run["current"]
         if self.at_once:
             return [current[None]]
@@ -113,9 +113,9 @@ class SteppedLowBand:
 
 
 def _mean_before(rows: Tensor, k: int, offset: int) -> Tensor:
-    """Return the mean of the k rows up to every k-th sample from `offset` < k on.
+    """Return means of the k rows up to every k-th sample from `offset` < k on.
 
-    Before the first sample, the first row is assumed.
+    The first row also stands for earlier ones.
     """
     before = rows[:, :1].expand(-1, k - 1 - offset, -1)
     blocks = torch.cat([before, rows], dim=1).transpose(1, 2)

@@ -41,13 +41,13 @@ from splitband.runtime.errors import InputError
 
 
 class Hybrid(Model):
-    """Combine a network and a simulator.
+    """A network and a simulator.
 
     Parameters
     ----------
     cell : The network.
-    conditioned : The simulator's output, value and slope of each channel, is an input of the
-        network: 2 ny additional inputs. The paper names this as future work.
+    conditioned : The simulator's output, value and slope by channel, is an input of the network:
+        2 ny additional inputs. The paper names conditioning as future work.
     feedthrough : As for `Recurrent`.
     """
 
@@ -60,13 +60,13 @@ class Hybrid(Model):
         self.register_buffer("slope_scale", torch.ones(cell.ny, dtype=torch.float64))
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
-        """Set the scaling from the training records, that of the simulator's slope included."""
+        """Set the scaling of signals and the simulator's slope from the training records."""
         super().adapt_to(records, normalize)
         if not self.units_kept:
             self.slope_scale.copy_(self._slope_scale([*map(self.normalised, records)]))
 
     def _slope_scale(self, records: Sequence[Signals]) -> Tensor:
-        """Return the scale of the slopes of what conditions the network, `(ny,)`."""
+        """Return the scale of the slopes of the conditioning signal, `(ny,)`."""
         return slope_scale([*map(_required, records)], driven=self.nu > 0)
 
     def _conditioned(self, known: Signals) -> Signals:
@@ -74,13 +74,13 @@ class Hybrid(Model):
         known = replace(known, u=self._rows(known.u))
         if not self.conditioned:
             return known
-        # With inputs the simulator's output may depend on them, as an FMU's does.
-        given = conditioning(_required(known), self.slope_scale, driven=self.nu > 0)
-        return replace(known, u=concat_inputs(known.u, given))
+        # The simulator's output may depend on the inputs, as an FMU's does.
+        additional = conditioning(_required(known), self.slope_scale, driven=self.nu > 0)
+        return replace(known, u=concat_inputs(known.u, additional))
 
 
 class SteppedFiltered(Stepped):
-    """Step a slow component in the low band, and a network in the high band."""
+    """The step form of `FilteredModel`."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -103,18 +103,18 @@ class SteppedFiltered(Stepped):
 
 
 class FilteredModel(Hybrid):
-    """Add the simulator in the low band and a network in the high band (paper, Sec. 4.3).
+    """The simulator in the low band plus a network in the high band (paper, Sec. 4.3).
 
     H(network) + L(simulator) through the joint recurrence, trained end to end. The paper starts
     the filter with the first P samples of the training signal; here these are the last P of the
-    warm-up, so that a simulation needs no sample after it (reproduction/REPORT.md).
+    warm-up, so that a simulation needs no later sample (reproduction/REPORT.md).
 
     Parameters
     ----------
-    cell : The network; it simulates the whole signal, of which the high band is used.
+    cell : The network of the whole signal; its high band is used.
     pair : One-way filters, with L + H = 1.
-    conditioned : See `Hybrid`. The high-pass filter also removes what the simulator's output adds
-        to the low band of the network's output.
+    conditioned : See `Hybrid`. The high-pass filter also removes the simulator's effect on the low
+        band of the network's output.
     feedthrough : See `Hybrid`.
     """
 
@@ -143,7 +143,7 @@ class FilteredModel(Hybrid):
         return {SIMULATOR: _after_warmup(known, steps), NETWORK: network}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce the record (paper, Eq. 12, hybrid loss).
+        """Return one task, with the record as the target (paper, Eq. 12, hybrid loss).
 
         L(simulator) is filtered once, as a whole.
         """
@@ -158,7 +158,7 @@ class FilteredModel(Hybrid):
         return self._high(filtered, steps) + _after_warmup(filtered, steps)
 
     def _high(self, filtered: Signals, steps: int) -> Tensor:
-        """Return H(network), whose filter starts from measured samples minus L(simulator)."""
+        """Return H(network); the filter starts from measured samples minus L(simulator)."""
         order, warmup = self.pair.order, filtered.y.shape[1]
         if warmup < order:
             raise InputError(f"the warm-up must have at least {order} samples, got {warmup}")
@@ -170,7 +170,7 @@ class FilteredModel(Hybrid):
 
 
 class SteppedFilteredHigh(Stepped):
-    """Step a network in the low band, and a given component in the high band."""
+    """The step form of `FilteredHighModel`."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -191,7 +191,7 @@ class SteppedFilteredHigh(Stepped):
         return {**moved, "state": state, "high": high}, self.low.values(moved)[0][0] + high
 
     def _of_low(self, u: Array, high: Array) -> Array:
-        """Return the network's inputs: of the samples or, `at_once`, of the steps."""
+        """Return the network's inputs by sample or, `at_once`, by step."""
         if self.low.at_once:
             return self._network_inputs(self._rows(u), high)
         if not self.conditioned:
@@ -202,32 +202,32 @@ class SteppedFilteredHigh(Stepped):
 
 
 class FilteredHighModel(Hybrid):
-    """Add the simulator in the high band and a network on the down-sampled low band.
+    """The simulator in the high band plus a network on the down-sampled low band.
 
     H(simulator) + network, the reverse of `Filtered`. The network simulates L(y) of the measured
-    signal at every k-th sample, and its free run is interpolated, as in `Split`. In the paper only
-    the example of its introduction, a gyroscope, is such a case.
+    signal at every k-th sample, and its free run is interpolated, as in `Split`. The paper has one
+    such case, the gyroscope of its introduction.
 
     Both filters run one way and start in the steady state of the warm-up's first sample, in
-    training, too: for a simulator that is right but for an offset, L(y) + H(simulator) is then y
-    from there on, whatever the length of the warm-up. The loss is that of the sum: the network can
-    correct what the high-pass filter leaves of a drift.
+    training, too: if the simulator is right apart from an offset, L(y) + H(simulator) is then y
+    after warm-ups of any length. The loss is the error of the sum: the network can correct the
+    remains of a drift after the high-pass filter.
 
     Parameters
     ----------
     cell : The network.
     pair : One-way filters, with L + H = 1. H should be the steep one: a Butterworth filter of order
         n removes a drift of the simulator up to the power n - 1 of time.
-    downsampling : k: the network sees every k-th sample.
-    conditioned : H(simulator), value and slope of each channel, is an input of the network: 2 ny
+    downsampling : k: the network runs on every k-th sample.
+    conditioned : H(simulator), value and slope by channel, is an input of the network: 2 ny
         additional inputs. A drift takes the simulator's whole output, or its low band, out of the
         range of training, but not its high band.
-    feedthrough : As for `Recurrent`, where the network sees every sample.
+    feedthrough : As for `Recurrent`, for a network at the full rate.
 
     Raises
     ------
     ValueError
-        For filters of both directions, and for a down-sampling that cannot carry the low band.
+        For zero-phase filters, and for a down-sampling against the Nyquist condition.
     """
 
     steps = SteppedFilteredHigh
@@ -247,11 +247,11 @@ class FilteredHighModel(Hybrid):
 
     @property
     def low_band(self) -> LowBand:
-        """Return what runs the network."""
+        """Return the network with its rate."""
         return LowBand(self.cell, self.downsampling, self.feedthrough and self.nu > 0)
 
     def _slope_scale(self, records: Sequence[Signals]) -> Tensor:
-        """Return that of H(simulator)."""
+        """Return the scale of the slopes of H(simulator), `(ny,)`."""
         return slope_scale([_required(self._high_passed(record)) for record in records], True)
 
     def components(self, known: Signals, steps: int) -> dict[str, Tensor]:
@@ -266,7 +266,7 @@ class FilteredHighModel(Hybrid):
         return {SIMULATOR: _after_warmup(known, steps)}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce the record (paper, Eq. 12, hybrid loss), windows filtered one by one."""
+        """Return one task, the record (paper, Eq. 12, hybrid loss), windows filtered one by one."""
         return [Task(NETWORK, as_module(self.cell), record, record.y, self._combined)]
 
     def _combined(self, known: Signals, steps: int) -> Tensor:
@@ -278,17 +278,17 @@ class FilteredHighModel(Hybrid):
         return replace(known, y_sim=self.pair.highpass(_required(known)))
 
     def _of_low(self, known: Signals) -> Tensor | None:
-        """Return the network's inputs, if conditioned with those of H(simulator) behind them."""
+        """Return the known inputs of the network, followed by H(simulator) if conditioned."""
         rows, high = self._rows(known.u), _required(known)
         if not self.conditioned:
             return rows
-        # A row of a step has what is known at its end, one of a sample what is known there.
-        given = conditioning if self.low_band.at_once else value_and_slope
-        return concat_inputs(rows, given(high, self.slope_scale, driven=True))
+        # The row of a step has H(simulator) at the step's end, the row of a sample at the sample.
+        columns_of = conditioning if self.low_band.at_once else value_and_slope
+        return concat_inputs(rows, columns_of(high, self.slope_scale, driven=True))
 
 
 class SteppedResidual(Stepped):
-    """Step a network that predicts the residual of a slow component."""
+    """The step form of `ResidualModel`."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -303,7 +303,7 @@ class SteppedResidual(Stepped):
 
 
 class ResidualModel(Hybrid):
-    """Learn the simulator's residual: y = network + simulator (paper, Sec. 5.1).
+    """The simulator plus a network for its residual: y = network + simulator (paper, Sec. 5.1).
 
     The network warms up on the residual of the measured samples. Parameters as for `Hybrid`.
     """
@@ -316,7 +316,7 @@ class ResidualModel(Hybrid):
         return {SIMULATOR: _after_warmup(known, steps), NETWORK: residual}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce the simulator's residual."""
+        """Return one task, with the simulator's residual as the target."""
         known, target = self._conditioned(record), record.y - _required(record)
         return [Task(NETWORK, as_module(self.cell), known, target, self._simulate)]
 

@@ -13,7 +13,7 @@ from splitband.runtime.arrays import Array
 
 
 class SteppedRecurrent(Stepped):
-    """Step one network on the whole band."""
+    """The step form of `Recurrent`."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -28,12 +28,12 @@ class SteppedRecurrent(Stepped):
 
 
 class Recurrent(Model):
-    """Run one network on the whole band, the paper's baseline (Sec. 4.1).
+    """One network on the whole band, the paper's baseline (Sec. 4.1).
 
     Parameters
     ----------
     cell : The network.
-    feedthrough : The step to a sample also uses the inputs of that sample: the cell has twice the
+    feedthrough : The step to a sample also uses the inputs at its time: the cell has twice the
         model's inputs, see `base.with_next_input`. The paper has no inputs.
     """
 
@@ -48,7 +48,7 @@ class Recurrent(Model):
         return {"network": self._simulate(known, steps)}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce the record."""
+        """Return one task, with the record as the target."""
         return [Task("network", as_module(self.cell), record, record.y, self._simulate)]
 
     def _simulate(self, known: Signals, steps: int) -> Tensor:

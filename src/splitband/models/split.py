@@ -1,4 +1,4 @@
-"""Define the model of two networks, each on its band."""
+"""Define the model of two networks, on the low and on the high band."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LOW, HIGH = "low band", "high band"
 
 
 class SteppedSplit(Stepped):
-    """Step two networks, each on its band."""
+    """The step form of `SplitModel`."""
 
     def __init__(self, model: Any) -> None:
         super().__init__(model)
@@ -85,30 +85,30 @@ class SteppedSplit(Stepped):
 
 
 class SplitModel(Model):
-    """Add two networks, each on its band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
+    """The sum of a network per band (paper, Sec. 4.2): "split GRU" and "split GRU + HP".
 
-    The slow network simulates the low-passed, down-sampled signal. Its free run is up-sampled and
-    added to that of the fast network. The paper has no conditioning.
+    The slow network simulates the low-passed, down-sampled signal. Its up-sampled free run is added
+    to the free run of the fast network. The paper has no conditioning.
 
     A simulation filters its warm-up alone (paper, Eq. 11, prediction): no prediction depends on
     later samples through the zero-phase filter. The ends of a short filtered stretch differ from
     the same samples of the filtered record, on which the paper trains (Eq. 10, training); with
-    `own_warmup`, networks are trained on what they will start from.
+    `own_warmup`, networks are trained on the same beginnings as in simulation.
 
-    Known inputs act on no sample before them: the slow network's step from n to n + k uses the mean
-    of the k inputs up to n, with feedthrough and k = 1 also the next input.
+    Known inputs act on no earlier sample: the slow network's step from n to n + k uses the mean of
+    the k inputs up to n, with feedthrough and k = 1 also the next input.
 
     Parameters
     ----------
     networks : The slow one and the fast one.
-    pair : Filters that separate the bands.
-    downsampling : k: the slow network sees every k-th sample.
+    pair : Filters of the bands.
+    downsampling : k: the slow network runs on every k-th sample.
     filter_output : High-pass the fast network's output too, the paper's "+HP"; with known inputs
         one way only.
-    conditioned : The low band as the slow network predicts it, value and slope of each channel, is
-        an input of the fast network: 2 ny additional inputs.
-    feedthrough : As for `Recurrent`, for networks that see every sample.
-    own_warmup : Filter the warm-up of each training window alone; the high band is then y - L(y),
+    conditioned : The slow network's prediction of the low band, value and slope by channel, is an
+        input of the fast network: 2 ny additional inputs.
+    feedthrough : As for `Recurrent`, for networks at the full rate.
+    own_warmup : Filter the warm-ups of training windows one by one; the high band is then y - L(y),
         so that both bands add up to the record at its ends, too. Otherwise windows are cut from
         L(y) and H(y) of the whole training record (paper, Eq. 10, training).
     alignment : Of the up-sampled low band, see `upsample`; `"paper"` shifts it in time.
@@ -116,8 +116,7 @@ class SplitModel(Model):
     Raises
     ------
     ValueError
-        When the networks' channels do not fit, and when a down-sampled signal cannot carry its band
-        (Nyquist).
+        For networks with unsuitable channels, and a down-sampling against the Nyquist condition.
     """
 
     steps = SteppedSplit
@@ -141,13 +140,13 @@ class SplitModel(Model):
         self.filter_output, self.conditioned = filter_output, conditioned
         self.feedthrough, self.own_warmup, self.alignment = feedthrough, own_warmup, alignment
         self.register_buffer("slope_scale", torch.ones(1, self.ny, dtype=torch.float64))
-        each = 2 if feedthrough else 1
-        of_slow = self.nu * (each if downsampling == 1 else 1)
-        wanted = [(self.ny, of_slow), (self.ny, self.nu * each + 2 * self.ny * conditioned)]
-        given = [(network.ny, network.nu) for network in networks]
-        if given != wanted:
-            told = ", with 2 ny inputs for the slow band" if conditioned else ""
-            raise InputError(f"the networks' (ny, nu) must be {wanted}{told}, got {given}")
+        repeats = 2 if feedthrough else 1
+        of_slow = self.nu * (repeats if downsampling == 1 else 1)
+        needed = [(self.ny, of_slow), (self.ny, self.nu * repeats + 2 * self.ny * conditioned)]
+        sizes = [(network.ny, network.nu) for network in networks]
+        if sizes != needed:
+            reason = ", with 2 ny inputs for the slow band" if conditioned else ""
+            raise InputError(f"the networks' (ny, nu) must be {needed}{reason}, got {sizes}")
         if pair.cutoff is not None:
             check_downsampling(downsampling, pair.cutoff, pair.sampling_rate)
 
@@ -163,7 +162,7 @@ class SplitModel(Model):
 
     @property
     def low_band(self) -> LowBand:
-        """Return what runs the slow network."""
+        """Return the slow network with its rate."""
         k = self.downsampling
         return LowBand(self.slow, k, self.feedthrough and self.nu > 0 and k == 1)
 
@@ -172,13 +171,13 @@ class SplitModel(Model):
         return self.components_of(self._bands(known), steps)
 
     def components_of(self, known: Signals, steps: int) -> dict[str, Tensor]:
-        """Return both bands at the full rate; `known.y` has those of the warm-up, side by side."""
-        # The slope at the last sample needs the one after it.
+        """Return both bands at the full rate; `known.y` has the warm-up's bands side by side."""
+        # The slope at the last sample needs the next sample.
         low = self.low(known, steps + 1 if self.conditioned and not self.nu else steps)
         return {LOW: low[:, :steps], HIGH: self.high(known, steps, low)}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Reproduce each band of the record, the slow one first (paper, Eq. 10, training)."""
+        """Return the tasks of the low and the high band (paper, Eq. 10, training)."""
         bands = self._bands(record)
         low, high = bands.y.split(self.ny, dim=-1)
         known = record if self.own_warmup else bands
@@ -189,13 +188,13 @@ class SplitModel(Model):
         ]
 
     def _bands(self, known: Signals) -> Signals:
-        """Return the signals with both bands of `y` beside each other, `(..., time, 2 ny)`."""
+        """Return the signals with both bands of `y` side by side, `(..., time, 2 ny)`."""
         low = self.pair.lowpass(known.y)
         high = known.y - low if self.own_warmup else self.pair.highpass(known.y)
         return replace(known, y=torch.cat([low, high], dim=-1))
 
     def adapt_to(self, records: Sequence[Record], normalize: bool = True) -> None:
-        """Set the scaling from the training records, that of the slopes included."""
+        """Set the scaling of signals and slopes from the training records."""
         super().adapt_to(records, normalize)
         if not self.units_kept:
             low = [self.pair.lowpass(self.normalised(record).y) for record in records]
@@ -211,7 +210,7 @@ class SplitModel(Model):
         return self.low_band.at_full_rate(low, steps, rows, self.alignment)
 
     def _of_low(self, u: Tensor | None) -> Tensor | None:
-        """Return the slow network's inputs: of the samples or, `at_once`, of the steps."""
+        """Return the slow network's inputs by sample or, `at_once`, by step."""
         return self._rows(u) if self.low_band.at_once else u
 
     def high(self, known: Signals, steps: int, low: Tensor) -> Tensor:
@@ -226,7 +225,7 @@ class SplitModel(Model):
             return y
         # A zero-phase filter would let an input act on earlier samples.
         pair = self.pair.one_way() if self.nu else self.pair
-        # The filter begins in the history, so that it has settled at the first prediction.
+        # The filter begins in the history and has settled at the first prediction.
         return pair.highpass(torch.cat([history, y], dim=1))[:, history.shape[1] :]
 
     def slow_in_training(self, known: Signals, steps: int) -> Tensor:
@@ -234,11 +233,11 @@ class SplitModel(Model):
         return self.slow_run(self._bands(known) if self.own_warmup else known, steps)
 
     def high_in_training(self, known: Signals, steps: int) -> Tensor:
-        """Return the high band, given the slow network's low band, without a gradient for that."""
+        """Return the high band, given the slow network's low band, which has no gradient."""
         known = self._bands(known) if self.own_warmup else known
         low = known.y[:, :0, : self.ny]
         if self.conditioned:
-            # The fast network may be trained in float64 when the slow one is not.
+            # The fast network may be in float64 while the slow one is in float32.
             dtype = next(as_module(self.slow).parameters()).dtype
             with torch.no_grad():
                 low = self.low(known.map(lambda signal: signal.to(dtype)), steps).to(low.dtype)

@@ -1,6 +1,6 @@
 """Define recurrent networks and their free runs; the plain loop is the definition.
 
-What is handed out stands in `__init__.pyi`, and is loaded with torch when it is used.
+`__init__.pyi` lists the exports, loaded with torch on first use.
 """
 
 import lazy_loader

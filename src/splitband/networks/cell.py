@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Cell(Protocol):
-    """Define the methods that a rollout calls on a recurrent network.
+    """A recurrent network, as a rollout calls it.
 
     Attributes
     ----------
@@ -42,34 +42,33 @@ class Cell(Protocol):
 
 @runtime_checkable
 class Template(Protocol):
-    """Describe a template, such as a cell, from which cells of given sizes are made."""
+    """A template, such as a cell, for new cells of given sizes."""
 
     def sized(self, ny: int, nu: int, warmup: int) -> Cell:
-        """Return a new cell, its weights drawn by torch's generator.
+        """Return a new cell, with weights drawn by torch's generator.
 
-        `ny` and `nu` are its channels and inputs, `warmup` is the number of measured samples that
-        set its initial state.
+        It has `ny` channels and `nu` inputs; `warmup` measured samples set the initial state.
         """
 
 
 @runtime_checkable
 class WithSize(Protocol):
-    """Describe a cell that says its size."""
+    """A cell with a size for tables."""
 
     def size_in_words(self) -> str:
-        """Return its size, such as "64 units"."""
+        """Return the size, such as "64 units"."""
 
 
 @runtime_checkable
 class Penalised(Protocol):
-    """Describe a network of which some weights only are penalised."""
+    """A network with a penalty on some of its weights only."""
 
     def penalised(self) -> Sequence[Tensor]:
-        """Return the weights to which the penalty applies."""
+        """Return the penalised weights."""
 
 
 def as_template(cell: Any) -> Template:
-    """Return the cell as a template; raises TypeError if no cells can be made from it."""
+    """Return the cell as a template; raises TypeError without `sized`."""
     if isinstance(cell, type):
         raise TypeError(
             f"a cell must be an object, such as {cell.__name__}(...), got the class {cell.__name__}"
@@ -93,7 +92,7 @@ def label_of(template: Template) -> str:
 
 
 def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
-    """Return whether each module has exactly the given type, biases, and no hooks."""
+    """Return whether all modules have exactly the given types, biases, and no hooks."""
     return all(
         type(module) is kind
         and _biased([name for name, _ in module.named_parameters(recurse=False)])
@@ -104,11 +103,11 @@ def are_plain(*modules: tuple[nn.Module, type[nn.Module]]) -> bool:
 
 
 def _biased(names: Sequence[str]) -> bool:
-    """Return whether a bias is among the parameters of a layer, if it has any."""
+    """Return whether a layer has a bias, or no parameters."""
     return not names or any(name.startswith("bias") for name in names)
 
 
 def check_sizes(nu: int, **sizes: int) -> tuple[int, ...]:
-    """Return the sizes of a network, `nu` first; raises ValueError for what cannot be one."""
+    """Return the sizes of a network, `nu` first; raises ValueError for an impossible size."""
     inputs = whole("nu", nu, 0, LARGEST_SIZE)
     return inputs, *(whole(name, size, 1, LARGEST_SIZE) for name, size in sizes.items())

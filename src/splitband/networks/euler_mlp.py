@@ -13,11 +13,11 @@ from splitband.runtime.options import WithRepr
 
 
 class EulerMLP(WithRepr, nn.Module):
-    """Integrate a multilayer perceptron by Euler steps, the paper's "RNN" (supplement).
+    """A multilayer perceptron, integrated by Euler steps: the paper's "RNN" (supplement).
 
     h_{n+1} = h_n + dt f(h_n, u_n) with three layers and tanh between them; the observation is
-    fixed: y is the first `ny` entries of h. A recognition network maps the whole warm-up to h_R,
-    so its length is part of the cell. The state is not corrected by y.
+    fixed: y is the first `ny` entries of h. A recognition network maps the whole warm-up, of fixed
+    length, to h_R. The state is not corrected by y.
 
     Parameters
     ----------
@@ -68,22 +68,22 @@ class EulerMLP(WithRepr, nn.Module):
         )
 
     def sized(self, ny: int, nu: int, warmup: int) -> EulerMLP:
-        """Return a new cell with the same state, widths and step."""
+        """Return a new cell with equal state size, widths and step."""
         sizes = self.state_size, self.hidden_size, self.recognition_size
         return EulerMLP(ny, warmup, *sizes, self.step_size, nu)
 
     def size_in_words(self) -> str:
-        """Describe its size, for tables."""
+        """Return the state size and the width, for tables."""
         return f"{self.state_size} states, {self.hidden_size} hidden units"
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
-        """Return h_R, recognised from the last R measured samples; raises ValueError for fewer."""
+        """Return h_R from the last R measured samples; raises ValueError for fewer samples."""
         if y_warmup.shape[1] < self.warmup:
             raise InputError(
                 f"the warm-up must have at least {self.warmup} samples, got {y_warmup.shape[1]}"
             )
-        seen = y_warmup if u is None else torch.cat([y_warmup, u], dim=-1)
-        return self.recognition(seen[:, -self.warmup :].flatten(1))
+        samples = y_warmup if u is None else torch.cat([y_warmup, u], dim=-1)
+        return self.recognition(samples[:, -self.warmup :].flatten(1))
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """Return h after one Euler step, shape `(batch, state_size)`; `y` is not used."""

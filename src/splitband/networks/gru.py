@@ -12,7 +12,7 @@ from splitband.runtime.options import WithRepr
 
 
 class GRU(WithRepr, nn.Module):
-    """Combine a gated recurrent unit with a linear observation (paper, supplement).
+    """A gated recurrent unit with a linear observation (paper, supplement).
 
     Parameters and their initialisation are those of `torch.nn.GRUCell` and `torch.nn.Linear`.
 
@@ -20,7 +20,7 @@ class GRU(WithRepr, nn.Module):
     ----------
     hidden_size : Size of the state h.
     ny : Number of measured channels.
-    nu : Number of known inputs; they enter each step together with y.
+    nu : Number of known inputs, concatenated with y in every step.
     """
 
     label = "gru"
@@ -33,16 +33,16 @@ class GRU(WithRepr, nn.Module):
         self.observation = nn.Linear(hidden_size, ny)
 
     def sized(self, ny: int, nu: int, warmup: int) -> GRU:
-        """Return a new cell of the same hidden size; it warms up on any number of samples."""
+        """Return a new cell of equal hidden size, for warm-ups of any length."""
         return GRU(self.hidden_size, ny, nu)
 
     def variants(self) -> list[GRU]:
-        """Return templates of this size, two thirds and a third of it."""
+        """Return templates of this hidden size, two thirds and one third of it."""
         sizes = (self.hidden_size, round(2 / 3 * self.hidden_size), round(self.hidden_size / 3))
         return [GRU(max(1, size), self.ny, self.nu) for size in sizes]
 
     def size_in_words(self) -> str:
-        """Describe its size, for tables."""
+        """Return the hidden size, for tables."""
         return f"{self.hidden_size} hidden units"
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
@@ -65,7 +65,7 @@ class GRU(WithRepr, nn.Module):
         return are_plain((self.transition, nn.GRUCell), (self.observation, nn.Linear))
 
     def in_numpy(self) -> plain.PlainGRU | None:
-        """Return the cell in NumPy; None where its layers have been replaced."""
+        """Return the cell in NumPy; None with replaced layers."""
         cell, out = self.transition, self.observation
         if not self.fusable():
             return None

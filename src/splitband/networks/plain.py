@@ -17,11 +17,11 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.tracing import scan
 
 Dense = tuple[tuple[Array, Array], ...]
-"""Weights and biases of linear layers, each followed by tanh unless stated otherwise."""
+"""Weights and biases of linear layers, followed by tanh unless stated otherwise."""
 
 
 class PlainGRU(NamedTuple):
-    """Hold weights and biases of a `GRU`, gates in torch's order: reset, update, new."""
+    """Weights and biases of a `GRU`, gates in torch's order: reset, update, new."""
 
     of_input: tuple[Array, Array]
     of_state: tuple[Array, Array]
@@ -40,10 +40,10 @@ class PlainGRU(NamedTuple):
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         n = self.of_state[0].shape[1]
-        given = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
-        kept = self.of_state[0] @ h + self.of_state[1]
-        gates = scipy.special.expit(given[: 2 * n] + kept[: 2 * n])
-        new = np.tanh(given[2 * n :] + gates[:n] * kept[2 * n :])
+        of_input = self.of_input[0] @ np.concatenate([y, u]) + self.of_input[1]
+        of_state = self.of_state[0] @ h + self.of_state[1]
+        gates = scipy.special.expit(of_input[: 2 * n] + of_state[: 2 * n])
+        new = np.tanh(of_input[2 * n :] + gates[:n] * of_state[2 * n :])
         return new + gates[n:] * (h - new)
 
     def observe(self, h: Array) -> Array:
@@ -51,7 +51,7 @@ class PlainGRU(NamedTuple):
 
 
 class PlainEulerMLP(NamedTuple):
-    """Hold the weights of an `EulerMLP`; the last layer of the dynamics has no tanh."""
+    """The weights of an `EulerMLP`; the last layer of the dynamics has no tanh."""
 
     dynamics: Dense
     recognition: Dense
@@ -68,8 +68,8 @@ class PlainEulerMLP(NamedTuple):
         return math.inf
 
     def initial_state(self, y: Array, u: Array) -> Array:
-        seen = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
-        return _dense(self.recognition, seen.reshape(-1))
+        samples = np.concatenate([y, u], axis=1)[len(y) - self.warmup :]
+        return _dense(self.recognition, samples.reshape(-1))
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
         *hidden, (weight, bias) = self.dynamics
@@ -81,7 +81,7 @@ class PlainEulerMLP(NamedTuple):
 
 
 class PlainStateSpace(NamedTuple):
-    """Hold the weights of a `StateSpace`."""
+    """The weights of a `StateSpace`."""
 
     f: Dense
     g: Dense
@@ -102,8 +102,8 @@ class PlainStateSpace(NamedTuple):
     def initial_state(self, y: Array, u: Array) -> Array:
         weight, x = self.first
         if self.encoded:
-            seen = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
-            x = weight @ seen.reshape(-1) + x
+            samples = np.concatenate([y[: self.encoded], u[: self.encoded]], axis=1)
+            x = weight @ samples.reshape(-1) + x
         return _observed(self, self._with_output(x, u[0]), y, u)
 
     def step(self, h: Array, y: Array, u: Array) -> Array:
@@ -130,6 +130,6 @@ def _dense(layers: Dense, x: Array) -> Array:
 
 
 def _mixed(layers: Dense, out: tuple[Array, Array], x: Array) -> Array:
-    """Return a linear map of x and of the outputs of tanh units on it."""
+    """Return a linear map of x and of the outputs of tanh units on x."""
     weight, bias = out
     return weight @ (np.concatenate([x, _dense(layers, x)]) if layers else x) + bias

@@ -19,18 +19,18 @@ def rollout(
 ) -> Tensor:
     """Warm up on measured samples, then simulate freely (paper, Eq. 8, rollout).
 
-    The warm-up feeds y_0..y_{R-1} and leaves h_R; the first prediction is C h_R, and each
-    prediction is fed back in place of a measurement.
+    The warm-up feeds y_0..y_{R-1} and leaves h_R; the first prediction is C h_R, and predictions
+    are fed back in place of measurements.
 
     Parameters
     ----------
     cell : The network.
     y_warmup : Measured samples `(batch, R, ny)`, R >= 1.
-    steps : How many samples to simulate.
-    u : Known inputs `(batch, R + steps, nu)` or longer, where the cell takes any. Row n acts on
-        the step from n to n + 1, so the last row is not used.
-    backend : `"plain"` is the loop over steps, the definition. `"fused"` is a compiled kernel,
-        for cells that have a `fused_rollout`, on the CPU. `"auto"` takes the kernel where it can.
+    steps : Number of samples to simulate.
+    u : Known inputs `(batch, R + steps, nu)` or longer, for a cell with inputs. Row n acts on the
+        step from n to n + 1, so the last row is not used.
+    backend : `"plain"` is the loop over steps, the definition. `"fused"` is a compiled kernel, for
+        cells with a `fused_rollout`, on the CPU. `"auto"` takes the kernel where possible.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def rollout(
 def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[Tensor, Any]:
     """Simulate from the state `h`; return the samples `(batch, steps, ny)` and the last state.
 
-    The last state belongs to the last sample returned: `step(h, observe(h), u)` goes on from it.
+    The last state belongs to the last sample: `step(h, observe(h), u)` continues.
     """
     y = cell.observe(h)
     samples = [y]
@@ -76,9 +76,9 @@ def free_run(cell: Cell, h: Any, steps: int, u: Tensor | None = None) -> tuple[T
 
 
 def _kernel(cell: Cell, y_warmup: Tensor, steps: int) -> Callable[..., Tensor] | None:
-    """Return the cell's fused rollout if it computes the same as the loop, else None.
+    """Return the cell's fused rollout if its results are those of the loop, else None.
 
-    A subclass may step differently. Therefore only the class that declares a kernel uses it.
+    A subclass may step differently: it has to declare `fused_rollout` itself.
     """
     if "fused_rollout" not in vars(type(cell)) or not cell.fusable():  # type: ignore[attr-defined]
         return None

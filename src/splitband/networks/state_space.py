@@ -21,48 +21,47 @@ if TYPE_CHECKING:
     from splitband.baselines.linear import Realisation
 
 _RADIUS = 0.95
-"""Absolute value of the poles of a cell that begins with random weights. Checked by
-halving and doubling."""
+"""Absolute value of the poles of a cell with random weights. Checked by halving and doubling.
+"""
 _TURN = 0.3
-"""Standard deviation of its random rotation angles, in radians per sample. Checked by
+"""Standard deviation of the random rotation angles, in radians per sample. Checked by
 halving and doubling."""
 _OBSERVED = 0.5
-"""Share of a prediction error by which its observer moves the predicted output. By eye."""
+"""Share of a prediction error by which the initial observer corrects the output. By eye."""
 MOST_LAYERS = 100
-"""Largest number of layers of f and of g: a saved cell that asks for more is forged, and would take
-long to build."""
+"""Largest number of layers of f and of g. A saved cell with more is forged: building it would take
+long."""
 MOST_ENCODED = 10
-"""Largest number of warm-up samples from which the first state is estimated. Bounds the time."""
+"""Largest number of warm-up samples in the estimate of the first state. Bounds the time."""
 _NONLINEAR = 0.1
-"""Factor on torch's initial output weights of f and g, applied once more where the cell begins as a
-linear model. With weights of zero, all units would begin alike. By eye."""
+"""Factor on torch's initial output weights of f and g, and once more on those of a cell with the
+weights of a linear model; 0 would make all units equal. By eye."""
 
 
 class StateSpace(WithRepr, nn.Module):
-    """Add a layer of tanh units to each equation of a linear state-space model.
+    """A linear state-space model with a layer of tanh units in both equations.
 
     x_{n+1} = A x_n + B u_n + f(x_n, u_n) + a + K e_n and y_{n+1} = C x_{n+1} + D u_n +
-    g(x_{n+1}, u_n) + c, where u_n is the row of inputs that acts on the step from n to n + 1. A
-    model with feedthrough gives the cell the inputs of both samples in that row (see
-    `base.with_next_input`), so that the output depends on the input of its own sample. f and g are
-    layers of tanh units and a weighted sum of them.
+    g(x_{n+1}, u_n) + c, where u_n is the row of inputs for the step from n to n + 1. With
+    feedthrough the row has the inputs of both samples (see `base.with_next_input`), so that the
+    output depends on the input at its own time. f and g are weighted sums of tanh units.
 
     e_n is the fed sample minus the predicted one. In the warm-up, K makes the cell an observer of
     the measured system. In a free run the fed sample is the predicted one and e_n is exactly zero:
-    the cell simulates. The state that is passed is x and the predicted y, side by side.
+    the cell simulates. The state of the cell is x and the predicted y, side by side.
 
-    The state at the first sample of the warm-up is a trained affine map of its first `encoded`
-    samples and inputs. The prediction of that sample uses the first row of inputs in place of the
-    one before it.
+    The state at the first sample of the warm-up is a trained affine map of the first `encoded`
+    samples and inputs. The prediction of the first sample uses the first row of inputs in place of
+    an earlier one.
 
     Parameters
     ----------
     states : Size of x.
-    hidden : Tanh units of each layer; 0 for a linear model.
+    hidden : Tanh units of a layer; 0 for a linear model.
     ny : Measured channels.
     nu : Known inputs in a row.
     layers : Hidden layers of f and of g. The compiled kernel has one.
-    encoded : Warm-up samples from which the first state is estimated; 0: a trained constant.
+    encoded : Warm-up samples in the estimate of the first state; 0 for a trained constant.
     """
 
     label, words = "state-space", "state-space network"
@@ -96,12 +95,12 @@ class StateSpace(WithRepr, nn.Module):
         self._begin()
 
     def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
-        """Return a new cell with as many states, units and layers, for such warm-ups."""
+        """Return a new cell with as many states, units and layers, for warm-ups of this length."""
         encoded = min(warmup, MOST_ENCODED)
         return StateSpace(self.states, self.hidden, ny, nu, self.layers, encoded)
 
     def variants(self) -> list[StateSpace]:
-        """Return templates of this size, and with fewer and with more states and units."""
+        """Return templates of this size, with fewer, and with more states and units."""
         n, units = self.states, self.hidden
         sizes = (n, units), (n + 2, units + units // 2), (max(1, n // 2), units), (n, 2 * units)
         return [StateSpace(*size, self.ny, self.nu, self.layers) for size in sizes]
@@ -116,7 +115,7 @@ class StateSpace(WithRepr, nn.Module):
     ) -> None:
         """Make the cell a linear model, in place: f, g and the offsets become zero.
 
-        The hidden layers keep their weights, so that training can go on from there.
+        The hidden layers keep their weights, as a start for training.
 
         Parameters
         ----------
@@ -137,35 +136,35 @@ class StateSpace(WithRepr, nn.Module):
             "k": (self.states, self.ny),
         }
         gain = np.zeros(shapes["k"]) if k is None else k
-        given = {
+        matrices = {
             name: np.asarray(values, dtype=np.float64)
             for name, values in zip(shapes, (a, b, c, d, gain), strict=True)
         }
         for name, shape in shapes.items():
-            if given[name].shape != shape:
-                raise InputError(f"{name} must be {shape}, got {given[name].shape}")
+            if matrices[name].shape != shape:
+                raise InputError(f"{name} must be {shape}, got {matrices[name].shape}")
         with torch.no_grad():
             for layer, parts in ((self.transition, "ab"), (self.observation, "cd")):
-                linear = np.concatenate([given[part] for part in parts], axis=1)
+                linear = np.concatenate([matrices[part] for part in parts], axis=1)
                 layer.weight.zero_()
                 layer.weight[:, : self.states + self.nu] = torch.from_numpy(linear)
                 layer.bias.zero_()
-            self.gain.copy_(torch.from_numpy(given["k"]))
+            self.gain.copy_(torch.from_numpy(matrices["k"]))
 
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None = None) -> None:
         """Begin as a linear model, in place, with small output weights of f and g.
 
         Parameters
         ----------
-        model : With columns of B and D for each input of a row.
-        first : Weight and bias of the map from what is `encoded` to the first state.
+        model : Its B and D have a column for every input of a row.
+        first : Weight and bias of the map from the `encoded` samples to the first state.
         """
         units = slice(self.states + self.nu, None)
         layers = self.transition, self.observation
-        kept = [_NONLINEAR * layer.weight.detach()[:, units] for layer in layers]
+        weights = [_NONLINEAR * layer.weight.detach()[:, units] for layer in layers]
         self.set_linear(model.a, model.b, model.c, model.d)
         with torch.no_grad():
-            for layer, weight in zip(layers, kept, strict=True):
+            for layer, weight in zip(layers, weights, strict=True):
                 layer.weight[:, units] = weight
             self.transition.bias.copy_(torch.from_numpy(model.drift))
             self.observation.bias.copy_(torch.from_numpy(model.offset))
@@ -174,18 +173,18 @@ class StateSpace(WithRepr, nn.Module):
                 self.first_bias.copy_(torch.from_numpy(first[1]))
 
     def penalised(self) -> list[Tensor]:
-        """Return the weights of f and g, to which the penalty applies; the linear part has none."""
+        """Return the weights of f and g; the linear part has no penalty."""
         units = slice(self.states + self.nu, None)
         out = [layer.weight[:, units] for layer in (self.transition, self.observation)]
         return [*self.f.parameters(), *self.g.parameters(), *out]
 
     def stable(self) -> bool:
-        """Return whether A is stable; as f is bounded, free runs with bounded inputs then are."""
+        """Return whether A is stable: as f is bounded, free runs are then bounded, too."""
         a = self.transition.weight[:, : self.states].detach().double()
         return bool(torch.linalg.eigvals(a).abs().max() < 1)
 
     def size_in_words(self) -> str:
-        """Describe its size, for tables."""
+        """Return the numbers of states and units, for tables."""
         return f"{self.states} states, {self.hidden} hidden units"
 
     def initial_state(self, y_warmup: Tensor, u: Tensor | None = None) -> Tensor:
@@ -201,8 +200,8 @@ class StateSpace(WithRepr, nn.Module):
         n = self.encoded
         if y_warmup.shape[1] < n:
             raise InputError(f"the warm-up must have at least {n} samples, got {y_warmup.shape[1]}")
-        seen = y_warmup[:, :n] if u is None else torch.cat([y_warmup[:, :n], u[:, :n]], dim=-1)
-        return nn.functional.linear(seen.flatten(1), self.first, self.first_bias)
+        samples = y_warmup[:, :n] if u is None else torch.cat([y_warmup[:, :n], u[:, :n]], dim=-1)
+        return nn.functional.linear(samples.flatten(1), self.first, self.first_bias)
 
     def step(self, h: Tensor, y: Tensor, u: Tensor | None = None) -> Tensor:
         """Take one step of [x, the predicted y], shape `(batch, states + ny)`."""
@@ -215,7 +214,7 @@ class StateSpace(WithRepr, nn.Module):
         return h[:, self.states :]
 
     def fusable(self) -> bool:
-        """Return whether the layers have their original types, with at most one layer of units."""
+        """Return whether the layers have their original types, with one layer of units or none."""
         kinds = (nn.Linear, nn.Tanh) if self.hidden else ()
         layers = [*self.f.children(), *self.g.children()]
         return len(self.f) == len(self.g) == len(kinds) and are_plain(
@@ -256,7 +255,7 @@ class StateSpace(WithRepr, nn.Module):
         return nn.Sequential(*layers)
 
     def _begin(self) -> None:
-        """Draw weights: stable slow poles, an observer that follows y, and small f and g."""
+        """Draw weights: stable slow poles, an observer of y, and small f and g."""
         n, linear = self.states, self.states + self.nu
         with torch.no_grad():
             turn = _TURN * torch.randn(n, n)
@@ -269,11 +268,11 @@ class StateSpace(WithRepr, nn.Module):
             self.gain.copy_(_OBSERVED * a @ torch.linalg.pinv(c))
 
     def _with_output(self, x: Tensor, u: Tensor | None) -> Tensor:
-        """Return the state that is passed, [x, the predicted y]."""
+        """Return the state of the cell, [x, the predicted y]."""
         return torch.cat([x, _mixed(self.g, self.observation, x, u)], dim=-1)
 
 
 def _mixed(layers: nn.Sequential, out: nn.Linear, x: Tensor, u: Tensor | None) -> Tensor:
-    """Return a linear map of x, u and the outputs of tanh units on both."""
-    seen = x if u is None else torch.cat([x, u], dim=-1)
-    return out(torch.cat([seen, layers(seen)], dim=-1) if len(layers) else seen)
+    """Return a linear map of x, u and the outputs of tanh units on x and u."""
+    row = x if u is None else torch.cat([x, u], dim=-1)
+    return out(torch.cat([row, layers(row)], dim=-1) if len(layers) else row)

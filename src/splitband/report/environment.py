@@ -1,4 +1,4 @@
-"""Describe what computed a result: versions, machine, commit."""
+"""Describe the environment of a result: versions, machine, commit."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def environment() -> dict[str, Any]:
 
 
 def _commit() -> str | None:
-    """Return the commit of the checkout that the package runs from, if it runs from one.
+    """Return the commit of the package's checkout; None without a checkout.
 
-    It ends with "-dirty" where the code was changed since; results beside it may change.
+    It ends with "-dirty" after changes of the code; other files do not count.
     """
     root = Path(__file__).resolve().parents[3]
     if not (root / ".git").exists():

@@ -1,4 +1,4 @@
-"""Write numbers as tables and sentences show them."""
+"""Format numbers for tables and sentences."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splitband.data import Record
 
 _MISSING = "–"  # noqa: RUF001
 _SMALLEST, _LARGEST = 1e-3, 1e5
-"""Range of the numbers that are written without an exponent."""
+"""Range of numbers without an exponent. Layout."""
 
 
 def number(value: float | None) -> str:
@@ -30,25 +30,25 @@ def percent(share: float) -> str:
 
 
 def decimals(values: Sequence[float]) -> int:
-    """Return the decimal places of a column: three digits of its smallest number, at most four."""
+    """Return the decimal places of a column: three digits of the smallest number, at most four."""
     sizes = [abs(v) for v in values if math.isfinite(v) and _SMALLEST <= abs(v) < _LARGEST]
     return min(max(2 - math.floor(math.log10(min(sizes))), 0), 4) if sizes else 1
 
 
 def aligned(value: float, decimals: int) -> str:
-    """Return a number with fixed decimal places; one too large or small for them by `number`."""
+    """Return a number with fixed decimal places; too large or small numbers by `number`."""
     if abs(value) >= _LARGEST or round(value, decimals) == 0 != value:
         return number(value)
     return f"{value:,.{decimals}f}"
 
 
 def complex_in_words(value: complex) -> str:
-    """Return a complex number together with its conjugate, such as 0.95 ± 0.1j."""
+    """Return a pair of conjugate numbers, such as 0.95 ± 0.1j, or a real number."""
     return f"{value.real:.5g}" + (f" ± {abs(value.imag):.5g}j" if value.imag else "")
 
 
 def in_one_offset(stamps: pd.DatetimeIndex) -> pd.DatetimeIndex:
-    """Return date stamps without a time zone, by the clock of the first one: they only go on."""
+    """Return date stamps without a time zone, by the clock of the first one: evenly spaced."""
     offset = stamps[0].utcoffset() if len(stamps) else None
     return stamps.tz_localize(None) if offset is None else stamps.tz_convert(None) + offset
 

@@ -1,4 +1,4 @@
-"""Draw pictures of comparisons and predictions; nothing else imports matplotlib."""
+"""Draw pictures of comparisons and predictions, by matplotlib."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ def save(figure: Figure, path: str | Path) -> None:
 
 
 def rollouts(comparison: Comparison) -> Figure:
-    """Draw the recommended method's predictions large, and those of the others small below.
+    """Draw predictions, large for the recommended method, small below for the others.
 
-    Panels show the forecast, with its interval, and each test record; without both, a simulation.
+    Panels show the forecast, with its interval, and the test records; without both, a simulation.
     """
     record = comparison.record
-    every = [each for each in predicted(comparison) if each.predictions]
-    shown = [each for each in every if each.protocol != "start"] or every
-    shown.sort(key=lambda each: each.protocol)  # the forecast first
+    every = [runs for runs in predicted(comparison) if runs.predictions]
+    shown = [runs for runs in every if runs.protocol != "start"] or every
+    shown.sort(key=lambda runs: runs.protocol)  # the forecast first
     names, called = ordered(comparison.trial, comparison.fits), labels_of(comparison)
     best, *others = names
     across = max(SMALL_ACROSS // record.ny, 1)
     below = -(-len(others) // across)
-    across = -(-len(others) // below) if below else 0  # rows of the same length
+    across = -(-len(others) // below) if below else 0  # rows of equal length
     large, small = 2.6 * record.ny * len(shown), 1.5 * below
     figure = Figure(figsize=(12, large + small + 1.2), layout="constrained")
     ratios = [large, small] if below else [large]
     parts = figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0]
     grid = parts[0].subplots(record.ny * len(shown), 1, squeeze=False)[:, 0]
-    for ax, (each, channel) in zip(grid, product(shown, range(record.ny)), strict=True):
-        _draw(ax, each, channel, best, PALETTE[0])
+    for ax, (runs, channel) in zip(grid, product(shown, range(record.ny)), strict=True):
+        _draw(ax, runs, channel, best, PALETTE[0])
     if below:
         grid = parts[1].subplots(below, across * record.ny, squeeze=False, sharex=True)
         panels = [*product(others, range(record.ny))]
@@ -73,30 +73,32 @@ def rollouts(comparison: Comparison) -> Figure:
             ax.set_axis_off()
             grid.flat[i - across * record.ny].tick_params(labelbottom=True)
         parts[1].suptitle(f"Other methods, {literal(shown[0].says)}", fontsize=9)
-    said = record.name or "a record"
-    said += "; " if comparison.trial is None else "; recommended: "
-    figure.suptitle(literal(said + called[best]), fontsize=11)
+    title = record.name or "a record"
+    title += "; " if comparison.trial is None else "; recommended: "
+    figure.suptitle(literal(title + called[best]), fontsize=11)
     return figure
 
 
 def _draw(
     ax: Axes, shown: Predicted, channel: int, name: str, color: str, small: bool = False
 ) -> None:
-    """Draw what was measured of one channel, and what one method predicts."""
+    """Draw the measurement of one channel, and a method's prediction."""
     record, times = shown.record, times_of(shown.record)
     unit, title = f" {record.units[channel]}".rstrip(), "not tested"
-    found = shown.predictions.get(name)
-    if found is not None:
-        y, truth = found.y[:, channel], shown.truth(found)[:, channel]
+    prediction = shown.predictions.get(name)
+    if prediction is not None:
+        y, truth = prediction.y[:, channel], shown.truth(prediction)[:, channel]
         at = times[len(times) - len(y) :]
         if not small:
-            _draw_interval(ax, at, found, channel)
+            _draw_interval(ax, at, prediction, channel)
         ax.plot(at, y, color=color, lw=2 if small else 3, label="predicted")  # shows behind
         title = f"fit {tenths(fit_percent(truth, y))} %"
         title += "" if small else f", RMSE {number(rmse(truth, y))}{unit}"
-    seen = record.y_with_gaps[shown.first :, channel]
-    ax.plot(times[shown.first :], seen, color=MEASURED, lw=0.6 if small else 0.9, label="measured")
-    low, high = float(np.nanmin(seen)), float(np.nanmax(seen))
+    measured = record.y_with_gaps[shown.first :, channel]
+    ax.plot(
+        times[shown.first :], measured, color=MEASURED, lw=0.6 if small else 0.9, label="measured"
+    )
+    low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     margin = 0.25 * (high - low or 1.0)
     ax.set_ylim(low - margin, high + margin)
     ax.margins(x=0.01)
@@ -136,7 +138,7 @@ def prediction(predicted: Prediction) -> Figure:
 
 
 def literal(name: str) -> str:
-    """Escape dollar signs in a user's name, which matplotlib would read as formulas."""
+    """Escape dollar signs in a user's name, for matplotlib the marks of formulas."""
     return name.replace("$", r"\$")
 
 
@@ -146,7 +148,7 @@ def times_of(record: Record) -> npt.NDArray[Any]:
 
 
 def _drawn(stamps: pd.Index[Any]) -> npt.NDArray[Any]:
-    """Return time stamps as matplotlib takes them; dates are in the time zone of the first one."""
+    """Return time stamps for matplotlib; dates are in the time zone of the first one."""
     if isinstance(stamps, pd.DatetimeIndex):
         stamps = in_one_offset(stamps)
     return np.asarray(stamps)

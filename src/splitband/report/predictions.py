@@ -1,4 +1,4 @@
-"""Hold what methods predict of a record, by each protocol of a comparison."""
+"""Collect the predictions of methods by protocol of a comparison."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from splitband.runtime.arrays import Array
 Protocol = Literal["test", "forecast", "start"]
 """Simulations of a test record, forecasts after the training part, simulations from the start."""
 BEFORE = 8
-"""Plots begin earlier than the prediction, by its length divided by this number. Layout."""
+"""Length of a prediction as a multiple of the measurements in front of it in a plot. Layout."""
 
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Hold a record, and predictions of its last samples."""
+    """A record, and predictions of its last samples."""
 
-    protocol: Protocol  # how they were made
-    says: str  # the same in words, for captions
+    protocol: Protocol
+    says: str  # the protocol in words, for captions
     record: Record  # the measured record
     predictions: Mapping[str, Prediction]  # medians over trainings; all end at the same sample
     trainings: Mapping[str, Sequence[Prediction]] = field(default_factory=dict)
@@ -45,30 +45,30 @@ class Predicted:
         return max(self.begin - max(self.steps // BEFORE, 2), 0)
 
     def truth(self, prediction: Prediction) -> Array:
-        """Return the noise-free or measured samples that are predicted, `(time, ny)`."""
+        """Return the noise-free or measured samples of a prediction, `(time, ny)`."""
         return self.record.truth[len(self.record) - len(prediction) :]
 
 
 def run_of(record: Record) -> str:
-    """Return what a free run of a record is called: with known inputs a simulation."""
+    """Return the name of a free run of a record: with known inputs a simulation."""
     return "simulation" if record.nu else "forecast"
 
 
 def what_was_known(comparison: Comparison) -> str:
-    """Return what the methods knew of the samples that they predict, in a sentence."""
+    """Return a sentence on the information of the methods about the predicted samples."""
     record = comparison.tests[0] if comparison.tests else comparison.record
-    known = ["the inputs"] if record.nu else []
-    known += [] if record.y_sim is None else ["the simulator's output"]
+    information = ["the inputs"] if record.nu else []
+    information += [] if record.y_sim is None else ["the simulator's output"]
     if comparison.tests:
         first = "the first samples of the outputs"
-        return f"Known of a test record: {' and '.join([*known, first])}, not the rest."
-    if not known:
+        return f"Known of a test record: {' and '.join([*information, first])}, not the rest."
+    if not information:
         return "Nothing was known of these samples."
-    return f"Known of these samples: {' and '.join(known)}, not the measured outputs."
+    return f"Known of these samples: {' and '.join(information)}, not the measured outputs."
 
 
 def predicted(comparison: Comparison) -> list[Predicted]:
-    """Return what the methods predict: of test records, after the training part, from the start.
+    """Return the methods' predictions: of test records, after the training part, from the start.
 
     Some methods, or all, may be unable to simulate the test records.
     """
@@ -84,16 +84,16 @@ def predicted(comparison: Comparison) -> list[Predicted]:
         }
         return Predicted(protocol, says, record, medians, trainings)
 
-    found = [
+    runs = [
         of("test", f"simulation of the test record {test.name or i + 1}", test, partial(_tested, i))
         for i, test in enumerate(comparison.tests)
     ]
     if comparison.predictions:
         says = f"{run_of(record)} after the training part"
         ahead = of("forecast", says, record, lambda f: f.forecast)
-        found.append(replace(ahead, predictions=comparison.predictions))
+        runs.append(replace(ahead, predictions=comparison.predictions))
     says = "simulation from the first samples"
-    return [*found, of("start", says, record, lambda fit: fit.from_start)]
+    return [*runs, of("start", says, record, lambda fit: fit.from_start)]
 
 
 def _tested(i: int, fit: Fit) -> Prediction | None:

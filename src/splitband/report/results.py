@@ -1,4 +1,4 @@
-"""Write the files of results; results.json has all numbers and what is needed to reproduce them."""
+"""Write the files of results; results.json has all numbers and all settings to reproduce them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from splitband.runtime.outputs import MODEL_FOLDER, TEST_PREDICTIONS, staged, wr
 
 Facts = dict[str, Any]
 MOST_ROWS = 100_000
-"""Samples of a record up to which all of them have rows. Bounds the time of writing."""
+"""Largest number of samples of a record with a row for every sample. Bounds the time of writing."""
 
 
 def save(
@@ -45,10 +45,10 @@ def save(
     facts: dict[str, Any] | None = None,
     usage: Usage | None = None,
 ) -> None:
-    """Write all files of a comparison in place of an earlier result; on an error none of them.
+    """Write all files of a comparison in place of an earlier result; after an error none.
 
-    They are predictions.csv and one for each test record, the page, the trained model, and
-    results.json, in which `facts` come first. `usage` is shown on the page.
+    The files are predictions.csv, one such file per test record, the page, the trained model, and
+    results.json, with `facts` first. The page shows `usage`.
     """
     with staged(folder) as new:
         began = now()
@@ -56,28 +56,28 @@ def save(
         tables = {TEST_PREDICTIONS.format(i + 1): [every[i]] for i in range(tests)}
         for name, shown in {**tables, "predictions.csv": every[tests:]}.items():
             write_csv(new / name, samples(shown, comparison.recommended))
-        # Tables of a long record take longest, and longer once the other methods have results.
+        # Tables of a long record take longest; their time grows with the number of results.
         coming = len(comparison.plan.methods) - len(comparison.require_trial().failed)
-        more = (now() - began) * max(coming / len(comparison.fits) - 1, 0)
+        further = (now() - began) * max(coming / len(comparison.fits) - 1, 0)
         page = _page()
         page.of_comparison(comparison, new / PAGE, usage)
         comparison.model.save(new / MODEL_FOLDER)
-        comparison.clock.writing = now() - began + more
-        found = results(comparison) | {"time": comparison.clock.as_json()}
-        write_facts(new, (facts or {}) | found)
+        comparison.clock.writing = now() - began + further
+        numbers = results(comparison) | {"time": comparison.clock.as_json()}
+        write_facts(new, (facts or {}) | numbers)
 
 
 def _page() -> ModuleType:
-    """Import the module that makes pages, only here: its libraries load slowly."""
+    """Import the module of pages, only here: its libraries load slowly."""
     from splitband.report.page import document  # noqa: PLC0415
 
     return document
 
 
 def save_unfinished(state: RunningComparison, folder: Path, facts: dict[str, Any]) -> None:
-    """Write the best model so far in place of an earlier result; on an error nothing.
+    """Write the best model so far in place of an earlier result; after an error nothing.
 
-    results.json says that the comparison is `unfinished`, and the held-out errors so far.
+    results.json has the held-out errors so far, and `unfinished`.
     """
     trial, record = state.trial, state.plan.record
     with staged(folder) as new:
@@ -85,25 +85,25 @@ def save_unfinished(state: RunningComparison, folder: Path, facts: dict[str, Any
         samples = len(model.require_fitted().record)
         marked = {"unfinished": state.doing, "trained_on": f"the first {samples} samples"}
         saving.save(model, new / MODEL_FOLDER, marked)
-        said = {
+        numbers = {
             "unfinished": state.doing,
             "recommended": trial.recommended,
             "table": [c.as_json() for c in tried(trial, record, [*trial.errors])],
             "time": state.clock.as_json(),
             "environment": environment(),
         }
-        write_facts(new, facts | said)
+        write_facts(new, facts | numbers)
 
 
 def results(comparison: Comparison) -> dict[str, Any]:
-    """Return what `compare` writes to results.json.
+    """Return the content of results.json by `compare`.
 
-    `table` has the errors of the median over seeds, by channel, as they are shown. Errors in
-    `methods` are over all channels: the root of the sum of their squares.
+    `table` has the displayed errors of the median over seeds, by channel. Errors in `methods` are
+    over all channels: the root of the sum of squares.
     """
     record, trial = comparison.record, comparison.require_trial()
     return {
-        "inputs_beyond_training": [asdict(each) for each in comparison.inputs_beyond_training],
+        "inputs_beyond_training": [asdict(u) for u in comparison.inputs_beyond_training],
         "record": {
             "name": record.name,
             "samples": len(record),
@@ -121,7 +121,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
         "interrupted": comparison.interrupted,
         "residual_tests": [test.as_json() for test in comparison.residual_tests],
         "recommended": trial.recommended,
-        # Without seconds, which are below, so that the same comparison has the same table.
+        # Without seconds, which are below: equal comparisons have equal tables.
         "table": [c.as_json() for c in columns(comparison) if c.unit != "seconds"],
         "search": [asdict(attempt) for attempt in comparison.attempts],
         "methods": {
@@ -140,31 +140,31 @@ def results(comparison: Comparison) -> dict[str, Any]:
 
 
 def samples(every: Sequence[Predicted], recommended: str) -> pd.DataFrame:
-    """Return a record and the predictions of its last samples, a row for each sample.
+    """Return a record and the predictions of its last samples, one row per sample.
 
-    There is a column for each channel, and one for each channel, method and protocol: the median
-    over seeds, empty before the prediction begins. The interval of the recommended method's
-    forecast has columns, too. Of a long record only the samples of the first protocol have rows.
+    There is a column by channel, and one by channel, method and protocol: the median over seeds,
+    empty before the prediction. The interval of the recommended method's forecast has columns, too.
+    For a long record only the samples of the first protocol have rows.
     """
     record = every[0].record
     rows = min(every[0].steps, len(record)) if len(record) > MOST_ROWS else len(record)
     table: dict[str, Any] = {time_header(record.columns): record.stamps[-rows:]}
     for i, column in enumerate(record.columns):
         table[column] = record.y_with_gaps[-rows:, i]
-        for each in every:
-            what = "forecast" if each.protocol == "forecast" else "from start"
-            for name, p in each.predictions.items():
+        for runs in every:
+            what = "forecast" if runs.protocol == "forecast" else "from start"
+            for name, p in runs.predictions.items():
                 edges = {"lower": p.lower, "upper": p.upper} if name == recommended else {}
-                for said, y in ({what: p.y} | edges).items():
+                for label, y in ({what: p.y} | edges).items():
                     if y is not None:
                         values = np.full(rows, np.nan)
                         values[max(rows - len(y), 0) :] = y[-rows:, i]
-                        table[f"{column}, {name}, {said}"] = values
+                        table[f"{column}, {name}, {label}"] = values
     return pd.DataFrame(table, copy=False)
 
 
 def write_csv(path: Path, table: pd.DataFrame) -> None:
-    """Write a table as CSV; its lines end alike on every system."""
+    """Write a table as CSV, with equal line ends on all systems."""
     with replacing(path) as new:
         table.to_csv(new, index=False, lineterminator="\n", compression=None)
 
@@ -177,16 +177,16 @@ def save_check(
     folder: Path,
     used: Usage,
 ) -> None:
-    """Write results.json, in which `facts` come first, and the page of a check of a model."""
+    """Write results.json, with `facts` first, and the page of a check of a model."""
     page = _page()
     facts = facts | check.as_json() | {"kind": model.in_words()}
-    for each in responses:
+    for response in responses:
         gains = {
-            column: dict(zip(each.inputs, map(float, row), strict=True))
-            for column, row in zip(each.columns, each.y[-1], strict=True)
+            column: dict(zip(response.inputs, map(float, row), strict=True))
+            for column, row in zip(response.columns, response.y[-1], strict=True)
         }
         facts.setdefault("static_gain", gains)
-        at = dict(zip(each.inputs, map(float, each.at), strict=True))
+        at = dict(zip(response.inputs, map(float, response.at), strict=True))
         facts.setdefault("static_gains", []).append({"inputs": at, "gain": gains})
     with staged(folder) as new:
         page.write(page.pages.of_check(check, model, responses, used), new / PAGE)
@@ -196,7 +196,7 @@ def save_check(
 def save_spectrum(
     shown: Record, bands: Bands, tables: Sequence[Table], facts: Facts, folder: Path, used: Usage
 ) -> None:
-    """Write results.json, of these facts, and the page of a spectrum in place of earlier ones."""
+    """Write results.json with these facts, and the page of a spectrum, over earlier ones."""
     page = _page()
     with staged(folder) as new:
         page.write(page.pages.of_spectrum(shown, bands, tables, facts, used), new / PAGE)
@@ -206,12 +206,11 @@ def save_spectrum(
 def _test_facts(comparison: Comparison) -> Iterator[dict[str, Any]]:
     for i, test in enumerate(comparison.tests, 1):
         facts = {"name": test.name, "samples": len(test), "start": as_json(test.start)}
-        own = {"columns": list(test.columns), "predictions": TEST_PREDICTIONS.format(i)}
-        yield facts | own
+        yield facts | {"columns": list(test.columns), "predictions": TEST_PREDICTIONS.format(i)}
 
 
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
-    """Return a forecast's interval, and the share of the measured samples that it covers."""
+    """Return a forecast's interval, and its coverage of the measured samples."""
     interval = comparison.require_trial().intervals[name]
     ahead = len(comparison.medians[name].ahead)
     if not ahead:
@@ -233,7 +232,7 @@ def _method(comparison: Comparison, name: str) -> dict[str, Any]:
     first, errors = fits[0], [_errors(comparison, fit) for fit in fits]
     facts: dict[str, Any] = {
         "seeds": [fit.seed for fit in fits],
-        **{key: [each[key] for each in errors] for key in errors[0]},
+        **{key: [of_fit[key] for of_fit in errors] for key in errors[0]},
         "seconds": [fit.report.seconds for fit in fits],
     }
     for error in ("total_rmse", "forecast_rmse"):
@@ -250,5 +249,5 @@ def _method(comparison: Comparison, name: str) -> dict[str, Any]:
         facts["parameters"] = first.report.parameters
     if first.report.losses:
         of_fits = [fit.report.losses for fit in fits]
-        facts["final_loss"] = [{k: v[-1] for k, v in each.items()} for each in of_fits]
+        facts["final_loss"] = [{k: v[-1] for k, v in losses.items()} for losses in of_fits]
     return facts

@@ -1,7 +1,7 @@
-"""A table: one list of columns, whatever shows it.
+"""A table: one list of columns for all displays.
 
-rich draws a table in terminals and as text, a template draws it in pages and notebooks; JSON and
-data frames hold its numbers.
+rich draws tables in terminals and as text, a template in pages and notebooks; JSON and data frames
+have the numbers.
 """
 
 from __future__ import annotations
@@ -28,42 +28,42 @@ from splitband.report.page import template
 Unit = Literal["percent", "record", "deviation", "share", "seconds", "count"]
 """Unit of a column: percent, the output's unit, its standard deviation, 0 to 1, seconds, none."""
 OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
-"""Units of numbers that are over all outputs of a comparison."""
+"""Units of numbers over all outputs of a comparison."""
 
 SHOWN = {"forecast fit %": "fit %", "forecast RMSE": "RMSE"}
-"""Headings as tables show them, where a title says whether it is a forecast or a simulation."""
+"""Displayed headings, below a title with "forecast" or "simulation"."""
 DECISIVE = frozenset({"test fit %", "forecast fit %", "score"})
-"""Headings without which a table does not say what is recommended, and what it is worth."""
+"""Headings with the reason for the recommendation, and its quality."""
 NARROW = 8
-"""Characters of a heading's line, at least. Layout."""
+"""Smallest width of a heading's line, in characters. Layout."""
 
 
 class _Form(NamedTuple):
-    """Say where the short names of rows stand in a terminal, and how wide their words may be."""
+    """The layout in a terminal: place of short names of rows, and largest width of words."""
 
     names: Literal["beside", "below", ""]
     width: int
-    narrow: int = 0  # where long words are broken: the width of outputs; 0 elsewhere
+    narrow: int = 0  # width of outputs, with long words broken; 0 for whole words
 
 
 _BESIDE, _BELOW, _SHORT = _Form("beside", 1000), _Form("below", 40), _Form("", 24, 20)
 _PLAIN = _Form("", 1000)
-"""For rows that have no words beside their names. Layout."""
+"""Form for rows without words beside their names. Layout."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """Hold a column: a number for each row, of one channel or of all."""
+    """A column: numbers by row, of one channel or of all."""
 
     heading: str
     unit: Unit
-    values: Mapping[str, float]  # by row, such as methods; a row that has none is missing
-    channel: str = ""  # empty if the number is over all channels, or the record has only one
+    values: Mapping[str, float]  # by row, such as methods; possibly not of all rows
+    channel: str = ""  # empty for numbers over all channels, or a single channel
     record: str = ""  # name of the test record; empty for the record of the comparison
     spreads: Mapping[str, float] = field(default_factory=dict)  # over the seeds, if several
     ranked: bool = True  # whether the lowest number (of percents, the highest) is the best one
-    measure: str = ""  # the unit of the output, as given in its name, such as "m"
-    note: str = ""  # what the heading means; empty if it needs no explanation
+    measure: str = ""  # the unit in the output's name, such as "m"
+    note: str = ""  # explanation of the heading
     marks: Mapping[str, str] = field(default_factory=dict)  # by row: a word beside the number
 
     @property
@@ -74,26 +74,26 @@ class Column:
 
     @property
     def shown(self) -> str:
-        """Return the heading as tables show it, with the test record."""
+        """Return the displayed heading, with the test record."""
         return f"{SHOWN.get(self.heading, self.heading)} {self.record}".rstrip()
 
     @property
     def label(self) -> str:
-        """Return the title as shown, with the unit unless the channel's name says it."""
+        """Return the displayed title, with the unit unless in the channel's name."""
         shown = f"{self.shown}, {self.channel}" if self.channel else self.shown
-        said = self.measure and self.unit == "record" and not self.channel
-        return f"{shown} ({self.measure})" if said else shown
+        with_unit = self.measure and self.unit == "record" and not self.channel
+        return f"{shown} ({self.measure})" if with_unit else shown
 
     @property
     def best(self) -> str:
-        """Return the best row; empty if the column is not ranked."""
-        known = {name: value for name, value in self.values.items() if value == value}  # noqa: PLR0124
-        if not (known and self.ranked):
+        """Return the best row; empty for an unranked column."""
+        finite = {name: value for name, value in self.values.items() if value == value}  # noqa: PLR0124
+        if not (finite and self.ranked):
             return ""
-        return (max if self.unit == "percent" else min)(known, key=lambda name: known[name])
+        return (max if self.unit == "percent" else min)(finite, key=lambda name: finite[name])
 
     def entry(self, row: str) -> str:
-        """Return the text of a cell, with the spread of its seeds."""
+        """Return the text of a cell, with the spread over seeds."""
         value = self.values.get(row)
         if value is None or value != value:  # noqa: PLR0124  NaN
             return number(None)
@@ -111,7 +111,7 @@ class Column:
         return 0 if self.unit == "count" else decimals([*self.values.values()])
 
     def as_json(self) -> dict[str, Any]:
-        """Return the column as in results.json."""
+        """Return the column for results.json."""
         return {
             "heading": self.heading,
             **({"record": self.record} if self.record else {}),
@@ -127,21 +127,21 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Hold a table: columns, and the rows in order."""
+    """A table: columns, and the rows in order."""
 
     title: str
-    columns: Sequence[Column]  # a narrow terminal leaves out the last ones
-    rows: Mapping[str, str]  # what must be said of each row, by its name; it may be empty
-    head: str = "method"  # what the rows are
-    recommended: str = ""  # the row that stands out
+    columns: Sequence[Column]  # the last ones are missing in a narrow terminal
+    rows: Mapping[str, str]  # remarks on rows by name, possibly empty
+    head: str = "method"  # heading of the rows
+    recommended: str = ""  # the marked row
     minor: frozenset[str] = frozenset()  # rows that a page folds away at first
     labels: Mapping[str, str] = field(default_factory=dict)  # rows in words, by name
-    details: Mapping[str, str] = field(default_factory=dict)  # what each fit has chosen
-    lines: str = "output"  # what the lines of a row are
+    details: Mapping[str, str] = field(default_factory=dict)  # choices of fits, by name
+    lines: str = "output"  # heading of the lines of a row
 
     @property
     def notes(self) -> dict[str, str]:
-        """Return what each heading means."""
+        """Return explanations by heading."""
         return {SHOWN.get(c.heading, c.heading): c.note for c in self.columns if c.note}
 
     def label(self, row: str) -> str:
@@ -149,22 +149,22 @@ class Table:
         return self.labels.get(row, row)
 
     def words(self, row: str) -> str:
-        """Return a row in words, without the short name, which stands beside or below them."""
+        """Return a row in words, without the short name."""
         return self.label(row).removesuffix(f" ({row})")
 
     def fitting(
         self, width: int, box: Box | None = HEAVY_HEAD
     ) -> tuple[rich.table.Table, list[str]]:
-        """Return the table for a terminal, and the headings of columns that were left out.
+        """Return the table for a terminal, and the headings of omitted columns.
 
-        The best number of each column is bold. With several outputs, a row has a line for each. The
-        short names stand beside or below the words, whichever leaves more columns. Where a decisive
-        column would be left out, or the table is too wide still, they stand nowhere, and long words
+        The best number of a column is bold. With several outputs, a row has several lines. Short
+        names are beside or below the words, for the larger number of columns. If a decisive column
+        would be omitted, or the table is still too wide, short names are omitted, and long words
         are broken.
         """
         forms = (_BESIDE, _BELOW) if self.labels else (_PLAIN,)
-        found = [self._fitted(width, box, form) for form in forms]
-        drawn, left_out = min(found, key=lambda each: len(each[1]))
+        drafts = [self._fitted(width, box, form) for form in forms]
+        drawn, left_out = min(drafts, key=lambda draft: len(draft[1]))
         lost = bool(self.labels) and not DECISIVE.isdisjoint(c.heading for c in left_out)
         if not lost and _width(drawn) <= width:
             return drawn, self._headings(left_out)
@@ -173,13 +173,13 @@ class Table:
 
     @staticmethod
     def _headings(columns: Sequence[Column]) -> list[str]:
-        """Return the headings of columns, each once."""
+        """Return the distinct headings of columns."""
         return [*dict.fromkeys(SHOWN.get(c.heading, c.heading) for c in columns)]
 
     def _fitted(
         self, width: int, box: Box | None, form: _Form
     ) -> tuple[rich.table.Table, list[Column]]:
-        """Return the table in a form, and the columns that were left out."""
+        """Return the table in a form, and the omitted columns."""
         of_heading: dict[tuple[str, str], dict[str, Column]] = {}
         for column in self.columns:
             of_heading.setdefault((column.heading, column.record), {})[column.channel] = column
@@ -205,7 +205,7 @@ class Table:
             first, *_ = of_channel.values()
             heading = first.shown if several else first.label
             entries = [c.entry(name) for c in of_channel.values() for name in self.rows]
-            # A number in two lines would be taken for two outputs.
+            # A number in two lines would look like two outputs.
             header = textwrap.fill(
                 heading, max(NARROW, *map(len, entries)), break_long_words=bool(form.narrow)
             )
@@ -215,32 +215,32 @@ class Table:
             heads = _spread(self._head(name, form), len(channels))
             for i, channel in enumerate(channels):
                 cells = [heads[i], *[Text("" if i else name, "dim")] * beside]
-                said = textwrap.fill(channel, form.narrow) if form.narrow else channel
-                cells += [Text(said)] * several
+                line = textwrap.fill(channel, form.narrow) if form.narrow else channel
+                cells += [Text(line)] * several
                 cells += [_cell(of_channel, name, channel, i == 0) for of_channel in shown]
                 table.add_row(*cells, end_section=several and channel == channels[-1])
         return table
 
     def _head(self, name: str, form: _Form) -> list[Text]:
-        """Return the lines that call a row: its words and, in one form, its name below them."""
+        """Return the label of a row in lines: words and, in one form, the name below."""
         best = name == self.recommended
         label = self.words(name) if form.names else self.label(name)
         first, rest = ("* " if best else "  ", "  ") if self.recommended else ("", "")
         wrapper = textwrap.TextWrapper(form.width, first, rest, break_on_hyphens=False)
         wrapper.break_long_words = bool(form.narrow)
-        found = [Text(line, "bold" if best else "") for line in wrapper.wrap(label)]
+        lines = [Text(line, "bold" if best else "") for line in wrapper.wrap(label)]
         below = form.names == "below" and label != name
-        return [*found, Text(rest + name, "dim")] if below else found
+        return [*lines, Text(rest + name, "dim")] if below else lines
 
     def _channels(self, name: str) -> list[str]:
-        """Return the channels that a row has numbers of; a single one has no name."""
-        found = dict.fromkeys(c.channel for c in self.columns if c.channel and name in c.values)
-        return [*found] or [""]
+        """Return the channels with numbers in a row; a single one has no name."""
+        channels = dict.fromkeys(c.channel for c in self.columns if c.channel and name in c.values)
+        return [*channels] or [""]
 
     def as_text(self, width: int = 100) -> str:
         """Return the table as text, with as many columns as fit into `width` characters.
 
-        It has no lines, which not every encoding of a file can hold.
+        It has no rules, which some encodings of files lack.
         """
         console = _console(width)
         with console.capture() as captured:
@@ -253,37 +253,38 @@ class Table:
         return str(template("macros.html").module.table(self, "table"))
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a data frame: the columns by their titles, and what must be said of each row."""
+        """Return a data frame: the columns by title, and remarks by row."""
         table: dict[str, Mapping[str, object]] = {}
         for column in self.columns:
             table[column.title] = column.values
             if column.spreads:
                 table[f"{column.title}, spread"] = column.spreads
-        table["note"] = {row: said or self.details.get(row, "") for row, said in self.rows.items()}
+        notes = self.rows.items()
+        table["note"] = {row: note or self.details.get(row, "") for row, note in notes}
         if self.recommended:
-            known = [row for row, said in self.rows.items() if not said]
-            table["recommended"] = {row: row == self.recommended for row in known}
+            complete = [row for row, note in notes if not note]
+            table["recommended"] = {row: row == self.recommended for row in complete}
         return pd.DataFrame(table, index=[*self.rows]).rename_axis(self.head)
 
     def remarks(self, details: bool = False) -> list[str]:
-        """Return what must be said of rows, each remark once; if asked for, with their details."""
+        """Return the distinct remarks on rows; on request with `details`."""
         every = {n: (words, self.details.get(n, "") * details) for n, words in self.rows.items()}
         return by_reason({self.label(n): "; ".join(filter(None, of)) for n, of in every.items()})
 
 
 def _width(table: rich.table.Table) -> int:
-    """Return the width of a table in which no cell is wrapped."""
+    """Return the width of a table without wrapped cells."""
     wide = _console(10_000)
     return Measurement.get(wide, wide.options, table).maximum
 
 
 def _console(width: int) -> Console:
-    """Return a console that writes plain text; brackets in names are text."""
+    """Return a console for plain text; brackets in names are text."""
     return Console(file=StringIO(), width=width, color_system=None, markup=False, emoji=False)
 
 
 def _cell(of_channel: Mapping[str, Column], name: str, channel: str, first: bool) -> Text:
-    """Return the number of a row's channel; one over all channels stands in the first line."""
+    """Return the number of a row's channel; one over all channels is in the first line."""
     column = of_channel.get(channel) or (of_channel.get("") if first else None)
     if column is None:
         return Text(number(None) if channel == "" else "")
@@ -291,6 +292,6 @@ def _cell(of_channel: Mapping[str, Column], name: str, channel: str, first: bool
 
 
 def _spread(lines: Sequence[Text], count: int) -> list[Text]:
-    """Return texts for so many cells below each other: a line each, the last one with the rest."""
+    """Return texts for `count` cells in a column: one line per cell, the rest in the last one."""
     cells = [*lines[: count - 1], Text("\n").join(lines[count - 1 :])]
     return cells + [Text("")] * (count - len(cells))

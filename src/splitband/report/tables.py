@@ -34,7 +34,7 @@ def _called(record: Record) -> str:
 
 
 def of_comparison(comparison: Comparison) -> Table:
-    """Return the table of a comparison: a row for each method, the recommended one first."""
+    """Return the table of a comparison: one row per method, the recommended one first."""
     record, train, trial = comparison.record, comparison.plan.train, comparison.trial
     truth = "the noise-free signal" if record.y_true is not None else "what was measured"
     ahead = f"{run_of(record)} of the {len(record) - train:,} after them, against {truth}"
@@ -58,7 +58,7 @@ def of_comparison(comparison: Comparison) -> Table:
 def of_trial(
     trial: Trial, record: Record, methods: Mapping[str, Forecaster], title: str = ""
 ) -> Table:
-    """Return the table of a trial: a row for each method, the recommended one first."""
+    """Return the table of a trial: one row per method, the recommended one first."""
     rows = dict.fromkeys(ordered(trial, trial.errors), "") | trial.without_result
     title = title or f"{_called(record)}: RMSE on its last quarter, fitted to the rest of it"
     listed = tried(trial, record, [*trial.errors])
@@ -68,7 +68,7 @@ def of_trial(
 def _ranked(table: Table, trial: Trial | None) -> Table:
     """Return the table with the recommended method marked, and simple ones folded away.
 
-    Of the baselines, a recommended one and the best of the others stay: these are the reference.
+    A recommended baseline and the best of the others stay, as the reference.
     """
     if trial is None:
         return table
@@ -79,19 +79,19 @@ def _ranked(table: Table, trial: Trial | None) -> Table:
 
 
 def of_attempts(attempts: Sequence[Attempt]) -> Table:
-    """Return the table of the search for how to train networks."""
-    names = [f"{i}. {each.method}, seed {each.seed}" for i, each in enumerate(attempts, 1)]
+    """Return the table of the search for training settings."""
+    names = [f"{i}. {a.method}, seed {a.seed}" for i, a in enumerate(attempts, 1)]
     of = dict(zip(names, attempts, strict=True))
-    scores = {name: each.score for name, each in of.items() if each.score is not None}
+    scores = {name: a.score for name, a in of.items() if a.score is not None}
     listed = [
-        Column("round", "count", {n: float(each.round) for n, each in of.items()}, ranked=False),
+        Column("round", "count", {n: float(a.round) for n, a in of.items()}, ranked=False),
         Column("score", "deviation", scores, note=RULE),
     ]
     title = (
         "What was tried, in that order; the score is of a single training, in the table of methods "
         "of a median"
     )
-    details = {name: each.training for name, each in of.items()}
+    details = {name: attempt.training for name, attempt in of.items()}
     rows = dict.fromkeys(names, "")
     return Table(title, listed, rows, "training", listed[1].best, details=details)
 
@@ -99,22 +99,22 @@ def of_attempts(attempts: Sequence[Attempt]) -> Table:
 def columns(comparison: Comparison, *headings: str) -> list[Column]:
     """Return the columns of a comparison, by default all: fit and error first.
 
-    Errors are of the median of the seeds' predictions, which is the method's prediction, for each
-    output separately. Their spread is the standard deviation of the single seeds' errors.
+    Errors are by output, of the median of the seeds' predictions, which is the method's prediction.
+    Their spread is the standard deviation of the single seeds' errors.
     """
     return [column for heading in headings or COLUMNS for column in _shown(comparison, heading)]
 
 
 def _shown(comparison: Comparison, heading: str) -> list[Column]:
-    """Return the columns under a heading, computed once: of a long record it takes seconds."""
+    """Return the columns under a heading, computed once: a long record takes seconds."""
     if heading not in comparison.shown:
         every = COLUMNS[heading].of(comparison)
-        comparison.shown[heading] = [c for each in every for c in _columns(heading, each)]
+        comparison.shown[heading] = [c for numbers in every for c in _columns(heading, numbers)]
     return comparison.shown[heading]
 
 
 def ordered(trial: Trial | None, methods: Iterable[str]) -> list[str]:
-    """Return the methods sorted by their score, the recommended one first."""
+    """Return the methods sorted by score, the recommended one first."""
     return [*methods] if trial is None else trial.ranked(methods)
 
 
@@ -125,26 +125,26 @@ def tried(trial: Trial, record: Record, methods: Iterable[str]) -> list[Column]:
 
 
 def leaving_range(comparison: Comparison, name: str) -> str:
-    """Return when a forecast of a method leaves the training range, in words; else empty."""
+    """Return a phrase on a forecast that leaves the training range; else empty."""
     left = comparison.leaves(name)
     return "" if left is None else leaving(left)
 
 
 def in_words(name: str, methods: Mapping[str, Forecaster] = NAMES) -> str:
-    """Return a method in words; its name, for one of the user that has no description."""
+    """Return a method in words; the name of a user's method without a description."""
     method = methods.get(name, NAMES.get(name))
     return (method.in_words() if method is not None else "") or name
 
 
 def labels(names: Iterable[str], methods: Mapping[str, Forecaster]) -> dict[str, str]:
-    """Return methods in words, by name; those with the same words have their names in brackets."""
-    said = {name: in_words(name, methods) for name in names}
-    count = Counter(said.values())
-    return {n: titled(n, words) if count[words] > 1 else words for n, words in said.items()}
+    """Return methods in words, by name; equal words are followed by names in brackets."""
+    described = {name: in_words(name, methods) for name in names}
+    count = Counter(described.values())
+    return {n: titled(n, words) if count[words] > 1 else words for n, words in described.items()}
 
 
 def labels_of(comparison: Comparison) -> dict[str, str]:
-    """Return the methods of a comparison in words; what is fitted knows its cut-off."""
+    """Return the methods of a comparison in words; fitted ones with their cut-off."""
     fitted = {name: fits[0].fitted for name, fits in comparison.fits.items()}
     failed = () if comparison.trial is None else comparison.trial.failed
     names = dict.fromkeys([*comparison.fits, *comparison.methods, *failed])
@@ -152,7 +152,7 @@ def labels_of(comparison: Comparison) -> dict[str, str]:
 
 
 class Numbers(NamedTuple):
-    """Hold numbers by method: one over all outputs or, of a record, one for each channel."""
+    """Numbers by method: one over all outputs or, of a `record`, one per channel."""
 
     values: Mapping[str, Any]
     record: Record | None = None
@@ -162,7 +162,7 @@ class Numbers(NamedTuple):
 
 
 def _columns(heading: str, numbers: Numbers) -> list[Column]:
-    """Return the columns of these numbers, which have a unit each."""
+    """Return the columns of these numbers, with one unit each."""
     values, record, test, spreads, marks = numbers
     unit, note, _ = COLUMNS[heading]
     if record is None:
@@ -172,27 +172,27 @@ def _columns(heading: str, numbers: Numbers) -> list[Column]:
     def of(i: int, numbers: Mapping[str, Any]) -> dict[str, float]:
         return {name: float(of_method[i]) for name, of_method in numbers.items()}
 
-    found = []
+    by_channel = []
     for i, (name, measure) in enumerate(zip(record.columns, record.units, strict=True)):
         channel, beside = name if record.ny > 1 else "", {n: m[i] for n, m in marks.items() if m[i]}
-        said = of(i, values), channel, test, of(i, spreads), unit != "share", measure, note, beside
-        found.append(Column(heading, unit, *said))
-    return found
+        rest = of(i, values), channel, test, of(i, spreads), unit != "share", measure, note, beside
+        by_channel.append(Column(heading, unit, *rest))
+    return by_channel
 
 
 def _errors(
     protocol: Protocol, measure: Callable[[Array, Array], Array], comparison: Comparison
 ) -> Iterator[Numbers]:
-    """Yield the fits or errors of predictions, of errors also their spread over the seeds."""
-    every = [each for each in predicted(comparison) if each.protocol == protocol]
+    """Yield the fits or errors of predictions, errors with their spread over the seeds."""
+    every = [runs for runs in predicted(comparison) if runs.protocol == protocol]
     for i, shown in enumerate(every, 1):
         values, spreads = {}, {}
         for name, median in shown.predictions.items():
             truth = shown.truth(median)
             values[name] = measure(truth, median.y)
-            each = [measure(truth, one.y) for one in shown.trainings[name]]
-            if measure is channel_rmse and len(each) > 1:
-                spreads[name] = [statistics.stdev(of_seeds) for of_seeds in zip(*each, strict=True)]
+            by_seed = [measure(truth, run.y) for run in shown.trainings[name]]
+            if measure is channel_rmse and len(by_seed) > 1:
+                spreads[name] = [statistics.stdev(errors) for errors in zip(*by_seed, strict=True)]
         test = (shown.record.name or str(i)) if protocol == "test" else ""
         yield Numbers(values, shown.record, test, spreads)
 
@@ -225,7 +225,7 @@ def _seconds(comparison: Comparison) -> list[Numbers]:
 
 
 class Quantity(NamedTuple):
-    """Describe a column of comparisons: its unit, what it means, and where its numbers are from."""
+    """A column of comparisons: unit, explanation, and the function of its numbers."""
 
     unit: Unit
     note: str
@@ -269,46 +269,46 @@ COLUMNS = {
     "fit (s)": Quantity("seconds", "seconds of one training, on average", _seconds),
     "trainings": Quantity("count", _MEDIAN_OF, _trainings),
 }
-"""The columns of comparisons by heading; a narrow terminal leaves out the last ones."""
+"""The columns of comparisons by heading; the last ones are missing in a narrow terminal."""
 
 
-def of_gains(found: Sequence[Responses]) -> list[Table]:
+def of_gains(responses: Sequence[Responses]) -> list[Table]:
     """Return a table of a model's final responses; see `respond_over_range`."""
-    if not found:
+    if not responses:
         return []
-    first = found[0]
+    first = responses[0]
     pairs = {
         f"{u} to {y}": (j, i)
         for i, u in enumerate(first.inputs)
         for j, y in enumerate(first.columns)
     }
     listed = []
-    for each in sorted(found, key=lambda each: 0.5 if each.share is None else each.share):
-        gains = {name: float(each.y[-1][at]) for name, at in pairs.items()}
-        listed.append(Column(f"at {each.place}", "record", gains, ranked=False))
+    for response in sorted(responses, key=lambda r: 0.5 if r.share is None else r.share):
+        gains = {name: float(response.y[-1][at]) for name, at in pairs.items()}
+        listed.append(Column(f"at {response.place}", "record", gains, ranked=False))
     title = (
         f"Step responses after {first.time[-1]:.4g} s, for a step of 1 (static gain, if settled)"
     )
-    if len(found) > 1:
+    if len(responses) > 1:
         title += ", where all inputs are at these shares of their ranges in training"
     return [Table(title, listed, dict.fromkeys(pairs, ""), "step")]
 
 
 @np.errstate(divide="ignore", invalid="ignore")
 def of_poles(fitted: Linear) -> Table:
-    """Return the table of a linear model's poles: a row for each real one and for each pair.
+    """Return the table of a linear model's poles: one row per real pole or pair.
 
     The numbers are those of MATLAB's `damp`, with the 95 % interval of the absolute value.
     """
     step, uncertainty = fitted.require_fitted().record.sampling_time, fitted.model.uncertainty
     poles = fitted.poles() if uncertainty is None else uncertainty.poles
-    kept = [int(i) for i in np.argsort(-np.abs(poles), kind="stable") if poles[i].imag >= 0]
-    names = {i: f"{n}. {complex_in_words(poles[i])}" for n, i in enumerate(kept, 1)}
+    rows = [int(i) for i in np.argsort(-np.abs(poles), kind="stable") if poles[i].imag >= 0]
+    names = {i: f"{n}. {complex_in_words(poles[i])}" for n, i in enumerate(rows, 1)}
     rates = np.log(poles.astype(np.complex128)) / step  # in the s plane
 
     def of(values: Array) -> dict[str, float]:
-        known = np.where(np.isfinite(values), values, np.nan)
-        return {names[i]: float(known[i]) for i in kept}
+        finite = np.where(np.isfinite(values), values, np.nan)
+        return {names[i]: float(finite[i]) for i in rows}
 
     error = (
         np.full(len(poles), np.nan)

@@ -25,28 +25,28 @@ from splitband.report.predictions import run_of
 from splitband.report.tables import columns, labels_of, leaving_range
 
 MIN_HELD_OUT = 20
-"""Least number of held-out samples that causes no warning. By eye."""
+"""Least number of held-out samples without a warning. By eye."""
 
 
 def lead(record: Record) -> str:
-    """Return a line that describes the record."""
+    """Return a line about the record."""
     every = f"{record.sampling_time:.6g} s"
-    said = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"
-    return said + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
+    line = f"{len(record):,} samples every {every}, measured: {', '.join(record.columns)}"
+    return line + (f"; known inputs: {', '.join(record.inputs)}" if record.nu else "")
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital and a full stop; a name at its beginning stays as it is."""
+    """Return a text with a capital and a full stop; a leading name stays unchanged."""
     first = text.split(maxsplit=1)[0] if text else ""
     capital = text[:1].upper() if first.isalpha() else text[:1]
     return capital + text[1:] + ("" if text.endswith((".", ".)")) else ".")
 
 
 def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
-    """Return each predicted output and record, with fit and error of the recommended method.
+    """Return predicted outputs and records, with fit and error of the recommended method.
 
-    These are the test records, or else the samples after the training part. Without either, it is
-    the held-out error.
+    The records are the test records, or else the samples after the training part. Without either,
+    the error is the held-out one.
     """
     best = comparison.recommended
     if not (comparison.tests or comparison.predictions):
@@ -61,23 +61,20 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     fits, errors = (columns(comparison, f"{side} {what}") for what in ("fit %", "RMSE"))
     held = {c.channel: c for c in columns(comparison, "in interval")}
     ahead, run = len(comparison.record) - comparison.plan.train, run_of(comparison.record)
-    found = []
+    lines = []
     for fit, error in zip(fits, errors, strict=True):
         of = f"test record {fit.record}" if fit.record else f"{run} of {ahead:,} samples"
         unit = f" {error.measure}" if error.measure else ""
-        said = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
+        facts = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
         if fit.channel in held and side == "forecast":
             share = percent(comparison.require_trial().intervals[best].share)
-            said.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        found.append((f"{fit.channel}, {of}" if fit.channel else of, said))
-    return found
+            facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
+        lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
+    return lines
 
 
 def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
-    """Return sentences that say why a method is recommended, and by which criterion.
-
-    The methods are `called` like this, by name.
-    """
+    """Return sentences on the reason for the recommendation; `called` are methods in words."""
     best = trial.recommended
     if len(trial.errors) == 1:
         return [
@@ -105,7 +102,7 @@ def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
 
 
 def afterwards(comparison: Comparison) -> list[str]:
-    """Return which methods had a better fit than the recommended one on unseen samples."""
+    """Return a sentence on methods with a better fit than the recommended one on unseen samples."""
     best = comparison.recommended
     fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
     if not any(np.isfinite(c.values.get(best, np.nan)) for c in fits) or len(comparison.fits) == 1:
@@ -121,23 +118,23 @@ def afterwards(comparison: Comparison) -> list[str]:
         others = "method with a result" if without_result(comparison) else "method"
         return [f"No other {others} had a better fit."]
     called = labels_of(comparison)
-    said = ", ".join(
+    names = ", ".join(
         f"{called[c.best]} {c.entry(c.best)} %"
         + (f" ({of})" if (of := c.record or c.channel) else "")
         for c in better
     )
-    return [f"In hindsight, a better fit: {said}."]
+    return [f"In hindsight, a better fit: {names}."]
 
 
 def without_result(comparison: Comparison) -> list[str]:
-    """Return the names of the methods that have no result, or none yet."""
+    """Return the names of the methods without a result, possibly so far."""
     failed = comparison.require_trial().failed
     names = dict.fromkeys([*comparison.plan.names, *failed])
     return [name for name in names if name not in comparison.fits]
 
 
 def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
-    """Return what the residual tests say of the recommended method, each with its test."""
+    """Return the verdicts of the residual tests of the recommended method, with the tests."""
     where = "the samples after the training part"
     if comparison.medians[comparison.recommended].tests:
         where = f"test record {comparison.tests[0].name or 1}"
@@ -146,14 +143,14 @@ def verdicts(comparison: Comparison) -> dict[str, ResidualTests]:
 
 
 def warnings(comparison: Comparison) -> list[str]:
-    """Return what readers should know before they rely on the numbers, the gravest first."""
+    """Return warnings about the numbers, the gravest first."""
     return [
         *_unstable(comparison),
         *_seen(comparison),
         *_worse_than_mean(comparison),
         *(
-            said
-            for said, test in verdicts(comparison).items()
+            verdict
+            for verdict, test in verdicts(comparison).items()
             if test.unrelated or not test.accepted
         ),
         *_left_range(comparison),
@@ -169,7 +166,7 @@ def warnings(comparison: Comparison) -> list[str]:
 
 
 def _worse_than_mean(comparison: Comparison) -> list[str]:
-    """Return a sentence if the recommended method is worse than the mean on unseen samples."""
+    """Return a sentence on a recommended method worse than the mean on unseen samples."""
     best = comparison.recommended
     fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
     worse = [c for c in fits if c.values.get(best, 0.0) < 0]
@@ -179,12 +176,12 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
     if all(max(c.values.values()) < 0 for c in worse):
         what = "No method predicts"
     named = " and ".join(filter(None, (f"{c.channel} {c.record}".strip() for c in worse)))
-    said = f"{what} {named or 'this record'} better than the mean of the predicted samples"
-    return [f"{said} (fit 0 %), which is not known beforehand."]
+    finding = f"{what} {named or 'this record'} better than the mean of the predicted samples"
+    return [f"{finding} (fit 0 %), which is not known beforehand."]
 
 
 def _unstable(comparison: Comparison) -> list[str]:
-    """Return a sentence if the recommended model is known to be unstable, or integrates."""
+    """Return a sentence on a recommended model that is unstable, or integrates."""
     fits = comparison.fits[comparison.recommended]
     if not all(fit.report.stable for fit in fits):
         return [f"The recommended model is {UNSTABLE}."]
@@ -194,7 +191,7 @@ def _unstable(comparison: Comparison) -> list[str]:
 
 
 def _seen(comparison: Comparison) -> list[str]:
-    """Return a sentence for each test record that a method was trained on."""
+    """Return sentences on test records among the training samples."""
     return [
         f"Samples of the test record {test.name} are training samples: its fit is not one on new "
         "data."
@@ -204,13 +201,13 @@ def _seen(comparison: Comparison) -> list[str]:
 
 
 def _left_range(comparison: Comparison) -> list[str]:
-    """Return a sentence if the recommended method leaves the training range."""
+    """Return a sentence on a recommended method that leaves the training range."""
     left = leaving_range(comparison, comparison.recommended)
     return [f"The recommended model {left}."] if left else []
 
 
 def _wide_interval(comparison: Comparison) -> list[str]:
-    """Return a sentence if the interval is as wide as one around the record's mean."""
+    """Return a sentence on an interval as wide as one around the record's mean."""
     best, trial, record = comparison.recommended, comparison.require_trial(), comparison.record
     ahead = len(comparison.medians[best].ahead)
     if not ahead or best not in trial.held_out:
@@ -218,21 +215,21 @@ def _wide_interval(comparison: Comparison) -> list[str]:
     interval = trial.intervals[best]
     half = interval.half_widths(ahead).mean(axis=0)
     usual = trial.held_out[best].around_mean(interval.share)
-    said = [
+    widths = [
         f"± {number(float(width))} {unit}".rstrip() + (f" for {column}" if record.ny > 1 else "")
         for width, most, unit, column in zip(half, usual, record.units, record.columns, strict=True)
         if width >= most
     ]
-    if not said:
+    if not widths:
         return []
     return [
         f"The {percent(interval.share)} interval is as wide as the record itself "
-        f"({' and '.join(said)} on average): held-out errors do not tell how good the model is."
+        f"({' and '.join(widths)} on average): held-out errors do not tell how good the model is."
     ]
 
 
 def _missed_interval(comparison: Comparison) -> list[str]:
-    """Return a sentence if the interval held too few samples."""
+    """Return a sentence on an interval with too few samples inside."""
     best = comparison.recommended
     share = comparison.require_trial().intervals[best].share
     missed = [
@@ -250,15 +247,15 @@ def _missed_interval(comparison: Comparison) -> list[str]:
 
 
 def _missing(comparison: Comparison) -> list[str]:
-    """Return sentences about the methods that have no result."""
+    """Return sentences on the methods without a result."""
     why, called = comparison.require_trial().without_result, labels_of(comparison)
     missing = without_result(comparison)
-    said = {titled(n, called[n]): why.get(n, "no result: not trained so far") for n in missing}
-    return [*map(sentence, by_reason(said))]
+    reasons = {titled(n, called[n]): why.get(n, "no result: not trained so far") for n in missing}
+    return [*map(sentence, by_reason(reasons))]
 
 
 def _few_held_out(train: int) -> list[str]:
-    """Return a sentence if methods were told apart by few samples."""
+    """Return a sentence on a choice by few samples."""
     held_out = train - first_held_out(train)
     if held_out >= MIN_HELD_OUT:
         return []
@@ -269,14 +266,14 @@ def _few_held_out(train: int) -> list[str]:
 
 
 def _notes(comparison: Comparison) -> list[str]:
-    """Return the doubts of predictions and the notes of fits, with the methods they are of."""
+    """Return the doubts of predictions and the notes of fits, with their methods."""
     called = {name: titled(name, words) for name, words in labels_of(comparison).items()}
     doubts, general = dict[str, list[str]](), comparison.warnings
     for name, runs in comparison.fits.items():
-        said = [run.fitted.parameters.get("doubt") for run in runs]
+        remarks = [run.fitted.parameters.get("doubt") for run in runs]
         if name in comparison.predictions:
-            said += comparison.predictions[name].doubts
-        for doubt in dict.fromkeys(filter(None, said)):
+            remarks += comparison.predictions[name].doubts
+        for doubt in dict.fromkeys(filter(None, remarks)):
             doubts.setdefault(doubt, []).append(called[name])
     best, tests = comparison.medians[comparison.recommended], comparison.tests
     notes = {
@@ -293,24 +290,24 @@ def _notes(comparison: Comparison) -> list[str]:
 
 
 def _left_out(comparison: Comparison) -> list[str]:
-    """Return which methods were not tested, or not tried because the simulator does not help."""
-    plan, said = comparison.plan, list[str]()
+    """Return sentences on untested methods, and on hybrids left out for a useless simulator."""
+    plan, sentences = comparison.plan, list[str]()
     if comparison.left_out:
-        said.append(
+        sentences.append(
             f"Not tested: {', '.join(comparison.left_out)}; they go on from the training record, "
             "or need a simulator of the test record (--test-simulator)."
         )
     choice = plan.bands.choice
     if choice and choice.simulator_helps is False and not set(plan.names) & set(HYBRIDS):
-        said.append(
+        sentences.append(
             "The simulator helps below no cut-off, so that hybrid models were left out; --methods "
             "brings them back."
         )
-    return said
+    return sentences
 
 
 def of_bands(bands: Bands, training: Record) -> str:
-    """Return how models of two bands split a signal, and why; empty where none was asked for."""
+    """Return sentences on the bands of models, and the reason; empty without such models."""
     if bands.cutoff is None:
         return ""
     below = periodogram(training.y, training.sampling_rate).share_below(bands.cutoff)
@@ -324,17 +321,15 @@ def of_bands(bands: Bands, training: Record) -> str:
 
 
 def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
-    """Return a sentence for each input that leaves its training range."""
+    """Return sentences on inputs that leave their training ranges."""
     return [
-        each.describe(
-            record.inputs[each.channel] if each.channel < record.nu else "", " of the prediction"
-        )
-        for each in beyond
+        u.describe(record.inputs[u.channel] if u.channel < record.nu else "", " of the prediction")
+        for u in beyond
     ]
 
 
 def of_gaps(record: Record) -> list[str]:
-    """Return a sentence about missing samples, if there are any."""
+    """Return a sentence on missing samples, if any."""
     missing = int((~record.complete).sum())
     if not missing:
         return []

@@ -1,1 +1,1 @@
-"""Provide files that are never half written, processes, threads and deadlines."""
+"""Provide atomic files, processes, threads and deadlines."""

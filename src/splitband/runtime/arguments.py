@@ -1,4 +1,4 @@
-"""Check arguments that several packages take."""
+"""Check common arguments of several packages."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from typing import Any
 from splitband.runtime.errors import InputError
 
 LARGEST_SIZE = 10_000
-"""Largest order, down-sampling or size of a network; larger values are mistakes. Bounds the
-memory."""
+"""Largest order, down-sampling or size of a network. Bounds the memory."""
 
 
 def whole(name: str, value: Any, least: int | None = 1, most: int | None = None) -> int:
     """Return a whole number as an `int`, including NumPy's integers.
 
-    Raises ValueError, naming the argument, if `value` is no whole number, is below `least`, or is
-    not between `least` and `most`.
+    Raises ValueError, naming the argument, unless `value` is a whole number from `least` to `most`.
     """
     try:
         number = operator.index(value)
@@ -34,17 +32,17 @@ def whole(name: str, value: Any, least: int | None = 1, most: int | None = None)
 
 
 def did_you_mean(unknown: Iterable[str], possible: Iterable[str]) -> str:
-    """Return " (did you mean ...?)" with the closest name to each unknown one, or nothing."""
+    """Return " (did you mean ...?)" with the closest names to the unknown ones, or nothing."""
     possible = [*possible]
     close = [match for name in unknown for match in get_close_matches(name, possible, 1)]
     return f" (did you mean {', '.join(close)}?)" if close else ""
 
 
 def check_device(name: Any) -> None:
-    """Raise ValueError for a device of networks that is not there."""
+    """Raise ValueError for an unavailable device of networks."""
     if name == "cpu":
         return
-    import torch  # noqa: PLC0415  only where another device is asked for
+    import torch  # noqa: PLC0415  only for another device
 
     try:
         torch.zeros(1, dtype=torch.float64, device=name).item()

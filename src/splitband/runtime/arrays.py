@@ -1,4 +1,4 @@
-"""Define the types of arrays that signatures use."""
+"""Define the types of arrays in signatures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from splitband.runtime.errors import InputError
 
-# NumPy's NDArray is another kind of type from 2.5 on; fields are checked by what they are made of.
+# Not NumPy's NDArray: from 2.5 on it is another kind of type, for which checks of fields fail.
 Array: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Flags: TypeAlias = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 

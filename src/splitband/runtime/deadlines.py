@@ -1,4 +1,4 @@
-"""Limit work by deadlines of the wall clock, which all processes and machines share."""
+"""Limit work by deadlines of the wall clock, common to all processes and machines."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def now() -> float:
 
 
 class DeadlineError(Exception):
-    """Report that the deadline of a job passed before it had a result."""
+    """The deadline of a job has passed before its result."""
 
     def __init__(self) -> None:
         super().__init__("the time was over before its fit was done")
@@ -24,10 +24,7 @@ class DeadlineError(Exception):
 
 @dataclass(frozen=True, order=True)
 class Deadline:
-    """Hold the time at which work has to stop and return what it has; by default never.
-
-    `at` is in s, by the clock of `now`.
-    """
+    """The time `at` in s, by the clock of `now`, at which work stops; by default never."""
 
     at: float = math.inf
 
@@ -56,13 +53,13 @@ _current: ContextVar[Deadline] = ContextVar("deadline", default=NEVER)
 
 
 def current() -> Deadline:
-    """Return the deadline of the job that runs in this thread."""
+    """Return the deadline of this thread's job."""
     return _current.get()
 
 
 @contextmanager
 def within(deadline: Deadline) -> Iterator[None]:
-    """Set the deadline of what runs in this context; trainings check it at each step."""
+    """Set the deadline of the work in this context; trainings check it at every step."""
     token = _current.set(deadline)
     try:
         yield
@@ -71,6 +68,6 @@ def within(deadline: Deadline) -> Iterator[None]:
 
 
 def check() -> None:
-    """Raise `DeadlineError` if the deadline of the job that runs in this thread has passed."""
+    """Raise `DeadlineError` if the deadline of this thread's job has passed."""
     if _current.get().over:
         raise DeadlineError

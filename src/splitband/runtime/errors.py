@@ -1,20 +1,20 @@
-"""Define the error for what a user gave."""
+"""Define the error for a user's input."""
 
 from __future__ import annotations
 
 
 class InputError(ValueError):
-    """Report what a user gave that cannot be used.
+    """An invalid input of the user.
 
-    The message is one line that names the argument, the rule and the value. Any other error, a
-    `ValueError` of a library included, is a defect: the command line shows it with its traceback.
+    The message names the argument, the rule and the value on one line. Any other error, a
+    `ValueError` of a library included, is a defect: the command line shows its traceback.
     """
 
 
 def missing(what: str, package: str, extra: str) -> InputError:
-    """Return the error for an optional package that is not installed, with the command for it.
+    """Return the error for a missing optional package, with the command to install it.
 
-    The quotes are those that the shells of every system understand.
+    The shells of all systems understand the quotes.
     """
     return InputError(f'{what} needs {package}: pip install "splitband[{extra}]"')
 

@@ -1,4 +1,4 @@
-"""Write files so that a reader never sees a half-written one."""
+"""Write files as a whole: readers never see a half-written file."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from splitband.runtime.system import STANDARD, move
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`; rename it to `path` if the block succeeds.
 
-    A pipe, a terminal or another device stays: what was written is copied into it. Raises OSError,
-    naming `path`, if it cannot be written, for instance on a full disk.
+    A pipe, a terminal or another device stays, and gets a copy of the content. Raises OSError,
+    naming `path`, for a failure such as a full disk.
     """
     path = Path(path)
     if is_stream(path):
@@ -34,12 +34,12 @@ def replacing(path: str | Path) -> Iterator[Path]:
         return
     temporary = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
     try:
-        # The permissions are those of any new file, and an existing one, or a link, is refused.
+        # A new file, with the usual permissions; an existing file, or a link, is refused.
         temporary.open("xb").close()
         try:
             yield temporary
-            # On the disk before it is renamed, so that a power cut leaves no empty file. Windows
-            # does that only for a file that is open for writing.
+            # Flush to the disk before renaming: a power cut then leaves no empty file. Windows
+            # flushes only files that are open for writing.
             with temporary.open("r+b") as written:
                 os.fsync(written.fileno())
             move(temporary, path)
@@ -53,7 +53,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def is_stream(path: Path) -> bool:
-    """Return whether a path names a pipe or a device, which a file must not replace."""
+    """Return whether a path names a pipe or a device, not to be replaced by a file."""
     return str(path) in STANDARD or (path.exists() and not (path.is_file() or path.is_dir()))
 
 
@@ -63,25 +63,25 @@ def sha256_of(path: str | Path) -> str:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text, with the same bytes on every system: UTF-8, lines that end with a newline."""
+    """Write a text with the same bytes on all systems: UTF-8, newlines at ends of lines."""
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode())
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write `value` as indented JSON; NaN and infinity, which JSON lacks, are refused."""
+    """Write `value` as indented JSON, see `to_json`."""
     write_text(path, to_json(value))
 
 
 def to_json(value: Any) -> str:
-    """Return indented JSON; raises ValueError or TypeError for what JSON cannot hold."""
+    """Return indented JSON; raises ValueError for NaN and infinity, TypeError for other objects."""
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
 def output_folder(path: str | Path, argument: str = "folder") -> Path:
-    """Create the folder `path`, and check that it can be written to.
+    """Create the folder `path`, and check that it is writable, before long computations.
 
-    Raises ValueError, naming `argument`, if not: before anything has been computed.
+    Raises ValueError, naming `argument`, for another folder.
     """
     path = Path(path)
     try:

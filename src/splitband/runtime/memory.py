@@ -1,4 +1,4 @@
-"""Control what the C library does with freed memory."""
+"""Let the C library keep or return freed memory."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ from splitband.runtime import system
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Numbers of M_TRIM_THRESHOLD and M_MMAP_THRESHOLD in malloc.h."""
 _KEPT = 2**30
-"""Bytes: arrays up to this size, and as much free memory at the end of the heap, are kept. By
-`python -m benchmarks.allocation`."""
-
+"""Both thresholds in a training, in bytes. By `python -m benchmarks.allocation`."""
 _USUAL = 2**22
-"""Bytes: M_MMAP_THRESHOLD after a training, so that arrays of long records are returned at once;
-glibc's own adjustment may raise it to 2**25. M_TRIM_THRESHOLD is twice that, as in glibc."""
+"""M_MMAP_THRESHOLD in bytes after a training, so that arrays of long records are returned at once;
+glibc's own adjustment may raise it to 2**25. M_TRIM_THRESHOLD is twice as much, as in glibc."""
 
 
 @contextmanager
 def freed_memory_kept() -> Iterator[None]:
     """Let the C library reuse freed memory, and return free memory to the system at the end.
 
-    By default glibc maps arrays of more than some megabytes one by one and unmaps them when they
-    are freed. A training allocates the same arrays for each gradient, and the operating system
-    would have to clear all their pages every time. The thresholds are process-wide: if several
-    threads train, the first to end lowers them for all. Other C libraries have none, and nothing
-    is done.
+    By default glibc maps arrays of more than some megabytes one by one and unmaps freed ones. A
+    training allocates the same arrays for all gradients, and the operating system would clear their
+    pages every time. The thresholds are process-wide: if several threads train, the first to end
+    lowers the thresholds for all. Other C libraries have no thresholds.
     """
     libc = system.glibc()
     if libc is None:
@@ -43,7 +40,7 @@ def freed_memory_kept() -> Iterator[None]:
 
 
 def return_freed() -> None:
-    """Return the memory of freed arrays to the system, where the C library has kept it."""
+    """Return the memory of freed arrays from the C library to the system."""
     libc = system.glibc()
     if libc is not None:
         libc.malloc_trim(0)

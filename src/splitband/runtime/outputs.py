@@ -1,4 +1,4 @@
-"""Manage the folder of a result: one command at a time, and one whole result or none."""
+"""Manage the folder of a result: one command at a time, and a whole result or none."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from splitband.runtime.files import output_folder, write_json
 from splitband.runtime.system import in_use, move
 
 FACTS = "results.json"
-"""File that describes a result and lists its files; it is written last, so all of them exist."""
+"""File with the facts of a result and the list of its files; written last, when all exist."""
 FORMAT = 2
-"""Version of this file; results of 0.2 have none."""
+"""Version of `FACTS`; results of 0.2 have none."""
 TEST_PREDICTIONS = "predictions-test-{}.csv"
 _TABLES = "predictions.csv", "forecast.csv", "table.csv"
 _PICTURES = "rollouts.png", "forecast.png", "spectrum.png"
 RESULT_FILES = (FACTS, *_TABLES, *_PICTURES, "report.html", "recommended.json")
-"""Files of results. With an earlier result, only these, predictions of test records and weights of
-its model are removed."""
+"""Files of results. Of an earlier result, only these, predictions of test records and the model's
+weights are removed."""
 DESCRIPTION, WEIGHTS = "forecaster.json", "weights-{}.safetensors"
 """Files of a saved forecaster."""
 MODEL_FOLDER = "model"
-"""Folder of a result with the recommended method as it was trained."""
+"""Folder of a result with the trained model of the recommended method."""
 LOCK = ".splitband-lock"
 _OPEN = "Open in another program; close it there and give the same command again"
-"""What to say of a file of an earlier result that cannot be replaced."""
+"""Message for an irreplaceable file of an earlier result."""
 _NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
 
 
@@ -44,8 +44,8 @@ _NEW, _EARLIER = ".splitband-new", ".splitband-earlier.json"
 def staged(folder: str | Path) -> Iterator[Path]:
     """Yield an empty folder for the files of a result; at the end they replace an earlier result.
 
-    Nothing is replaced before all new files are on the disk. Files of the earlier result that the
-    new one lacks are removed. While files are moved, the folder has no results.json.
+    Nothing is replaced before all new files are on the disk. Other files of the earlier result are
+    removed. While files are moved, the folder has no results.json.
 
     Raises OSError, naming the file in `folder`, if a file cannot be written; `folder` is then
     unchanged.
@@ -68,7 +68,7 @@ def staged(folder: str | Path) -> Iterator[Path]:
 
 
 def write_facts(new: Path, facts: dict[str, Any]) -> None:
-    """Write results.json into the folder that `staged` gave, after all other files."""
+    """Write results.json into the folder from `staged`, after all other files."""
     names = sorted(path.name for path in new.iterdir() if path.is_file())
     write_json(new / FACTS, {"format": FORMAT} | facts | {"files": names})
 
@@ -80,23 +80,23 @@ def belongs_to_result(name: str) -> bool:
 
 
 def files_of_result(folder: Path) -> set[str]:
-    """Return the files of a folder's result, or of one whose replacement was interrupted."""
-    found: set[str] = set()
-    for name in (FACTS, _EARLIER):
+    """Return the files of a folder's result, also after an interrupted replacement."""
+    names: set[str] = set()
+    for list_name in (FACTS, _EARLIER):
         # A missing or damaged file lists nothing.
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-            listed = json.loads((folder / name).read_text(encoding="utf-8"))["files"]
-            found |= {each for each in listed if belongs_to_result(each)} | {FACTS}
-    return {name for name in found if (folder / name).is_file()}
+            listed = json.loads((folder / list_name).read_text(encoding="utf-8"))["files"]
+            names |= {name for name in listed if belongs_to_result(name)} | {FACTS}
+    return {name for name in names if (folder / name).is_file()}
 
 
 def unfinished(facts: Mapping[str, Any]) -> str:
-    """Return in words how far a result had come that is not finished; empty for a finished one."""
+    """Return the progress of an unfinished result in words; empty for a finished one."""
     return str(facts.get("unfinished") or ("interrupted" if facts.get("interrupted") else ""))
 
 
 def finished_comparison(folder: Path) -> str | None:
-    """Return the record whose finished comparison a folder has; None without one."""
+    """Return the record of a folder's finished comparison; None without one."""
     try:
         facts = json.loads((folder / FACTS).read_text(encoding="utf-8"))
         done = facts["format"] == FORMAT and not unfinished(facts) and facts["recommended"]
@@ -108,7 +108,7 @@ def finished_comparison(folder: Path) -> str | None:
 def _replace(folder: Path, new: Path) -> None:
     """Move the new files over those of the earlier result, results.json last.
 
-    Raises OSError, before anything is moved, for a file that another program has open.
+    Raises OSError, before anything is moved, for a file in use by another program.
     """
     files = [path.relative_to(new) for path in new.rglob("*") if path.is_file()]
     names = {file.as_posix() for file in files}
@@ -122,7 +122,7 @@ def _replace(folder: Path, new: Path) -> None:
         raise PermissionError(errno.EACCES, _OPEN, str(busy))
     if (folder / FACTS).exists():
         move(folder / FACTS, folder / _EARLIER)  # it still lists what to remove
-    # A model's description is moved after its weights, so that it always finds its own.
+    # A model's description is moved after the weights, which it names.
     for name in sorted(names - {FACTS}, key=lambda name: (name.endswith(".json"), name)):
         move(new / name, folder / name)
     for name in outdated - names:
@@ -134,15 +134,15 @@ def _replace(folder: Path, new: Path) -> None:
 
 @contextmanager
 def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
-    """Create a folder and lock it for this command; remove a new folder that stays empty.
+    """Create a folder and lock it for this command; remove a new folder if still empty.
 
-    The operating system releases the lock however the process ends. Where a file system has no
-    locks, there is no protection.
+    The operating system releases the lock at any end of the process. File systems without locks
+    give no protection.
 
-    Raises ValueError, naming `argument`, if the folder cannot be written or is in use.
+    Raises ValueError, naming `argument`, for a read-only folder or one in use.
     """
     folder = Path(folder)
-    # Unlike pathlib's, this call raises no errors, not even for names that are too long.
+    # Unlike `Path.exists`, `os.path.exists` raises no error, not even for too long names.
     created = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     lock = FileLock(folder / LOCK)
     try:
@@ -159,16 +159,13 @@ def locked(folder: str | Path, argument: str = "folder") -> Iterator[None]:
             lock.release()
             with contextlib.suppress(OSError):  # the next command may have opened it already
                 (folder / LOCK).unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # it holds results
+        with contextlib.suppress(OSError):  # a folder with results
             for path in created:
                 path.rmdir()
 
 
 def _lock(lock: BaseFileLock, folder: Path, argument: str) -> None:
-    """Lock a folder, and write into the lock who has it.
-
-    Only a file that this call has made is written to: what lies there may be another one's.
-    """
+    """Lock a folder, and write the owner into the lock file, if this call has created it."""
     path, new = folder / LOCK, not os.path.lexists(folder / LOCK)
     try:
         lock.acquire(blocking=False)
@@ -180,13 +177,13 @@ def _lock(lock: BaseFileLock, folder: Path, argument: str) -> None:
             f"{argument}: {folder} is in use by another splitband command"
             f"{f' ({owner})' if owner else ''}; wait for it or choose another folder"
         ) from None
-    except (OSError, NotImplementedError):  # there are no locks here
+    except (OSError, NotImplementedError):  # a file system without locks
         if path.is_symlink() or path.is_dir():
             raise InputError(
                 f"{argument} must not hold a link or a folder named {path.name}, got {path}; "
                 "remove it"
             ) from None
     if new and lock.is_locked:
-        said = f"process {os.getpid()}, started {datetime.now():%Y-%m-%d %H:%M}"
-        with contextlib.suppress(OSError):  # on a full disk it names no owner
-            path.write_text(said, encoding="utf-8")
+        owner = f"process {os.getpid()}, started {datetime.now():%Y-%m-%d %H:%M}"
+        with contextlib.suppress(OSError):  # on a full disk the file names no owner
+            path.write_text(owner, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Do what differs between operating systems; no other module asks on which one it runs.
+"""Handle all differences between operating systems.
 
 Branches ask `sys.platform`, which type checkers know: `make check` reads this file as on Windows
 and on macOS, too.
@@ -21,20 +21,19 @@ from glob import glob
 from pathlib import Path
 
 _BUSY = 5, 32
-"""Numbers of Windows' errors for a file that another program has open: "access denied" and "sharing
+"""Numbers of Windows' errors for a file in use by another program, "access denied" and "sharing
 violation". A convention."""
 STANDARD = {"/dev/stdout": 1, "/dev/stderr": 2}
-"""Files that are the output of this process, which may lead to a file and is gone on with there."""
+"""Output of this process, possibly redirected to a file: writing continues at its position."""
 TRIES, _AGAIN = 20, 0.05
-"""Tries to replace a file that is open elsewhere, and seconds between two of them. Bounds the
-time."""
+"""Attempts to replace a file in use, and seconds between two of them. Bounds the time."""
 
 
 # ---------------------------------------------------------------- processes
 
 
 def available_cores() -> int:
-    """Return how many cores this process may run on."""
+    """Return the number of cores available to this process."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -42,9 +41,9 @@ def available_cores() -> int:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Block Ctrl-C in threads that start in this context, and so in the processes they start.
+    """Block Ctrl-C in threads started in this context, and in the threads' processes.
 
-    A process that Ctrl-C reaches while it loads complains. Windows has no means against it.
+    Ctrl-C in a loading process would print a traceback. Windows cannot block it.
     """
     if sys.platform == "win32":
         yield
@@ -57,9 +56,9 @@ def interrupts_blocked() -> Iterator[None]:
 
 
 def start_resource_tracker() -> None:
-    """Start the process that removes what multiprocessing shares, as starting it unblocks signals.
+    """Start multiprocessing's resource tracker early, as its start unblocks signals.
 
-    On Windows there is none: what processes share ends with them.
+    Windows has no tracker: shared resources end with the processes.
     """
     if sys.platform != "win32":
         from multiprocessing import resource_tracker  # noqa: PLC0415  it cannot start on Windows
@@ -70,7 +69,7 @@ def start_resource_tracker() -> None:
 def lead_group() -> int:
     """Make this process the head of a group, and return its number, for `end_group`.
 
-    On Windows each process knows which one has started it, and there is nothing to do.
+    Windows needs no group: processes know their parents.
     """
     if sys.platform != "win32":
         os.setsid()
@@ -78,7 +77,7 @@ def lead_group() -> int:
 
 
 def end_group(head: int) -> None:
-    """End the process that called `lead_group`, if it still runs, and all that it has started."""
+    """End the process with this number from `lead_group`, if it still runs, and its children."""
     if sys.platform == "win32":
         with suppress(OSError):
             command = ["taskkill", "/T", "/F", "/PID", str(head)]
@@ -89,8 +88,8 @@ def end_group(head: int) -> None:
 
 
 def glibc() -> ctypes.CDLL | None:
-    """Return the GNU C library of this process; None where it has another one."""
-    # Elsewhere `libc_ver` searches the interpreter's file, which not every system lets one read.
+    """Return the GNU C library of this process; None for another C library."""
+    # On other systems `libc_ver` searches the interpreter's file, possibly without permission.
     if sys.platform == "linux" and platform.libc_ver()[0] == "glibc":
         return ctypes.CDLL(None)
     return None
@@ -100,18 +99,18 @@ def glibc() -> ctypes.CDLL | None:
 
 
 def move(source: Path, target: Path) -> None:
-    """Rename a file, in place of an earlier one; raises OSError where that fails.
+    """Rename a file, in place of an earlier one; raises OSError for a failure.
 
-    Windows refuses it while another program has one of them open. Scanners open every new file for
-    a moment: it is tried again for a second.
+    Windows refuses to rename or replace a file in use. Scanners open every new file for a moment:
+    renaming is tried again for a second.
     """
     _patiently(source.replace, target)
 
 
 def in_use(paths: Iterable[Path]) -> Path | None:
-    """Return the first of these files that another program keeps from being replaced, or None.
+    """Return the first of these files in use by another program, so not replaceable, or None.
 
-    Windows refuses to rename it, even to its own name, which elsewhere does nothing.
+    Windows refuses to rename it even to its own name, which has no effect on other systems.
     """
     for path in paths:
         if path.is_file():
@@ -143,37 +142,34 @@ def _is_busy(error: PermissionError) -> bool:
 
 
 def quoted(word: str) -> str:
-    """Return a word as the shells of this system take it: bash, or cmd and PowerShell."""
+    """Return a word quoted for the shells of this system: bash, or cmd and PowerShell."""
     if sys.platform != "win32":
         return shlex.quote(word)
     if re.fullmatch(r"[\w.:\\/=+-]+", word):  # a comma makes two words in PowerShell
         return word
-    # Backslashes are doubled where a quotation mark follows, which they would escape.
+    # Backslashes before a quotation mark would escape it: double them.
     escaped = re.sub(r'(\\*)("|\Z)', lambda found: 2 * found[1] + (found[2] and '\\"'), word)
     return f'"{escaped}"'
 
 
 def over_lines(lines: Sequence[str]) -> str:
-    """Return a command over several lines; on Windows, whose shells differ in how, on one."""
+    """Return a command over several lines; for Windows, whose shells differ, on one line."""
     if sys.platform == "win32":
         return " ".join(line.strip() for line in lines)
     return " \\\n".join(lines)
 
 
 def split_command(text: str) -> list[str]:
-    """Return the words of a command such as "ccache gcc -m64".
-
-    On Windows a backslash in it separates folders.
-    """
+    """Return the words of a command such as "ccache gcc -m64"; Windows keeps backslashes."""
     return shlex.split(text, posix=sys.platform != "win32")
 
 
 def expanded(words: Sequence[str]) -> list[str]:
-    """Return the words of a command line, with the files that a pattern such as runs/* matches.
+    """Return the words of a command line, with the files in place of patterns such as runs/*.
 
-    On other systems the shell has done so.
+    The shells of other systems have expanded them already.
     """
     if sys.platform != "win32":
         return [*words]
-    found = [(word, sorted(glob(word)) if {"*", "?"} & {*word} else []) for word in words]
-    return [each for word, files in found for each in files or [word]]
+    matches = [(word, sorted(glob(word)) if {"*", "?"} & {*word} else []) for word in words]
+    return [path for word, files in matches for path in files or [word]]

@@ -1,4 +1,4 @@
-"""Set thread counts, and guard what the threads of a process share."""
+"""Set thread counts, and guard the shared state of threads."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _DRAWING, _WARNING = threading.RLock(), threading.RLock()
 
 
 def use_one_thread() -> None:
-    """Limit this process to one thread from now on, as parallel runs are one process each.
+    """Limit this process to one thread from now on: parallel runs are processes.
 
-    This holds for torch, whose count the fused kernels take, and for the BLAS of NumPy and SciPy.
-    What has not loaded torch yet has nothing to limit: a job with a network loads it on arrival,
-    and enters `one_thread` then.
+    The limit holds for torch, whose count the fused kernels take, and for the BLAS of NumPy and
+    SciPy. Without torch in memory there is nothing to limit: a job with a network loads torch on
+    arrival, and then enters `one_thread`.
     """
     if _torch_is_loaded():
-        import torch  # noqa: PLC0415  what uses no network does not load it
+        import torch  # noqa: PLC0415  torch is in memory
 
         torch.set_num_threads(1)
     threadpoolctl.threadpool_limits(1, user_api="blas")
@@ -31,8 +31,8 @@ def use_one_thread() -> None:
 def one_thread() -> Iterator[None]:
     """Compute on one thread in this context, as with `use_one_thread`, then on as many as before.
 
-    Several threads may be in it at the same time. Torch is limited where it has been loaded
-    before: networks, which need it, load it when they are created.
+    Several threads may be in the context at the same time. Torch is limited if in memory: networks
+    load torch when they are created.
     """
     with one_torch_thread() if _torch_is_loaded() else nullcontext(), _ONE_BLAS_THREAD.entered():
         yield
@@ -43,7 +43,7 @@ def _torch_is_loaded() -> bool:
 
 
 class _OneBlasThread:
-    """Limit BLAS to one thread; as the count is process-wide, the last to leave restores it."""
+    """A limit of one thread for BLAS; the count is process-wide: the last to leave restores it."""
 
     def __init__(self) -> None:
         self._lock, self._inside = threading.Lock(), 0
@@ -69,7 +69,7 @@ class _OneBlasThread:
 
 
 def _let_this_thread_set_blas() -> None:
-    """Let this thread set BLAS's count; newer threadpoolctl accepts only the first one's."""
+    """Let this thread set BLAS's count: newer threadpoolctl accepts only the first thread."""
     clear = getattr(threadpoolctl.OpenBLASController, "clear_controlling_thread", None)
     if clear is not None:
         clear(force=True)
@@ -82,9 +82,9 @@ _ONE_BLAS_THREAD = _OneBlasThread()
 def one_torch_thread() -> Iterator[None]:
     """Limit torch to one thread, for small work between calls of the fused kernels.
 
-    Its other threads would spin for milliseconds on the cores that the kernels need.
+    Torch's other threads would spin for milliseconds on the cores of the kernels.
     """
-    import torch  # noqa: PLC0415  what uses no network does not load it
+    import torch  # noqa: PLC0415  for networks only
 
     count = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -97,7 +97,7 @@ def one_torch_thread() -> Iterator[None]:
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Seed torch's random numbers in this context, safe from other threads; then restore them."""
-    import torch  # noqa: PLC0415  what uses no network does not load it
+    import torch  # noqa: PLC0415  for networks only
 
     with _DRAWING, torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

@@ -1,7 +1,6 @@
-"""Loops and branches of NumPy code that may be traced, and the trees of arrays that they carry.
+"""Loops and branches of traceable NumPy code, with trees of arrays.
 
-Where a value is a symbol of a tracer (`export.graph`), the symbol records the loop or the branch;
-where it is an array, they simply run.
+A symbol of a tracer (`export.graph`) records a loop or a branch; with arrays they simply run.
 """
 
 from __future__ import annotations
@@ -15,15 +14,15 @@ import numpy as np
 Tree = Any
 """Nested dicts, tuples and lists of arrays."""
 Body = Callable[[Tree, Tree], tuple[Tree, Tree]]
-"""What a loop does to its carry with a row of each array; it returns the carry and an output."""
+"""Maps a loop's carry and a row of every array to the new carry and an output."""
 
 
 class Traced(ABC):
-    """Stand for an array in a function that is traced."""
+    """The symbol of an array in a traced function."""
 
     @abstractmethod
     def branch(self, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
-        """Record a branch, whose condition this flag is."""
+        """Record a branch with this flag as its condition."""
 
     @abstractmethod
     def loop(self, body: Body, carry: Tree, xs: Sequence[Any]) -> tuple[Tree, Tree]:
@@ -50,8 +49,8 @@ def named_leaves(tree: Tree, path: str = "") -> list[tuple[str, Any]]:
 
 
 def rebuilt(tree: Tree, new: Sequence[Any]) -> Tree:
-    """Return a tree of the same structure with other leaves."""
-    given = iter(new)
+    """Return a tree of equal structure with other leaves."""
+    new_leaves = iter(new)
 
     def of(branch: Tree) -> Tree:
         if branch is None:
@@ -60,7 +59,7 @@ def rebuilt(tree: Tree, new: Sequence[Any]) -> Tree:
             return {name: of(inner) for name, inner in branch.items()}
         if isinstance(branch, tuple | list):
             return [of(inner) for inner in branch]
-        return next(given)
+        return next(new_leaves)
 
     return of(tree)
 
@@ -73,7 +72,7 @@ def cond(flag: Any, yes: Callable[[], Tree], no: Callable[[], Tree]) -> Tree:
 
 
 def scan(body: Body, carry: Tree, xs: Sequence[Any]) -> tuple[Tree, Tree]:
-    """Call `carry, out = body(carry, x)` for the rows x of each array of `xs` in turn.
+    """Call `carry, out = body(carry, x)` for the rows x of the arrays `xs` in turn.
 
     Returns the last carry, and the outputs stacked; `out` may be None.
     """

@@ -1,4 +1,4 @@
-"""Run jobs in worker processes, which can be ended, or by any other executor."""
+"""Run jobs in worker processes, with cancellation, or by any other executor."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 Parameters = ParamSpec("Parameters")
 LARGE = 2**20
-"""Bytes of an array that is sent to worker processes by a file. Bounds time and memory."""
+"""Least size in bytes of an array sent to worker processes by a file. Bounds time and memory."""
 TICK = 1.0
-"""Longest wait in s for the end of a job, after which Ctrl-C and deadlines are noticed."""
+"""Longest wait in s for a job before the next check of Ctrl-C and deadlines."""
 
 
 @final
 class Workers(Executor):
-    """Run jobs in processes of this machine, each on one thread; a cancelled job is ended.
+    """Processes of this machine with one thread; cancellation ends a job at once.
 
-    Processes start with the first job, and end with this process, however it ends. As each begins
-    by importing the main script, a script keeps its code under `if __name__ == "__main__":`.
+    Processes start with the first job, and end with this process, however it ends. They begin by
+    importing the main script: a script keeps its code under `if __name__ == "__main__":`.
 
     `count`: number of processes.
     """
@@ -63,14 +63,14 @@ class Workers(Executor):
         *args: Parameters.args,
         **kwargs: Parameters.kwargs,
     ) -> Future[Result]:
-        """Submit a job; `Future.cancel` also ends one that runs."""
+        """Submit a job; `Future.cancel` also ends a running job."""
         if self._pool is None or self._folder is None:
-            # Made with the processes, which remove it if this one is killed.
+            # The worker processes remove the folder if this process is killed.
             self._folder = tempfile.TemporaryDirectory(
                 prefix="splitband-", ignore_cleanup_errors=True
             )
-            given = self._folder.name, dict(os.environ)
-            self._pool = ProcessPool(self._count, 0, _begin, given, self._context)
+            arguments = self._folder.name, dict(os.environ)
+            self._pool = ProcessPool(self._count, 0, _begin, arguments, self._context)
             start_resource_tracker()
         future: Future[Result] = Future()
         folder = self._folder.name
@@ -84,7 +84,7 @@ class Workers(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes; those with a job are ended in the middle of it."""
+        """End the processes, those with a job in the middle of it."""
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
             self._pool.join()
@@ -96,9 +96,9 @@ class Workers(Executor):
 
 
 class _Spawn(SpawnContext):
-    """Keep the locks of a pool until its processes have ended.
+    """A context that keeps the locks of a pool until the end of its processes.
 
-    The pool drops them before it ends the processes, and one that just begins would not find them.
+    The pool drops its locks before it ends the processes: a starting process would not find them.
     """
 
     def __init__(self) -> None:
@@ -113,34 +113,34 @@ class _Spawn(SpawnContext):
 
 def _begin(folder: str, environment: Mapping[str, str]) -> None:
     """Prepare a worker process."""
-    # The pool's own handler would wait for the end of a kernel that is compiled.
+    # The pool's own handler would wait for the end of a compiled kernel.
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.environ.update(environment)
     tempfile.tempdir = folder
-    # By the names that programs look for on POSIX and on Windows.
+    # The names on POSIX and on Windows.
     os.environ.update(dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder))
     ForkingPickler.register(np.ndarray, partial(_sent_back, folder))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends them
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # at Ctrl-C the parent ends the workers
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
 
 _SHARED: dict[str, Array] = {}
-"""Arrays that this process shares with its parent or its workers, by their files."""
+"""Arrays shared with the parent or the workers, by the paths of their files."""
 
 
 class _Pickler(ForkingPickler):
-    """Writes large arrays that never change, such as those of records, to a file, each one once."""
+    """A pickler that writes every large read-only array, such as a record's, to a file once."""
 
     def __init__(self, packed: BytesIO, folder: str) -> None:
         super().__init__(packed)
         self._folder = folder
 
     def reducer_override(self, value: Any) -> Any:
-        """Return how a value is sent: a large array by its file, another value as usual."""
+        """Return the reduction of a value: a large array by its file, another value as usual."""
         if type(value) is not np.ndarray or value.nbytes < LARGE or value.flags.writeable:
             return NotImplemented
-        if (found := _by_file(self._folder, value)) is not None:
-            return found
+        if (reduction := _by_file(self._folder, value)) is not None:
+            return reduction
         whole, base = value, value.base
         if type(base) is np.ndarray and not base.flags.writeable and _has_rows(base, value):
             whole = base
@@ -152,7 +152,7 @@ class _Pickler(ForkingPickler):
 
 
 def _by_file(folder: str, value: Array) -> tuple[Any, ...] | None:
-    """Return how an array is sent whose rows are in a file of the folder; None for others."""
+    """Return the reduction of an array with its rows in a file of the folder; None for others."""
     for path, whole in _SHARED.items():
         ours = path.startswith(folder) and (whole is value or whole is value.base)
         if ours and _has_rows(whole, value):
@@ -162,25 +162,25 @@ def _by_file(folder: str, value: Array) -> tuple[Any, ...] | None:
 
 
 def _has_rows(whole: Array, part: Array) -> bool:
-    """Return whether a view of an array consists of rows of it, one after the other."""
+    """Return whether a view of an array consists of successive rows."""
     alike = whole.dtype == part.dtype and whole.strides == part.strides
     return alike and whole.shape[1:] == part.shape[1:]
 
 
 def _sent_back(folder: str, value: Array) -> Any:
-    """Return how a worker sends an array: what came by a file returns as the same array."""
+    """Return the reduction of a worker's array: by its file if the array came from one."""
     return _by_file(folder, value) or value.__reduce__()
 
 
 def _mapped(path: str, begin: int, end: int) -> Array:
-    """Return rows of the array of a file, of which all processes share the memory."""
+    """Return rows of the array of a file, in memory shared by all processes."""
     if path not in _SHARED:
         _SHARED[path] = np.asarray(np.load(path, mmap_mode="r"))
     return _SHARED[path][begin:end]
 
 
 def _unpacked(packed: bytes) -> Any:
-    """Do a job in a worker process, where what it consists of has to be found again."""
+    """Run a job in a worker process; its functions and classes may be missing there."""
     return_freed()
     try:
         fn, args, kwargs = ForkingPickler.loads(packed)
@@ -204,7 +204,7 @@ def _itself(result: Any) -> Any:
 
 
 def _end_with_parent(folder: str) -> None:
-    """End this process when its parent has been killed, as its result is of no use."""
+    """End this process after the death of its parent, as its result is of no use."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait_for([parent.sentinel])
@@ -213,9 +213,9 @@ def _end_with_parent(folder: str) -> None:
 
 
 def result_of(future: Future[Result], seconds: float | None = None) -> Result:
-    """Return the result of a job, or raise its error; raises TimeoutError after so many seconds.
+    """Return the result of a job, or raise its error; raises TimeoutError after `seconds`.
 
-    Ctrl-C is noticed within a `TICK`: on Windows nothing interrupts a wait.
+    Ctrl-C takes effect within a `TICK`: on Windows nothing interrupts a wait.
     """
     until = math.inf if seconds is None else time.monotonic() + seconds
     while not future.done() and (left := until - time.monotonic()) > 0:
@@ -224,12 +224,12 @@ def result_of(future: Future[Result], seconds: float | None = None) -> Result:
 
 
 class NotSentError(Exception):
-    """Report that a job cannot be sent to another process, as its classes are not in a module."""
+    """A job cannot be sent to another process, as its classes are not in a module."""
 
 
 @dataclass(eq=False)
 class _Begun:
-    """Hold a job of a queue; `future` is None while it waits for a core."""
+    """A job of a queue; `future` is None while the job waits for a core."""
 
     work: Callable[[Any], Any]
     job: Any
@@ -238,17 +238,17 @@ class _Begun:
 
     @property
     def over(self) -> bool:
-        """Return whether it is done, or nobody waits for it any longer."""
+        """Return whether the job is done, or its `patience` is over."""
         return self.patience.over or (self.future is not None and self.future.done())
 
     def result(self) -> Future[Any]:
-        """Return the result; where there is none yet, the job is cancelled."""
+        """Return the result; cancel a job without one."""
         future = self.future or Future()
         future.cancel()
         return future
 
     def here(self) -> Future[Any]:
-        """Return the result of running it in this process."""
+        """Run the job in this process and return the result."""
         future: Future[Any] = Future()
         try:
             future.set_result(_on_one_thread(self.work, self.job))
@@ -259,9 +259,9 @@ class _Begun:
 
 @final
 class Queue(Generic[Job, Result]):
-    """Jobs on an executor or, one after the other as they are asked for, in this process.
+    """Jobs on an executor or, one after the other on demand, in this process.
 
-    `executor`: None for this process; `cores`: number of jobs that it is given at a time.
+    `executor`: None for this process; `cores`: number of simultaneous jobs of the executor.
     """
 
     def __init__(self, executor: Executor | None = None, cores: float = math.inf) -> None:
@@ -280,9 +280,9 @@ class Queue(Generic[Job, Result]):
         Parameters
         ----------
         work : A module-level function, or a partial of one: other processes have to import it.
-        jobs : In the order in which they start.
-        patience : Deadline after which nobody waits for a result; in a `Workers`, a job is ended.
-        first : Whether they start before others that wait for a core.
+        jobs : Jobs in the order of their starts.
+        patience : Deadline of the results; `Workers` then end the job.
+        first : Whether the jobs start before others in the queue.
         """
         begun = [_Begun(work, job, patience) for job in jobs]
         self._begun = [*begun, *self._begun] if first else [*self._begun, *begun]
@@ -290,32 +290,32 @@ class Queue(Generic[Job, Result]):
             self._submit(self._executor)
 
     def ended(self) -> Iterator[tuple[Job, Future[Result]]]:
-        """Yield each job with its result, as it ends; where patience ended, it is not done."""
+        """Yield jobs with their results in the order of their ends; not done after `patience`."""
         while self._begun:
             if self._executor is None:
                 job = self._begun.pop(0)
                 yield job.job, job.here()
                 continue
             self._submit(self._executor)
-            soonest = min(each.patience for each in self._begun)
-            futures = [each.future for each in self._begun if each.future is not None]
+            soonest = min(begun.patience for begun in self._begun)
+            futures = [begun.future for begun in self._begun if begun.future is not None]
             wait(futures, min(TICK, max(soonest.left, 0.0)), FIRST_COMPLETED)
-            for each in [each for each in self._begun if each.over]:
-                self._begun.remove(each)
-                yield each.job, each.here() if _not_sent(each.result()) else each.result()
+            for begun in [begun for begun in self._begun if begun.over]:
+                self._begun.remove(begun)
+                yield begun.job, begun.here() if _not_sent(begun.result()) else begun.result()
 
     def drop(self) -> None:
         """Cancel all jobs."""
-        for each in self._begun:
-            each.result()
+        for begun in self._begun:
+            begun.result()
         self._begun = []
 
     def _submit(self, executor: Executor) -> None:
-        """Give jobs to the executor, while it has not enough of them."""
-        running = sum(each.future is not None for each in self._begun)
-        for each in self._begun:
-            if each.future is None and running < self._cores:
-                each.future = executor.submit(_on_one_thread, each.work, each.job)
+        """Submit jobs to the executor, up to the number of cores."""
+        running = sum(begun.future is not None for begun in self._begun)
+        for begun in self._begun:
+            if begun.future is None and running < self._cores:
+                begun.future = executor.submit(_on_one_thread, begun.work, begun.job)
                 running += 1
 
 
@@ -327,7 +327,7 @@ def _not_sent(future: Future[Any]) -> bool:
 def run_jobs(
     work: Callable[[Job], Result], jobs: Sequence[Job], executor: Executor | None = None
 ) -> Iterator[tuple[Job, Future[Result]]]:
-    """Yield each of the jobs with its result, as it is done; see `Queue`."""
+    """Yield jobs with their results in the order of their ends; see `Queue`."""
     queue = Queue[Job, Result](executor)
     try:
         queue.begin(work, jobs)
@@ -337,14 +337,14 @@ def run_jobs(
 
 
 def ended_from_outside(error: BaseException) -> str:
-    """Return what to say where a worker process has ended; empty for any other error."""
+    """Return the message for the end of a worker process; empty for any other error."""
     if isinstance(error, BrokenProcessPool):
         return (
             "the worker processes did not begin: a script has to keep what it does under "
             '`if __name__ == "__main__":`'
         )
-    said = "its process was ended from outside, perhaps for memory"
-    return said if isinstance(error, ProcessExpired) else ""
+    message = "its process was ended from outside, perhaps for memory"
+    return message if isinstance(error, ProcessExpired) else ""
 
 
 def _on_one_thread(work: Callable[[Job], Result], job: Job) -> Result:

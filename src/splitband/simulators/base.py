@@ -1,8 +1,8 @@
-"""Define black-box simulators, which turn a time grid into a simulated signal.
+"""Define black-box simulators: functions of a time grid that return a simulated signal.
 
 A simulator needs neither gradients nor an accessible state (paper, Sec. 4.3). `run` calls a
-simulator and checks its output; `Recorded` holds the exported output of one, and `Absent` describes
-that of a saved model until the user passes it again.
+simulator and checks its output; `Recorded` is a simulator's exported output, and `Absent` the
+description of a saved model's simulator until the user passes the simulator again.
 """
 
 from __future__ import annotations
@@ -31,51 +31,50 @@ from splitband.simulators.user_code import check_open, count_arguments
 Start = float | Literal["record"]
 """Time of a record's first sample in s, or "record" for its time stamp."""
 Hold = Literal["zoh", "linear"]
-"""How inputs run from one sample to the next: held (zero-order hold), or along a straight line."""
+"""Course of inputs between samples: held (zero-order hold), or along a straight line."""
 
 
 class SimulatorError(RuntimeError):
-    """Report that a simulator has failed; the message says why."""
+    """A simulator has failed; the message gives the reason."""
 
 
 class SimulatorTimeoutError(TimeoutError):
-    """Report that a simulator has not returned within its timeout."""
+    """A simulator has not returned within its timeout."""
 
 
 class Simulator(Protocol):
-    """Define what a user brings: an object with `simulate(time)` or `simulate(time, u)`.
+    """A user's simulator: an object with `simulate(time)` or `simulate(time, u)`.
 
-    Nothing else is needed. Three attributes are read where the object has them: `name`, for
-    messages; `start`, see `simulate`; `driven`, whether it takes the record's inputs, where the
-    arguments of `simulate` do not say so. Everything else is known of simulators of this package
-    alone, see `KnownSimulator`.
+    Three further attributes are optional: `name`, for messages; `start`, see `simulate`; `driven`,
+    whether the simulator takes the record's inputs, if the arguments of `simulate` do not tell. The
+    simulators of this package have more, see `KnownSimulator`.
     """
 
     @property
     def simulate(self) -> Callable[..., npt.ArrayLike]:
         """Return the measured channels at the evenly spaced `time` in s: `(time,)` or `(time, ny)`.
 
-        A method with a second argument also gets the record's inputs `u`, `(time, nu)`. `time`
-        begins at 0 at the record's first sample, where the initial state is that of the simulator,
-        or at its attribute `start`: a number, or "record" for the record's time stamp.
+        A method with a second argument also gets the record's inputs `u`, `(time, nu)`. `time` is 0
+        at the record's first sample, with the simulator's initial state, or the attribute `start`:
+        a number, or "record" for the record's time stamp.
         """
 
 
 class KnownSimulator:
-    """Define the protocol of simulators inside the package, with its defaults.
+    """The protocol of simulators inside the package, with its defaults.
 
-    An object of a user's becomes one where it comes in, see `as_known`.
+    `as_known` converts a user's object.
 
     Attributes
     ----------
-    start : See `Simulator`; None for a simulator that does not say.
-    hold : How inputs run between samples, see `Ode`; None for a simulator that does not say.
-    step : Communication step in s that was chosen for an FMU.
-    driven : Whether it takes the record's inputs.
-    code : Functions of a simulator whose open arguments might be meant for inputs.
-    own_times : Whether its output has times of its own, and is interpolated to the record's.
-    adjustable : Whether it has parameters or needs inputs, and so a `GreyBox` to run it.
-    advances : Whether it can be stepped from any state.
+    start : See `Simulator`; None if unspecified.
+    hold : Course of inputs between samples, see `Ode`; None if unspecified.
+    step : Communication step in s of an FMU, if chosen.
+    driven : Whether the simulator takes the record's inputs.
+    code : Functions with open arguments, possibly meant for inputs.
+    own_times : Whether the output has times of its own, and is interpolated to the record's.
+    adjustable : Whether the simulator has parameters or needs inputs, and so a `GreyBox`.
+    advances : Whether the simulator can be stepped from any state.
     """
 
     simulate: Any
@@ -95,7 +94,7 @@ class KnownSimulator:
 
     @property
     def needs_inputs(self) -> bool:
-        """Return whether it cannot run without inputs."""
+        """Return whether a run needs inputs."""
         return self.driven
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
@@ -103,38 +102,38 @@ class KnownSimulator:
         return self
 
     def require(self) -> Self:
-        """Return the simulator; raises ValueError for a description, which cannot run."""
+        """Return the simulator; raises ValueError for a mere description."""
         return self
 
     def facts(self, fitted: bool) -> tuple[str, str, str | None]:
-        """Return the kind, file and fingerprint of its description, see `Absent`."""
+        """Return kind, file and fingerprint of the description, see `Absent`."""
         return type(self).__name__, "", None
 
     def description(self, fitted: bool = False) -> Absent:
-        """Return the description of the simulator; `fitted`: whether its parameters were."""
+        """Return the description of the simulator; `fitted`: whether its parameters are fitted."""
         start = None if self.own_times else self.start or 0.0
         return Absent(
             *self.facts(fitted), fitted, start, self.hold if self.driven else None, self.step
         )
 
     def reach(self, grid: Grid) -> int:
-        """Return how many samples of the grid it covers: all, as it can run for as long."""
+        """Return the number of covered samples of the grid: all, as runs can have any length."""
         return grid.samples
 
     def at(self, grid: Grid, time: Array, u: Array | None) -> npt.ArrayLike:
-        """Return the output at the times of a grid, which are `time` in s on its own clock."""
-        given = [] if u is None else [np.resize(u, (len(time), u.shape[1]))]
-        found: npt.ArrayLike = self.simulate(time, *given)
-        return found
+        """Return the output at the times of a grid, `time` in s on the simulator's clock."""
+        inputs = [] if u is None else [np.resize(u, (len(time), u.shape[1]))]
+        output: npt.ArrayLike = self.simulate(time, *inputs)
+        return output
 
     def output(self, grid: Grid, record: Record, u: Array | None) -> Array:
-        """Return the output at these times, `(samples, ny)`, in the channels of a record."""
+        """Return the output at the times of a grid, `(samples, ny)`, in a record's channels."""
         simulator = matched(self.require(), record.columns, record.inputs)
         return run(simulator, grid.samples, grid.step, record.ny, None, grid.start, u)
 
 
 class Given(KnownSimulator):
-    """Hold a simulator of a user's own; it equals another one that holds the same object."""
+    """A user's own simulator; equal to another `Given` with the same object."""
 
     def __init__(self, simulator: Simulator) -> None:
         self.simulator = simulator
@@ -151,7 +150,7 @@ class Given(KnownSimulator):
 
     @property
     def name(self) -> str:
-        """Return its own name, or that of its class."""
+        """Return the name of the user's object, or of its class."""
         return self._name
 
     @property
@@ -171,7 +170,7 @@ class Given(KnownSimulator):
 
 
 def fingerprint(path: str | Path, used: str) -> str | None:
-    """Return the SHA-256 of a file and what is used of it; None where the file is gone."""
+    """Return the SHA-256 of a file and the `used` parts of it; None for a missing file."""
     try:
         return f"{sha256_of(path)} {used}"
     except OSError:
@@ -179,15 +178,15 @@ def fingerprint(path: str | Path, used: str) -> str | None:
 
 
 def as_known(simulator: Any) -> Any:
-    """Return a simulator of this package as it is, and an object of a user's as a `Given`.
+    """Return a simulator of this package unchanged, and a user's object as a `Given`.
 
-    Raises ValueError for an object that has no `simulate`.
+    Raises ValueError for an object without `simulate`.
     """
     return simulator if isinstance(simulator, KnownSimulator) else Given(simulator)
 
 
 def check_start(start: Any) -> Any:
-    """Return a simulator's `start` if it is one; raises ValueError otherwise."""
+    """Return a valid `start` of a simulator; raises ValueError for another."""
     if start is None or start == "record":
         return start
     if math.isnan(seconds := as_float(start)):
@@ -196,7 +195,7 @@ def check_start(start: Any) -> Any:
 
 
 def check_hold(hold: Any) -> Any:
-    """Return a simulator's `hold` if it is one, or None; raises ValueError otherwise."""
+    """Return a valid `hold` of a simulator, or None; raises ValueError for another."""
     if hold not in (None, "zoh", "linear"):
         raise InputError(f'hold must be "zoh" or "linear", got {str(hold)[:60]!r}')
     return hold
@@ -205,31 +204,30 @@ def check_hold(hold: Any) -> Any:
 def matched(simulator: Any, columns: Sequence[str], inputs: Sequence[str]) -> Any:
     """Return the simulator for records with these channels and inputs, see `Fmu.matched`.
 
-    Raises ValueError for one that needs inputs, which the records do not have, and for one that may
-    be meant to take those that they have.
+    Raises ValueError if the simulator needs missing inputs, or may be meant to take the inputs but
+    is not driven.
     """
-    found = as_known(simulator).matched(columns, inputs)
-    if not inputs and found.needs_inputs:
+    known = as_known(simulator).matched(columns, inputs)
+    if not inputs and known.needs_inputs:
         raise InputError(
-            f"simulator {found.name} takes inputs, of which the record has none: name them "
+            f"simulator {known.name} takes inputs, of which the record has none: name them "
             "(--inputs), or leave the argument out"
         )
-    if inputs and not found.driven:
-        check_undriven(found, found.name, inputs)
-    return found
+    if inputs and not known.driven:
+        check_undriven(known, known.name, inputs)
+    return known
 
 
 def check_undriven(simulator: KnownSimulator, name: str, inputs: Sequence[str] = ()) -> None:
-    """Raise ValueError for a simulator that is not driven, but may be meant to take the inputs."""
+    """Raise ValueError for a simulator without inputs that may be meant to take inputs."""
     for function in simulator.code:
         check_open(function, name, inputs)
 
 
 def origin(simulator: KnownSimulator, stamp: Stamp | None) -> float:
-    """Return the time in s at which a simulator runs at a record's first sample.
+    """Return the simulator's time in s at a record's first sample.
 
-    Raises ValueError where that can be two things: for a function of time alone that does not say
-    whether it means the record's clock.
+    Raises ValueError for an ambiguous time: a function of time alone, without `start`.
     """
     start, begin = simulator.start, seconds_of(stamp)
     if start == "record":
@@ -262,14 +260,14 @@ def run(  # noqa: PLR0913
 
     Parameters
     ----------
-    simulator : Anything with a `simulate(time)`, or with a `simulate(time, u)`.
+    simulator : Any object with a `simulate(time)`, or with a `simulate(time, u)`.
     samples, sampling_time : Number of samples, and the time between two of them in s.
     ny : Number of channels of the record.
     name : Name of the simulator in messages, by default its `name`, or its class.
-    start : The record's first time stamp, by which an exported output is aligned. Other simulators
-        are called with the times t, t + dt, t + 2 dt, ... for t = 0, or as they say themselves, see
+    start : The record's first time stamp, for the alignment of an exported output. Other simulators
+        are called with the times t, t + dt, t + 2 dt, ... for t = 0, or their own `start`, see
         `Simulator`.
-    u : The record's inputs at these samples, `(samples, nu)`, for a simulator that takes them.
+    u : The record's inputs at these samples, `(samples, nu)`, for a simulator with inputs.
 
     Returns
     -------
@@ -279,14 +277,14 @@ def run(  # noqa: PLR0913
     Raises
     ------
     ValueError
-        If the simulator raises, exceeds its timeout, or returns a wrong shape or values that are
-        not finite. The message names the simulator.
+        If the simulator raises, exceeds its timeout, or returns a wrong shape or non-finite values.
+        The message names the simulator.
     """
     known = as_known(simulator)
     name = name or known.name
     begin = 0.0 if known.own_times else origin(known, start)
     u = _driving(name, known, u, samples)
-    # A grid has two points at least, from which a simulator can derive the step.
+    # At least two points: a simulator may derive the step.
     time: Array = begin + np.arange(max(samples, 2), dtype=np.float64) * sampling_time
     try:
         returned = np.asarray(known.at(Grid(start, sampling_time, len(time)), time, u))
@@ -314,7 +312,7 @@ def run(  # noqa: PLR0913
 
 
 def _driving(name: str, simulator: KnownSimulator, u: Array | None, samples: int) -> Array | None:
-    """Return the inputs of a run, `(samples, nu)`; None for a simulator that takes none."""
+    """Return the inputs of a run, `(samples, nu)`; None for a simulator without inputs."""
     if not simulator.driven:
         if u is not None:
             check_undriven(simulator, name)
@@ -333,15 +331,15 @@ def _driving(name: str, simulator: KnownSimulator, u: Array | None, samples: int
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recorded(WithRepr, KnownSimulator):
-    """Hold the exported output of a simulator, at its own times.
+    """The exported output of a simulator, at its own times.
 
     Attributes
     ----------
     y : `(time,)` or `(time, ny)`.
     sampling_time : In s.
-    start : Time stamp of the first sample; None if it begins with the record.
+    start : Time stamp of the first sample; None for the record's first sample.
     name : Name in messages.
-    columns : Names of the channels, by which those of a record are found.
+    columns : Names of the channels, matched with a record's names.
     """
 
     y: npt.ArrayLike
@@ -358,14 +356,14 @@ class Recorded(WithRepr, KnownSimulator):
         return cls(trajectory.y, step, start, columns=trajectory.columns)
 
     def in_columns(self, columns: Sequence[str]) -> Recorded:
-        """Return the channels with these names, in this order; all of them if it has others."""
+        """Return the channels with these names, in this order; all channels if one is missing."""
         if self.columns == tuple(columns) or not {*columns} <= {*self.columns}:
             return self
         places = [self.columns.index(name) for name in columns]
         return replace(self, y=np.asarray(self.y, float)[:, places], columns=tuple(columns))
 
     def on(self, grid: Grid) -> Aligned:
-        """Return the simulation at other times; raises ValueError if it does not cover them."""
+        """Return the simulation at the times of a grid; raises ValueError for uncovered times."""
         y = np.asarray(self.y, float)
         if not 1 <= y.ndim <= 2 or not y.size:
             raise InputError(f"y must be (time,) or (time, ny) with samples, got {y.shape}")
@@ -374,9 +372,9 @@ class Recorded(WithRepr, KnownSimulator):
         return aligned(self.name, y.reshape(len(y), -1), self._grid, grid)
 
     def reach(self, grid: Grid) -> int:
-        """Return how many times it covers, from the first of the grid on.
+        """Return the number of covered times, from the first of the grid on.
 
-        Raises ValueError if their time stamps cannot be compared.
+        Raises ValueError for incomparable time stamps.
         """
         try:
             return reach(self._grid, grid)
@@ -384,21 +382,21 @@ class Recorded(WithRepr, KnownSimulator):
             raise InputError(f"{self.name}: {error}") from None
 
     def note(self, grid: Grid) -> str:
-        """Return a description of the resampling to these times; empty without any."""
+        """Return a description of the resampling to a grid; empty without resampling."""
         covered = min(grid.samples, self.reach(grid))
         return self.on(replace(grid, samples=covered)).note if covered > 0 else ""
 
     def simulate(self, time: Array) -> npt.ArrayLike:
-        """Return the simulation at `time` in s, on the same clock if it has stamps in s."""
+        """Return the simulation at `time` in s, on the clock of its stamps, if in s."""
         step = float(time[1] - time[0]) if len(time) > 1 else self.sampling_time
         return self.on(Grid(float(time[0]), step, len(time))).values
 
     def at(self, grid: Grid, time: Array, u: Array | None) -> npt.ArrayLike:
-        """Return the simulation at the times of a grid, whose stamps may be dates."""
+        """Return the simulation at the times of a grid, possibly dates."""
         return self.on(grid).values
 
     def output(self, grid: Grid, record: Record, u: Array | None) -> Array:
-        """Return the simulation at these times, in the channels of a record."""
+        """Return the simulation at the times of a grid, in the channels of a record."""
         return np.asarray(self.in_columns(record.columns).on(grid).values)
 
     @property
@@ -408,18 +406,18 @@ class Recorded(WithRepr, KnownSimulator):
 
 @dataclass(frozen=True)
 class Absent(KnownSimulator):
-    """Describe a simulator in words, without opening or running anything.
+    """The description of a simulator, which is neither opened nor run.
 
     Attributes
     ----------
-    kind, file : Names of its class and of its file, without the folder; empty without a file.
-    fingerprint : Text by which a different simulator is detected: SHA-256 of an FMU, the variables
-        that are used, and the values of its parameters unless they are fitted; None without one.
-    fitted : Whether its parameters were fitted; other parameter values are then no difference.
-    start : Its time at a record's first sample, 0 if it says none; None for recorded output, which
+    kind, file : Names of the class and of the file, without the folder; empty without a file.
+    fingerprint : Text for the detection of another simulator: SHA-256 of an FMU, the used
+        variables, and the values of parameters unless fitted; None without one.
+    fitted : Whether parameters were fitted; other parameter values are then no difference.
+    start : Simulator time at a record's first sample, 0 by default; None for recorded output, which
         has time stamps of its own.
-    hold : How its inputs run between samples; None for one that does not say.
-    step : Communication step in s that was chosen for an FMU; None for its own.
+    hold : Course of inputs between samples; None if unspecified.
+    step : Communication step in s chosen for an FMU; None for the FMU's own.
     """
 
     kind: str
@@ -431,7 +429,7 @@ class Absent(KnownSimulator):
     step: float | None = None
 
     def __post_init__(self) -> None:
-        """Check values that may come from a file."""
+        """Check values, possibly from a file."""
         texts = self.kind, self.file, self.fingerprint or ""
         if not all(isinstance(text, str) for text in texts):
             raise InputError("a simulator must be described by texts")
@@ -450,7 +448,7 @@ class Absent(KnownSimulator):
         return self
 
     def require(self) -> NoReturn:
-        """Raise ValueError; the message says which simulator to pass, and how."""
+        """Raise ValueError; the message names the simulator, and how to pass it."""
         ours = "sb." if self.kind in dir(splitband) else ""
         how = f"{ours}{self.kind}({json.dumps(str(self)) if self.file else '...'})"
         raise InputError(
@@ -458,13 +456,13 @@ class Absent(KnownSimulator):
             f"sb.load(folder, simulator={how})"
         )
 
-    def difference(self, given: KnownSimulator) -> str:
-        """Return a sentence if `given` is not the described simulator, else an empty string.
+    def difference(self, simulator: KnownSimulator) -> str:
+        """Return a sentence for a simulator other than the described one, else an empty string.
 
-        Simulators without a fingerprint are not compared. Raises ValueError for one that begins at
-        another time, or whose inputs run otherwise between samples.
+        Simulators without a fingerprint are not compared. Raises ValueError for another `start` or
+        `hold`.
         """
-        other = given.description(self.fitted)
+        other = simulator.description(self.fitted)
         if self.start is not None and other.start is not None and self.start != other.start:
             raise InputError(
                 f"simulator must have start={json.dumps(self.start)} (--simulator-start), with "
@@ -476,12 +474,12 @@ class Absent(KnownSimulator):
                 f"simulator must have hold={self.hold!r} (--simulator-hold), with which the model "
                 f"was saved, got hold={other.hold!r}; fit the model again for another one"
             )
-        saved, found = self.fingerprint, other.fingerprint
-        if saved is None or found is None or saved == found:
+        saved, current = self.fingerprint, other.fingerprint
+        if saved is None or current is None or saved == current:
             return ""
         return (
             f"the simulator is another one than {self}, with which the model was saved: its "
-            f"fingerprint is {_shown(found)}, not {_shown(saved)}"
+            f"fingerprint is {_shown(current)}, not {_shown(saved)}"
         )
 
     def __str__(self) -> str:
@@ -490,4 +488,4 @@ class Absent(KnownSimulator):
 
 
 def _shown(text: str) -> str:
-    return " ".join(text.split())[:300]  # it may come from a file
+    return " ".join(text.split())[:300]  # text of a file, of any length

@@ -1,7 +1,7 @@
-"""Calibrate a simulator: gain, offset, delay and clock, each kept only if it lowers the error.
+"""Calibrate a simulator: gain, offset, delay and clock, if a term lowers the error.
 
 Not in the paper. A small clock error or delay makes even a good simulator wrong after a while; the
-training part of the record is enough to estimate them. Larger sets of terms are compared with
+training part of the record is sufficient for an estimate. Larger sets of terms are compared with
 smaller ones on held-out samples.
 """
 
@@ -22,14 +22,15 @@ from splitband.runtime.errors import InputError
 Term = Literal["gain", "offset", "delay", "clock"]
 TERMS: tuple[Term, ...] = get_args(Term)
 MOST_DELAY = 0.1
-"""Largest delay or advance of a simulator, as a share of the training part's duration. By eye."""
+"""Largest delay or advance of a simulator, as a share of the training part's duration. Bounds the
+time of the search and of the simulation."""
 MOST_CLOCK = 0.05
-"""Largest relative deviation of the simulator's clock from 1. By eye."""
+"""Largest relative deviation of the simulator's clock from 1. Bounds the time as `MOST_DELAY`."""
 _MOVING: tuple[Term, ...] = "delay", "clock"
 _STILL = np.array([0.0, 1.0])
 """Delay in samples and clock factor of an uncalibrated simulator."""
 _WORTH = 0.98
-"""A larger set of terms is used if its error is below this share of a smaller set's. By eye."""
+"""Largest error of a useful larger set of terms, as a share of a smaller set's. By eye."""
 _SETS: tuple[tuple[Term, ...], ...] = (
     (),
     ("offset",),
@@ -42,14 +43,14 @@ _SETS: tuple[tuple[Term, ...], ...] = (
 
 @dataclass(frozen=True)
 class Calibration:
-    """Map a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).
+    """A map from a simulation to the record: y(t) = offset + gain * simulator(clock * t - delay).
 
     t is counted from the first training sample, the origin.
 
     Attributes
     ----------
     gain, offset : One value per channel; empty for 1 and 0.
-    delay : Delay in s, positive for a simulator that is too early.
+    delay : Delay in s, positive for a simulator ahead of the record.
     clock : Factor of the simulator's time.
     errors : Held-out RMSE by set of terms, for channels scaled to a deviation of 1.
     """
@@ -75,9 +76,9 @@ class Calibration:
         Parameters
         ----------
         y_sim : `(time, ny)`. With a calibrated delay or clock, its values are held before the
-            origin, before its first and after its last sample.
+            origin, and beyond its first and last samples.
         samples : Number of samples to return.
-        sampling_time : Sampling time of both, in s.
+        sampling_time : Sampling time of simulation and result, in s.
         begin, begin_sim : Position of the first sample to return, and of the first sample of
             `y_sim`, in samples after the origin.
         """
@@ -104,7 +105,7 @@ class Calibration:
                 raise InputError(f"{name} must have {ny} value(s), got {len(getattr(self, name))}")
 
     def positions(self, samples: int, sampling_time: float, begin: float = 0.0) -> Array:
-        """Return the simulator times that `apply` uses, `(samples,)`, in samples from t = 0."""
+        """Return the simulator times of `apply`, `(samples,)`, in samples from t = 0."""
         index = begin + np.arange(samples, dtype=np.float64)
         if self.stays:
             return index
@@ -113,7 +114,7 @@ class Calibration:
     def end_warning(
         self, steps: int, sampling_time: float, begin: float, samples: int, end: float
     ) -> str:
-        """Return a sentence if the simulation ends too early, else an empty string.
+        """Return a sentence for a simulation that ends too early, else an empty string.
 
         The last `steps` of the `samples` from `begin` on are the forecast; `end` is the position
         after the simulation's last sample. Positions are counted in samples after the origin.
@@ -142,12 +143,12 @@ class Calibration:
 
 
 def samples_needed(samples: int, train: int) -> int:
-    """Return the length in samples of a simulation that suffices to fit every term."""
+    """Return the sufficient length in samples of a simulation for a fit of all terms."""
     return int(np.ceil(samples * (1 + MOST_CLOCK) + train * MOST_DELAY)) + 1
 
 
 def spline_of(y: Array) -> Callable[[Array], Array]:
-    """Return a function that interpolates between samples; the ends are held."""
+    """Return an interpolating function of the sample index; values at the ends are held."""
     spline = scipy.interpolate.CubicSpline(np.arange(len(y)), y)
     return lambda index: np.asarray(spline(np.clip(index, 0, len(y) - 1)))
 
@@ -159,12 +160,12 @@ def calibrate(
 
     Parameters
     ----------
-    y_sim : `(time, ny)`, aligned with the record, and at least as long. Its samples beyond the
-        record are used where its clock is slow or its output late.
+    y_sim : `(time, ny)`, aligned with the record, and at least as long. Later samples are used for
+        a slow clock or a late output.
     y : The training part, `(train, ny)`, NaN in gaps.
-    sampling_time : Sampling time of both, in s.
-    terms : Fit exactly these terms. By default sets of terms are fitted to the beginning of `y` and
-        compared on the rest, for several cuts; a larger set must lower the held-out error.
+    sampling_time : Sampling time of record and simulation, in s.
+    terms : Terms to fit. By default sets of terms are fitted to the beginning of `y` and compared
+        on the rest, for several cuts; a larger set must lower the held-out error.
 
     Raises
     ------
@@ -177,32 +178,31 @@ def calibrate(
             f"y_sim must cover the record's {len(y)} samples in y's channels, and y have 2 "
             f"samples at least, got {y_sim.shape} and {y.shape}, of which {measured} were measured"
         )
-    scale = spread(y)  # so that each channel counts the same whatever its unit
+    scale = spread(y)  # equal weights of channels in any units
     y, y_sim = y / scale, y_sim / scale
     if terms is not None:
-        wanted = tuple(terms)
-        unknown = [term for term in wanted if term not in TERMS]
+        chosen = tuple(terms)
+        unknown = [term for term in chosen if term not in TERMS]
         if unknown:
             raise InputError(f"terms must be out of {', '.join(TERMS)}, got {', '.join(unknown)}")
-        return _fit(y_sim, y, sampling_time, wanted, scale)
-    errors = {kept: _held_out(y_sim, y, sampling_time, kept) for kept in _SETS}
+        return _fit(y_sim, y, sampling_time, chosen, scale)
+    errors = {subset: _held_out(y_sim, y, sampling_time, subset) for subset in _SETS}
     best = _SETS[0]
-    for kept in _SETS[1:]:
-        pays = errors[kept].mean() < _WORTH * errors[best].mean()
+    for subset in _SETS[1:]:
+        pays = errors[subset].mean() < _WORTH * errors[best].mean()
         # After one cut, a delay or clock may fit noise by chance, but hardly after all cuts.
-        moves = set(kept) & set(_MOVING)
-        if pays and (not moves or (errors[kept] < errors[best]).all()):
-            best = kept
+        moves = set(subset) & set(_MOVING)
+        if pays and (not moves or (errors[subset] < errors[best]).all()):
+            best = subset
     calibration = _fit(y_sim, y, sampling_time, best, scale)
-    means = {" + ".join(kept) or "none": float(left.mean()) for kept, left in errors.items()}
+    means = {" + ".join(subset) or "none": float(left.mean()) for subset, left in errors.items()}
     return replace(calibration, errors=means)
 
 
 def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
-    """Return the gain and offset of each channel, `(ny,)` each, that best fit `y_sim` to `y`.
+    """Return gains and offsets by channel, both `(ny,)`, for the best fit of `y_sim` to `y`.
 
-    Least squares on `(time, ny)`, where y is not NaN; a constant channel of the simulator gets
-    gain 0.
+    Least squares on `(time, ny)` without NaN of y; a constant channel of the simulator has gain 0.
     """
     mean_sim, mean = _mean(y_sim, y), _mean(y, y)
     gain = _gain(y_sim - mean_sim, y - mean)
@@ -210,7 +210,7 @@ def affine_fit(y_sim: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _mean(values: Array, y: Array) -> Array:
-    """Return the mean of each channel where y is not NaN; 0 for a channel that is all NaN."""
+    """Return the means by channel where y is not NaN; 0 for a channel without measurements."""
     measured = ~np.isnan(y)
     means = np.where(measured, values, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
     return np.asarray(means, dtype=np.float64)
@@ -223,17 +223,17 @@ def _gain(x: Array, y: Array) -> Array:
 
 
 def _held_out(y_sim: Array, y: Array, sampling_time: float, terms: tuple[Term, ...]) -> Array:
-    """Return the RMSE after each of several cuts, of a fit to the samples before the cut."""
+    """Return the RMSE after several cuts, of fits to the samples before the cut."""
     errors, measured = [], ~np.isnan(y)
     rows = np.flatnonzero(measured.any(axis=1))
     for share in (0.5, 0.6, 0.7, 0.8):
         cut = rows[max(int(share * len(rows)), 1)]
         calibration = _fit(y_sim, y[:cut], sampling_time, terms)
         left = y[cut:] - calibration.apply(y_sim, len(y), sampling_time)[cut:]
-        # A channel counts if it was measured both before the cut and after it.
-        told = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
-        if told.any():
-            errors.append(rmse(left[:, told], np.zeros_like(left[:, told])))
+        # Only channels with measurements both before and after the cut count.
+        present = measured[:cut].any(axis=0) & measured[cut:].any(axis=0)
+        if present.any():
+            errors.append(rmse(left[:, present], np.zeros_like(left[:, present])))
     return np.array(errors or [0.0])
 
 
@@ -251,7 +251,7 @@ def _fit(
     spline = spline_of(y_sim)
 
     def fitted(warp: Array) -> tuple[Array, Array, Array, Flags]:
-        """Return gain, offset, the simulation, and a mask of the samples that it reaches."""
+        """Return gain, offset, the simulation, and a mask of the simulated samples."""
         delay, clock = _warp(warp, moving)
         positions = clock * index - delay
         inside = (positions >= 0) & (positions <= len(y_sim) - 1)
@@ -298,7 +298,7 @@ def _warp(warp: Array, moving: Flags) -> tuple[float, float]:
 
 
 def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Iterator[Array]:
-    """Yield delays and clocks within `most` of none: none, and those of highest correlation."""
+    """Yield delay and clock: none, and the pairs within `most` of the highest correlations."""
     yield _STILL
     clocks = np.linspace(1 - most[1], 1 + most[1], 41) if most[1] else np.ones(1)
     shifts = np.arange(-int(most[0]), int(most[0]) + 1)  # in samples of the record
@@ -309,7 +309,7 @@ def _guesses(y: Array, at_clock: Callable[[float], Array], most: Array) -> Itera
         x = x - x.mean(axis=0)
         power = (x**2).sum(axis=0)
         correlation = scipy.signal.fftconvolve(centred, x[::-1], axes=0)
-        # It is squared, as a gain may be negative.
+        # Squares of the correlation, as a gain may be negative.
         squared = (correlation**2 / np.where(power > 0, power, 1.0)).sum(axis=1)
         at_shifts = squared[shifts + len(y) - 1]
         best = int(np.argmax(at_shifts))

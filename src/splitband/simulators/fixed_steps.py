@@ -1,7 +1,7 @@
-"""Integrate a fitted equation by equal steps, in code that can be traced (`runtime.tracing`).
+"""Integrate a fitted equation by equal steps, in traceable code (`runtime.tracing`).
 
-A program cannot adapt its steps at no cost, and need not: with enough equal steps a sample it is as
-exact as the solver. How many are enough is found on the inputs of the training record.
+An exported program would need much code for adaptive steps. With enough equal steps per sample it
+is as exact as the solver. The inputs of the training record determine their number.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ from splitband.simulators.shooting import Adjusted
 from splitband.simulators.user_code import count_arguments, failure
 
 PRECISE = 1e-11, 1e-13
-"""Tolerances of the solution that equal steps are compared with. Rounding."""
+"""Tolerances of the reference solution. Rounding."""
 TARGET = 1e-9
-"""Difference from it that is aimed at, as a share of a channel's range. A convention."""
+"""Largest difference from the reference, as a share of a channel's range. A convention."""
 MOST_STEPS = 64
-"""Most steps a sample. Bounds the time of a program."""
+"""Largest number of steps per sample. Bounds the time of a program."""
 MAX_NOISE_SHARE = 1e-3
-"""Where these are not enough for the target: largest difference, as a share of the model's error in
-training. By eye."""
+"""Largest difference with `MOST_STEPS`, as a share of the model's error in training. By eye."""
 _INSTEAD = (
     "; a hybrid on it can take its output as y_sim instead: save it, and export what "
     "sb.load(folder) returns without the simulator"
@@ -38,7 +37,7 @@ _INSTEAD = (
 
 @dataclass(frozen=True, eq=False)
 class FixedSteps:
-    """Integrate an equation by equal steps of the method of Dormand and Prince, of order 5.
+    """An integrator of an equation by equal steps of Dormand and Prince's method of order 5.
 
     Attributes
     ----------
@@ -59,8 +58,8 @@ class FixedSteps:
         Parameters
         ----------
         x : State at the sample before, `(nx,)`.
-        time : Time of that sample in s.
-        before, u : Inputs of that sample and of this one, `(nu,)` each.
+        time : Time of the sample before in s.
+        before, u : Inputs of the sample before and of the new one, `(nu,)`.
         """
 
         def step(x: Array, row: Any) -> tuple[Array, None]:
@@ -68,21 +67,21 @@ class FixedSteps:
 
         if self.count == 1:
             return step(x, [0.0])[0]
-        found: Array = scan(step, x, [np.arange(self.count) / self.count])[0]
-        return found
+        state: Array = scan(step, x, [np.arange(self.count) / self.count])[0]
+        return state
 
     def observed(self, x: Array, u: Array) -> Array:
         """Return the channels of a state, `(ny,)`."""
         observe: Any = self.ode.observe
-        given = x[None], u[None], self.ode.p(self.values)
+        arguments = x[None], u[None], self.ode.p(self.values)
         with _traceable():
-            found = observe(*given[: count_arguments(observe) or 1])
-            rows: Array = found if hasattr(found, "ndim") else np.stack([*found])
+            channels = observe(*arguments[: count_arguments(observe) or 1])
+            rows: Array = channels if hasattr(channels, "ndim") else np.stack([*channels])
         return rows[0] if rows.ndim > 1 else rows
 
     def _step(self, x: Array, begin: Any, time: Any, before: Array, u: Array) -> Array:
-        """Return the state after a step, which begins at a share of the interval."""
-        from splitband.kernels.ode import NODES, WEIGHTS  # noqa: PLC0415  which loads numba
+        """Return the state after a step from `begin` on, a share of the interval."""
+        from splitband.kernels.ode import NODES, WEIGHTS  # noqa: PLC0415  numba is slow to load
 
         size = self.width / self.count
         slopes: list[Array] = []
@@ -98,10 +97,10 @@ class FixedSteps:
     def _slope(self, time: Any, x: Array, u: Array) -> Array:
         """Return the right-hand side, `(nx,)`."""
         rhs, states = self.ode.rhs, self.ode.states
-        given = time, x, u, self.ode.p(self.values)
+        arguments = time, x, u, self.ode.p(self.values)
         with _traceable():
-            found = rhs(*given[: count_arguments(rhs) or 2])
-            slope: Array = np.stack([found[i] for i in range(len(found))])
+            slopes = rhs(*arguments[: count_arguments(rhs) or 2])
+            slope: Array = np.stack([slopes[i] for i in range(len(slopes))])
         if slope.shape != (states,):
             raise InputError(
                 f"the equation must return {states} number(s) to be exported, got the shape "
@@ -113,46 +112,46 @@ class FixedSteps:
 def enough_steps(
     adjusted: Adjusted, time: Array, u: Array | None, window: int, spread: Array
 ) -> int:
-    """Return the fewest steps a sample that are as good as a precise solution.
+    """Return the fewest steps per sample with the accuracy of a precise solution.
 
     Parameters
     ----------
     adjusted : A fitted `Ode` with the method RK45.
     time, u : Times of the training record in s, `(time,)`, and its inputs, `(time, nu)`.
-    window : Samples after which the comparison goes on from the precise state; 0 for none.
-    spread : Range of each channel, `(ny,)`.
+    window : Samples after which the comparison restarts from the precise state; 0 for none.
+    spread : Ranges of the channels, `(ny,)`.
 
     Raises
     ------
     ValueError
-        Where `MOST_STEPS` are not enough: the equation needs an adaptive solver.
+        If `MOST_STEPS` are not enough: the equation needs an adaptive solver.
 
     Warns
     -----
     UserWarning
-        Where the tolerances of the equation are so coarse that the model itself differs from it.
+        If the model itself, with coarse tolerances, differs from the precise solution.
     """
     ode: Ode = adjusted.simulator
     y, x = replace(adjusted, simulator=replace(ode, tolerances=PRECISE)).response(time, u)
     length, count = window or len(time) - 1, 1
 
-    def differs(solved: Callable[..., Any], more: float) -> Array:
+    def differs(solved: Callable[..., Any], option: float) -> Array:
         """Return the largest difference of another solution, `(ny,)`."""
         most = np.zeros(y.shape[1])
         for begin in range(0, len(time) - 1, length):
             part = slice(begin, begin + length + 1)
             inputs = None if u is None else u[part]
-            found = solved(adjusted.values, x[begin], time[part], inputs, more)[0]
-            apart = np.nan_to_num(np.abs(found - y[part]), nan=np.inf)
+            other = solved(adjusted.values, x[begin], time[part], inputs, option)[0]
+            apart = np.nan_to_num(np.abs(other - y[part]), nan=np.inf)
             most = np.maximum(most, apart.max(axis=0))
         return most
 
     enough = MAX_NOISE_SHARE * adjusted.noise
-    if ((own := differs(ode.advance, 0.0)) > enough).any():
+    if ((coarse := differs(ode.advance, 0.0)) > enough).any():
         warnings.warn(
             f"the tolerances of the equation, {ode.tolerances}, are too coarse for the program to "
             "agree with the model: it solves the equation precisely, which differs by up to "
-            f"{np.max(own / adjusted.noise):.1g} of the model's error; fit it with smaller ones",
+            f"{np.max(coarse / adjusted.noise):.1g} of the model's error; fit it with smaller ones",
             stacklevel=2,
         )
     while ((left := differs(ode.stepped, count)) > TARGET * spread).any():
@@ -169,7 +168,7 @@ def enough_steps(
 
 
 def _moved(x: Array, size: Any, weights: Array, slopes: list[Array]) -> Array:
-    """Return a state, moved by weighted slopes for a step of this size."""
+    """Return a state plus weighted slopes, for a step of this size."""
     for weight, slope in zip(weights, slopes, strict=False):
         if weight:
             x = x + size * weight * slope
@@ -178,7 +177,7 @@ def _moved(x: Array, size: Any, weights: Array, slopes: list[Array]) -> Array:
 
 @contextmanager
 def _traceable() -> Iterator[None]:
-    """Turn errors of a user's equation into a ValueError that says how to write it."""
+    """Turn errors of a user's equation into a ValueError with advice."""
     try:
         with np.errstate(all="ignore"):
             yield

@@ -1,9 +1,9 @@
-"""Run a functional mock-up unit as a simulator, and find out how its outputs are read.
+"""Run a functional mock-up unit as a simulator, and detect when its outputs are valid.
 
 An output of a co-simulation FMU may depend on an input at once (direct feedthrough). Many FMUs
 compute it when it is read after the input was set; others compute outputs only in a step, or refuse
-to be read before it (FMI 2.0.4, Sec. 4.2.3). The model description tells which outputs depend on no
-input; for the others a short run, in which the inputs are changed, decides.
+reading before a step (FMI 2.0.4, Sec. 4.2.3). The model description names outputs without such a
+dependence; for the others a short run with changed inputs decides.
 """
 
 from __future__ import annotations
@@ -33,52 +33,51 @@ from splitband.simulators.fmu_unit import EXCHANGE, REAL, Unit, listed
 from splitband.simulators.parameters import Adjustable, Given, Point, Response
 
 SAMPLES = 8
-"""Samples before the inputs are changed, so that states are not at 0. By eye."""
+"""Samples before the change of inputs, when states have left 0. Bounds the time."""
 SHORT = 1e-4
-"""A short step, as a share of the communication step. By eye."""
-DEPENDS, MOST_CHECKED = 0.01, 1000
-"""Change of an output by half the communication step, as a share of its range, above which it is
-said to depend on that, and the samples over which it is found out. A convention; bounds the time.
-"""
-AT_ONCE = 0.01
-"""An output whose speed of change jumps in a short step, by this share of what it then changes in a
-whole one, depends on the input at once. By eye."""
+"""A short step, as a share of the communication step, and the finite-difference step of parameters:
+the root of a solver's tolerance (Press et al., Numerical Recipes, 2007, Sec. 5.7). Rounding."""
+DEPENDS = 0.01
+"""Least effect that counts as a dependence: of half the communication step, as a share of an
+output's range; of an input at once, as a share of an output's change in a step. A convention."""
+MOST_CHECKED = 1000
+"""Largest number of samples in the check of the communication step. Bounds the time."""
 BY_LENGTH = 0.1
-"""An output that changes in a short step by more than this share of what it changes in a whole one
-does not depend on the length of steps. By eye."""
+"""Largest change of an output in a short step, as a share of its change in a whole one, if the
+length of steps has an effect. By eye."""
 SAME, ROUNDING = 1e-6, 1e-12
-"""Relative difference within which values that were computed in two ways, and in one, are equal."""
+"""Relative difference of equal values from different, and from equal computations. Rounding."""
 PROBED = 0.45
-"""Place in the ranges of parameters at which it is found out how outputs are read: not the middle,
-which often is a gain of 0, but near it, as elsewhere an FMU may end its process. By eye."""
+"""Position in the ranges of parameters of the test run: not the middle, often a gain of 0, but near
+it, as elsewhere an FMU may end its process. By eye."""
 
 
 class Fmu(Adjustable):
-    """Run a functional mock-up unit with FMPy (the extra `splitband[fmu]`).
+    """A functional mock-up unit, run with FMPy (the extra `splitband[fmu]`).
 
     The unpacked files are removed by `close`, at the end of a `with` block, when the object is
-    deleted, or when the process ends. An FMU that has both kinds is run by model exchange.
+    deleted, or when the process ends. An FMU of both kinds is run by model exchange.
 
     Parameters
     ----------
     path : Path of the .fmu file.
-    outputs : Variables that correspond to the record's channels; by default those of their names.
-        A record of one channel matches an FMU of one output.
+    outputs : Variables of the record's channels; by default the variables of equal names. A record
+        of one channel matches an FMU of one output.
     parameters : Start values of parameters and variables by name: a number, or a range
-        `(low, high)` in which it is fitted. They are the same for all records.
-    inputs : Variables that take the record's inputs, in their order, "" for one that the FMU does
-        not take; by default those of their names. A record of one input matches an FMU of one
-        input. The others keep their start values, with an empty list all of them.
+        `(low, high)` to fit, common to all records.
+    inputs : Variables of the record's inputs, in their order, "" for an input unknown to the FMU;
+        by default the variables of equal names. A record of one input matches an FMU of one input.
+        Other variables keep their start values, with an empty list all of them.
     start : Time of a record's first sample in s, or "record" for its time stamp.
-    hold : How inputs run between samples in model exchange: "zoh" holds them until the next
-        sample, as co-simulation does, "linear" interpolates them.
-    step : Communication step of co-simulation in s, of which the sampling time is a multiple. By
-        default the one that the FMU declares, or the next shorter one that divides the sampling
-        time, or that if it declares none. A warning says where half of it changes the outputs by
-        more than one per cent of their range, over the first 1,000 samples.
+    hold : Course of inputs between samples in model exchange: "zoh" holds inputs until the next
+        sample, as co-simulation does, "linear" interpolates.
+    step : Communication step of co-simulation in s, a divisor of the sampling time. By default the
+        step declared by the FMU, or the next shorter divisor, or the sampling time. A warning is
+        given if half the step changes the outputs by more than one per cent of their range, over
+        the first 1,000 samples.
     """
 
-    difference = 1e-4
+    difference = SHORT
     _fitted = False
 
     def __init__(  # noqa: PLR0913
@@ -110,7 +109,7 @@ class Fmu(Adjustable):
             raise
 
     def _check_parameters(self) -> None:
-        """Raise ValueError for what cannot be set, and what integer parameters cannot have."""
+        """Raise ValueError for constant variables, and for invalid values of integer ones."""
         for name in self.known.given:
             kind = self._unit.by_name[name].type
             if name not in (able := self._unit.settable()):
@@ -127,13 +126,13 @@ class Fmu(Adjustable):
 
     @property
     def driven(self) -> bool:  # type: ignore[override]
-        """Return whether it takes a record's inputs."""
+        """Return whether the FMU takes a record's inputs."""
         return any(self._unit.variables.inputs if self.inputs is None else self.inputs)
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Fmu:
         """Return the FMU with the variables of these channels and inputs of a record.
 
-        Raises ValueError, with the names of both, where they cannot be told.
+        Raises ValueError, with the names of both, for an ambiguous or missing match.
         """
         variables = self._unit.variables
         return self._with(
@@ -145,16 +144,16 @@ class Fmu(Adjustable):
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.
 
-        A parameter with a range takes the middle of it.
+        A parameter with a range takes the middle.
         """
         return self._run(time, u, self.known.middle())
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """Return the responses, without states, see `Adjustable`.
 
-        Among several runs a failed one gives NaN; a single run that fails raises ValueError.
+        Among several runs a failed one gives NaN; a failed single run raises ValueError.
         """
-        found = []
+        responses = []
         for values, _ in points:
             try:
                 y = np.asarray(self._run(time, u, values), dtype=float)
@@ -162,8 +161,8 @@ class Fmu(Adjustable):
                 if len(points) == 1:
                     raise InputError(f"the FMU {self.path} failed: {error}") from error
                 y = np.full((len(time), len(self.outputs)), np.nan)
-            found.append((y, np.empty((len(time), 0))))
-        return found
+            responses.append((y, np.empty((len(time), 0))))
+        return responses
 
     def _run(self, time: Array, u: Array | None, values: Mapping[str, float]) -> Array:
         unit = self._unit
@@ -174,12 +173,12 @@ class Fmu(Adjustable):
                 f"inputs must be {count or 'the'} variables of {self.path} that take the inputs "
                 f"of the record, which has {count or 'none'}; got {', '.join(names)}"
             )
-        given = np.empty((len(time), 0))
+        columns = np.empty((len(time), 0))
         if names and u is not None:
-            given = np.asarray(u, float)[:, [*map(bool, names)]]
+            columns = np.asarray(u, float)[:, [*map(bool, names)]]
         names = [name for name in names if name]
-        check_inputs(unit, names, given)
-        task = FmuRun(np.asarray(time, float), given, values, self.outputs, names, self.hold)
+        check_inputs(unit, names, columns)
+        task = FmuRun(np.asarray(time, float), columns, values, self.outputs, names, self.hold)
         if unit.kind == EXCHANGE:
             with unit.instance() as instance:
                 return Exchange(unit, instance, task).run()
@@ -189,37 +188,37 @@ class Fmu(Adjustable):
         try:
             return self._stepped(task)
         except UnreadableError:
-            found = self._stepped(replace(task, before=True))
+            outputs = self._stepped(replace(task, before=True))
             unit.reads_before = True
-            return found
+            return outputs
 
     def _stepped(self, task: FmuRun) -> Array:
-        """Return the outputs of a co-simulation, read as they are with all values in the ranges."""
-        known, probed = self.known, task
-        if known.free:
-            values = {name: known.value_at(name, PROBED) for name in known.given}
+        """Return the outputs of a co-simulation, read the same way for all values in the ranges."""
+        parameters, probed = self.known, task
+        if parameters.free:
+            values = {name: parameters.value_at(name, PROBED) for name in parameters.given}
             probed = replace(task, values=values)
         late = late_outputs(self._unit, probed)
         with self._unit.instance() as instance:
-            found = CoSimulation(self._unit, instance, task).run(late)
-        self._check_step(task, late, found)
-        return found
+            outputs = CoSimulation(self._unit, instance, task).run(late)
+        self._check_step(task, late, outputs)
+        return outputs
 
-    def _check_step(self, task: FmuRun, late: NDArray[np.bool_], found: Array) -> None:
-        """Warn where the outputs depend on the communication step; of a fit, at its values."""
+    def _check_step(self, task: FmuRun, late: NDArray[np.bool_], outputs: Array) -> None:
+        """Warn if the outputs depend on the communication step; in a fit, at the fitted values."""
         unit, step = self._unit, round(task.length, 12)
-        other = unit.any_step or unit.own_step is None  # half of it may be asked for
+        other = unit.any_step or unit.own_step is None  # half the step is possible
         if step in unit.checked or not other or (self.known.free and not self._fitted):
             return
         unit.checked[step] = ""
-        time, u, found = task.time[:MOST_CHECKED], task.u[:MOST_CHECKED], found[:MOST_CHECKED]
+        time, u, outputs = task.time[:MOST_CHECKED], task.u[:MOST_CHECKED], outputs[:MOST_CHECKED]
         finer = replace(task, time=time, u=u, substeps=2 * task.substeps)
         try:
             with unit.instance() as instance:
                 y = CoSimulation(unit, instance, finer).run(late)
-        except Exception:  # it makes no such steps
+        except Exception:  # half the step is impossible
             return
-        apart, span = np.abs(y - found).max(axis=0), np.ptp(y, axis=0)
+        apart, span = np.abs(y - outputs).max(axis=0), np.ptp(y, axis=0)
         shares = np.divide(apart, span, out=np.zeros(len(span)), where=span > 0)
         if shares[worst := int(np.argmax(shares))] > DEPENDS:
             unit.checked[step] = (
@@ -232,35 +231,35 @@ class Fmu(Adjustable):
 
     @property
     def remarks(self) -> list[str]:  # type: ignore[override]
-        """Return a sentence on its communication step, if the outputs depend on it."""
+        """Return a sentence on the communication step, if the outputs depend on it."""
         return [*filter(None, self._unit.checked.values())]
 
     def precise(self) -> Self:
-        """Return a copy for the last steps of a fit, which checks its communication step."""
+        """Return a copy for the last steps of a fit, with a check of the communication step."""
         self._unit.checked.clear()
         return self._with(_fitted=True)
 
     def _with(self, **changes: Any) -> Self:
-        """Return a copy that shares the unpacked files."""
+        """Return a copy with the same unpacked files."""
         made = type(self).__new__(type(self))
         vars(made).update(vars(self) | changes)
         vars(made).pop("known", None)
         return made
 
     def otherwise(self) -> Any:
-        """Return a copy with the other course of inputs; None but for model exchange with some."""
+        """Return a copy with the other `hold`, for model exchange with inputs; else None."""
         exchange = self.driven and self._unit.kind == EXCHANGE
         return self._with(hold="linear" if self.hold == "zoh" else "zoh") if exchange else None
 
     def facts(self, fitted: bool) -> tuple[str, str, str | None]:
-        """Return its class, its file, and what a saved model knows it by."""
+        """Return class, file and fingerprint for a saved model."""
         step = "" if self.step is None else f" {self.step}"
         used = f"{self.outputs} {self.inputs} {self.start} {self.hold}{step}"
-        said = fingerprint(self.path, used if fitted else f"{used} {self.known}".strip())
-        return type(self).__name__, self.path.name, said
+        identity = fingerprint(self.path, used if fitted else f"{used} {self.known}".strip())
+        return type(self).__name__, self.path.name, identity
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the constructor's arguments, with which another process opens it."""
+        """Return the constructor's arguments, for other processes."""
         outputs, rest = self.outputs if self._named else None, (self.start, self.hold, self.step)
         return type(self), (self.path, outputs, self.parameters, self.inputs, *rest)
 
@@ -275,30 +274,30 @@ class Fmu(Adjustable):
         self.close()
 
 
-def substeps(unit: Unit, sampling_time: float, given: float | None) -> int:
-    """Return how many communication steps lead from one sample to the next.
+def substeps(unit: Unit, sampling_time: float, chosen: float | None) -> int:
+    """Return the number of communication steps from one sample to the next.
 
-    Raises ValueError for a given one that does not divide the sampling time, with the next ones
-    that do. Warns where that holds for the one that the FMU declares.
+    Raises ValueError for a `chosen` step that does not divide the sampling time, with the nearest
+    divisors. Warns of such a step declared by the FMU.
     """
-    own = unit.own_step if given is None else given
-    if own is None:
+    step = unit.own_step if chosen is None else chosen
+    if step is None:
         return 1
-    count = max(math.ceil(sampling_time / own * (1 - SAME)), 1) if own > 0 else 1
+    count = max(math.ceil(sampling_time / step * (1 - SAME)), 1) if step > 0 else 1
     used, longer = (sampling_time / n for n in (count, max(count - 1, 1)))
-    if abs(used / own - 1 if own > 0 else 1.0) <= SAME:
+    if abs(used / step - 1 if step > 0 else 1.0) <= SAME:
         return count
-    if given is not None:
-        near = " or ".join(f"{each:.9g}" for each in dict.fromkeys((used, longer)))
+    if chosen is not None:
+        near = " or ".join(f"{divisor:.9g}" for divisor in dict.fromkeys((used, longer)))
         raise InputError(
             f"step (--simulator-step) must divide the sampling time, {sampling_time:g} s: got "
-            f"{given:g}; the nearest are {near}"
+            f"{chosen:g}; the nearest are {near}"
         )
-    if own < sampling_time or not unit.any_step:
+    if step < sampling_time or not unit.any_step:
         warnings.warn(
-            f"{unit.path} declares a communication step of {own:g} s, and is run with "
+            f"{unit.path} declares a communication step of {step:g} s, and is run with "
             f"{used:.6g} s, which divides the sampling time, {sampling_time:g} s; if it keeps to "
-            f"its own step, resample the record to a multiple of {own:g} s",
+            f"its own step, resample the record to a multiple of {step:g} s",
             stacklevel=2,
         )
     return count
@@ -308,18 +307,18 @@ def substeps(unit: Unit, sampling_time: float, given: float | None) -> int:
 
 
 def late_outputs(unit: Unit, task: FmuRun) -> NDArray[np.bool_]:
-    """Return which outputs show a sample's inputs only after the step from it, `(outputs,)`.
+    """Return a mask of the outputs that follow a sample's inputs only after a step, `(outputs,)`.
 
-    Those are not that change when an input is set, or that are declared not to depend on any.
-    Raises ValueError for an output that cannot be read at its sample, or where that cannot be told.
+    Outputs that change when an input is set, or with a declaration of no dependence, are not among
+    them. Raises ValueError for an output that is not readable at its sample, or not certainly so.
     """
     late, depends = np.zeros(len(task.outputs), dtype=bool), _declared(unit, task)
     last = min(SAMPLES, len(task.time)) - 1
     usual = task.u[last]
     rows = _changes(unit, task, usual)
-    if not rows or all(each is False for each in depends):
+    if not rows or all(declared is False for declared in depends):
         return late
-    asked = np.array([each is not False for each in depends])
+    asked = np.array([declared is not False for declared in depends])
     whole, short = np.empty((0, 3, len(late))), np.empty((0, 4, len(late)))
     try:
         with unit.instance() as instance:
@@ -349,9 +348,9 @@ def late_outputs(unit: Unit, task: FmuRun) -> NDArray[np.bool_]:
         unit.short_steps = False
     for i in np.flatnonzero(asked).tolist():
         name = f"{task.outputs[i]} of {unit.path}"
-        found = _comes_late(whole[..., i], short[..., i], name, depends[i])
-        late[i] = bool(found)
-        if found is None and name not in unit.doubted:
+        comes_late = _comes_late(whole[..., i], short[..., i], name, depends[i])
+        late[i] = bool(comes_late)
+        if comes_late is None and name not in unit.doubted:
             unit.doubted.add(name)
             warnings.warn(
                 f"{name} is taken not to depend on the inputs at once, which its description does "
@@ -362,13 +361,13 @@ def late_outputs(unit: Unit, task: FmuRun) -> NDArray[np.bool_]:
 
 
 def _comes_late(whole: Array, short: Array, name: str, depends: bool | None) -> bool | None:
-    """Return whether an output shows its sample's inputs only after a step; None if unknown.
+    """Return whether an output follows its sample's inputs only after a step; None if unknown.
 
-    `whole`: its values after steps with the usual inputs, with others, and with the usual ones,
-    `(changes, 3)`; `short`: those after three short steps, the last two of them with the others,
-    and after a whole one, `(changes, 4)`, if the FMU makes these; `depends`: whether it is declared
-    to depend on an input. What jumps in a short step depends on the inputs at once; if the next
-    step forgets it, there is no state.
+    `whole`: values after steps with the usual inputs, with others, and with the usual ones,
+    `(changes, 3)`; `short`: values after three short steps, the last two of them with the other
+    inputs, and after a whole step, `(changes, 4)`, if the FMU makes short steps; `depends`: whether
+    the FMU declares a dependence on an input. An output that jumps in a short step depends on the
+    inputs at once; if it returns in the next step, there is no state.
     """
     before, changed, after = whole.T
     if not (changed != before).any():
@@ -378,11 +377,11 @@ def _comes_late(whole: Array, short: Array, name: str, depends: bool | None) -> 
         moves = np.diff(short, axis=1)
         moves[np.abs(moves) <= ROUNDING * np.abs(short).max()] = 0.0
         first, second, rest = moves.T
-        # One that makes steps of its own does nothing in a step that is shorter than these.
-        told = ((first != 0) | (second != 0)) & (np.abs(second) <= BY_LENGTH * np.abs(rest))
-        jumps = np.abs(first - second) > AT_ONCE * np.abs(moves.sum(axis=1))
-        if told.any():
-            depends = bool((told & jumps).any())
+        # An FMU with internal steps does nothing in a shorter step.
+        certain = ((first != 0) | (second != 0)) & (np.abs(second) <= BY_LENGTH * np.abs(rest))
+        jumps = np.abs(first - second) > DEPENDS * np.abs(moves.sum(axis=1))
+        if certain.any():
+            depends = bool((certain & jumps).any())
     if depends and not forgets:
         raise InputError(
             f"{name} cannot be read at its sample: it depends on the inputs at once, and is "
@@ -400,19 +399,19 @@ def _comes_late(whole: Array, short: Array, name: str, depends: bool | None) -> 
 
 
 def _declared(unit: Unit, task: FmuRun) -> list[bool | None]:
-    """Return for each output whether the FMU declares it to depend on an input; None: not said."""
-    said = {each.variable.name: each.dependencies for each in unit.description.outputs}
-    found: list[bool | None] = []
+    """Return by output whether the FMU declares a dependence on an input; None if undeclared."""
+    declared = {output.variable.name: output.dependencies for output in unit.description.outputs}
+    depends: list[bool | None] = []
     for name in task.outputs:
-        variables = said.get(name)
-        found.append(None if variables is None else any(v.name in task.inputs for v in variables))
-    return found
+        variables = declared.get(name)
+        depends.append(None if variables is None else any(v.name in task.inputs for v in variables))
+    return depends
 
 
 def _changes(unit: Unit, task: FmuRun, usual: Array) -> list[Array]:
-    """Return rows of inputs beside the usual one: in them an input is least or greatest.
+    """Return rows of inputs other than the usual one, with the extremes of an input.
 
-    Of an input that is constant in the record, one of another value.
+    For a constant input of the record, one row has another value.
     """
     rows = []
     for j, (name, column) in enumerate(zip(task.inputs, task.u.T, strict=True)):

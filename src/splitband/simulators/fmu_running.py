@@ -1,4 +1,4 @@
-"""Run an instance of an FMU over the samples of a record: what is read belongs to their inputs."""
+"""Run an instance of an FMU over the samples of a record, with outputs for the samples' inputs."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from splitband.simulators.base import Hold
 from splitband.simulators.fmu_unit import REAL, WHOLE, Unit
 
 RELATIVE_TOLERANCE = 1e-8
-"""Of the solver for model exchange, relative to the nominal values of the states. By eye."""
+"""Tolerance of the solver for model exchange, relative to the nominal values of the states: the
+square of the finite-difference step, `fmu.SHORT`. Rounding."""
 MOST_STEPS = 100_000
-"""Most steps of that solver between two samples. Bounds the time."""
+"""Largest number of solver steps between two samples. Bounds the time."""
 MOST_EVENTS = 10_000
-"""Most events between two samples, and most updates at one event. Bounds the time."""
+"""Largest number of events between two samples, and of updates at one event. Bounds the time."""
 NEAR = 1e-9
-"""Times this close, as a share of the sampling time, count as the same. Rounding."""
+"""Distance of equal times, as a share of the sampling time. Rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class FmuRun:
-    """Say what a run is given, and what it returns.
+    """The arguments of a run.
 
     `time`: evenly spaced, in s, two at least; `u`: inputs, `(time, inputs)`; `values`: start values
-    of variables; `outputs`, `inputs`: names of the variables to read, and of those that take `u`;
-    `hold`: how inputs run between samples in model exchange;
-    `substeps`: communication steps of co-simulation from one sample to the next; `before`: whether
-    it reads outputs before it sets the inputs of a sample, as the FMU refuses it after that.
+    of variables; `outputs`, `inputs`: names of the variables to read, and of the columns of `u`;
+    `hold`: course of inputs between samples in model exchange; `substeps`: communication steps of
+    co-simulation from one sample to the next; `before`: whether outputs are read before the inputs
+    of a sample are set, as the FMU refuses it afterwards.
     """
 
     time: Array
@@ -57,7 +58,7 @@ class FmuRun:
 
 
 class Access:
-    """Read and set variables of an instance, of several types at once."""
+    """Access to variables of an instance, of several types at once."""
 
     def __init__(self, unit: Unit, instance: Any, names: Sequence[str]) -> None:
         self.count = len(names)
@@ -74,21 +75,21 @@ class Access:
     def set(self, values: Array) -> None:
         """Set the variables to these values, `(count,)`."""
         for kind, (places, references) in self.groups.items():
-            given = [float(values[i]) for i in places]
+            numbers = [float(values[i]) for i in places]
             whole = kind not in REAL
             setter = getattr(self.instance, f"set{kind}")
-            setter(references, [*map(round, given)] if whole else given)
+            setter(references, [*map(round, numbers)] if whole else numbers)
 
     def get(self) -> Array:
         """Return the values, `(count,)`."""
-        found = np.empty(self.count)
+        values = np.empty(self.count)
         for kind, (places, references) in self.groups.items():
-            found[places] = [*getattr(self.instance, f"get{kind}")(references)]
-        return found
+            values[places] = [*getattr(self.instance, f"get{kind}")(references)]
+        return values
 
 
 def check_inputs(unit: Unit, names: Sequence[str], u: Array, what: str = "inputs") -> None:
-    """Raise ValueError for values that an integer or a Boolean variable cannot take."""
+    """Raise ValueError for invalid values of an integer or a Boolean variable."""
     for name, column in zip(names, u.T, strict=True):
         kind = unit.by_name[name].type
         whole = kind == "Boolean" or kind in WHOLE
@@ -127,7 +128,7 @@ def initialise(unit: Unit, instance: Any, task: FmuRun, inputs: Access, end: flo
 
 
 class _Inputs:
-    """Set the inputs of a run by model exchange; a solver calls `apply`."""
+    """The inputs of a run by model exchange; a solver calls `apply`."""
 
     def __init__(self, unit: Unit, instance: Any, task: FmuRun) -> None:
         variables = [] if task.hold == "zoh" else [unit.by_name[name] for name in task.inputs]
@@ -142,7 +143,7 @@ class _Inputs:
         self.jumps = np.delete(self.u, smooth, axis=1)
 
     def apply(self, time: float, **_: Any) -> None:
-        """Set the inputs that run along straight lines between samples."""
+        """Set the inputs with linear interpolation between samples."""
         if not self.smooth.count:
             return
         place = min(max((time - self.time[0]) / self.step, 0.0), len(self.lines) - 1.0)
@@ -151,7 +152,7 @@ class _Inputs:
 
 
 class Exchange:
-    """Integrate an FMU for model exchange by CVODE (Hindmarsh et al., ACM TOMS 31, 2005)."""
+    """An FMU for model exchange, integrated by CVODE (Hindmarsh et al., ACM TOMS 31, 2005)."""
 
     def __init__(self, unit: Unit, instance: Any, task: FmuRun) -> None:
         self.unit, self.instance, self.task = unit, instance, task
@@ -163,13 +164,13 @@ class Exchange:
         self.touched = self._touches()
 
     def run(self) -> Array:
-        """Return the outputs, `(time, outputs)`, of events at a sample those after them."""
+        """Return the outputs, `(time, outputs)`, at samples with events those after the events."""
         outputs = Access(self.unit, self.instance, self.task.outputs)
-        found = np.empty((len(self.task.time), outputs.count))
-        for n in range(len(found)):
+        samples = np.empty((len(self.task.time), outputs.count))
+        for n in range(len(samples)):
             self._integrate(n)
-            found[n] = outputs.get()
-        return found
+            samples[n] = outputs.get()
+        return samples
 
     def _integrate(self, n: int) -> None:
         """Go on to sample n, and set its inputs."""
@@ -180,7 +181,7 @@ class Exchange:
             if now >= end - near and self.event_time > end + near and not self.touched:
                 break
             event, stop, touched = False, min(end, self.event_time), self.touched
-            if touched:  # the solver does not see an indicator that leaves 0
+            if touched:  # the solver misses an indicator that leaves 0
                 _, _, now = self.solver.step(now, now + near)
                 event = True
             elif stop > now + near:
@@ -200,7 +201,7 @@ class Exchange:
             self._event(end, n)
 
     def _event(self, now: float, n: int | None = None) -> None:
-        """Handle an event, at which the inputs of sample n are set."""
+        """Handle an event, and set the inputs of sample n."""
         self.instance.enterEventMode()
         if n is not None:
             self.inputs.all.set(self.inputs.u[n])
@@ -209,7 +210,7 @@ class Exchange:
         self.touched = self._touches()
 
     def _touches(self) -> bool:
-        """Return whether an event indicator is 0: its event may be due just after."""
+        """Return whether an event indicator is 0: an event may follow at once."""
         z = np.ones(self.solver.nz)
         if self.solver.nz:
             self.instance.getEventIndicators(z.ctypes.data_as(POINTER(c_double)), len(z))
@@ -220,16 +221,16 @@ class Exchange:
         instance, second = self.instance, self.unit.version == 2
         update = instance.newDiscreteStates if second else instance.updateDiscreteStates
         for _ in range(MOST_EVENTS):
-            more, ended, _, _, defined, at = update()
+            again, ended, _, _, defined, at = update()
             if ended:
                 raise InputError(f"the FMU {self.unit.path} has ended its simulation")
-            if not more:
+            if not again:
                 break
         self.event_time = at if defined else np.inf
         instance.enterContinuousTimeMode()
 
     def _set_time(self, time: float) -> None:
-        """Set the time and its inputs, also where derivatives are evaluated: FMPy leaves them."""
+        """Set the time and the inputs, also for derivatives, for which FMPy does not set inputs."""
         self.instance.setTime(time)
         self.inputs.apply(time)
 
@@ -238,7 +239,7 @@ class Exchange:
 
         instance, description = self.instance, self.unit.description
         second, experiment = self.unit.version == 2, description.defaultExperiment
-        given = None if experiment is None else experiment.tolerance
+        tolerance = None if experiment is None else experiment.tolerance
         return CVodeSolver(
             nx=description.numberOfContinuousStates,
             nz=description.numberOfEventIndicators,
@@ -251,17 +252,17 @@ class Exchange:
             input=self.inputs,
             startTime=float(self.task.time[0]),
             maxStep=self.task.step,
-            relativeTolerance=min(RELATIVE_TOLERANCE, float(given or 1.0)),
+            relativeTolerance=min(RELATIVE_TOLERANCE, float(tolerance or 1.0)),
             maxNumSteps=MOST_STEPS,
         )
 
 
 class UnreadableError(Exception):
-    """Report that outputs cannot be read after inputs were set, without a step."""
+    """Outputs are not readable after inputs were set, without a step."""
 
 
 class CoSimulation:
-    """Step an FMU for co-simulation from sample to sample, and `spare` steps beyond the last."""
+    """An FMU for co-simulation, stepped from sample to sample, and `spare` steps further."""
 
     def __init__(self, unit: Unit, instance: Any, task: FmuRun, spare: int = 1) -> None:
         self.unit, self.instance, self.task = unit, instance, task
@@ -271,19 +272,19 @@ class CoSimulation:
         initialise(unit, instance, task, self.inputs, float(task.time[-1]) + spare * task.step)
 
     def run(self, late: NDArray[np.bool_]) -> Array:
-        """Return the outputs, `(time, outputs)`, the `late` ones as after the step from a sample.
+        """Return the outputs, `(time, outputs)`, the `late` ones after the step from a sample.
 
-        Raises UnreadableError where the others must be read before inputs are set.
+        Raises UnreadableError if the others are readable only before inputs are set.
         """
-        found = np.empty((len(self.task.time), self.outputs.count))
-        for n in range(len(found)):
-            found[n] = self.drive(n)
-            more = n + 1 < len(found)
-            self.go_on(int(more or late.any()))
+        samples = np.empty((len(self.task.time), self.outputs.count))
+        for n in range(len(samples)):
+            samples[n] = self.drive(n)
+            further = n + 1 < len(samples)
+            self.go_on(int(further or late.any()))
             if late.any():
-                found[n, late] = self.outputs.get()[late]
-            self.go_on(self.task.substeps - 1 if more else 0)
-        return found
+                samples[n, late] = self.outputs.get()[late]
+            self.go_on(self.task.substeps - 1 if further else 0)
+        return samples
 
     def drive(self, n: int) -> Array:
         """Set the inputs of a sample, and return the outputs, see `show`."""
@@ -291,11 +292,11 @@ class CoSimulation:
         return self.show(self.task.u[n])
 
     def show(self, u: Array) -> Array:
-        """Set inputs, and return the outputs then, or before it where the FMU refuses that."""
+        """Set inputs, and return the outputs afterwards, or before it for `FmuRun.before`."""
         if self.task.before:
-            found = self.outputs.get()
+            outputs = self.outputs.get()
             self.inputs.set(u)
-            return found
+            return outputs
         self.inputs.set(u)
         try:
             return self.outputs.get()
@@ -318,13 +319,13 @@ class CoSimulation:
         try:
             done = self.instance.doStep(self.now, length)
         except Exception as error:
-            own = self.unit.own_step
+            declared = self.unit.own_step
             raise InputError(
                 f"the FMU {self.unit.path} stopped at {self.now:g} s, in a step of {length:g} s: "
                 f"{error}; it declares "
-                + ("no step" if own is None else f"a step of {own:g} s")
+                + ("no step" if declared is None else f"a step of {declared:g} s")
                 + ", and step (--simulator-step) sets the step"
             ) from error
-        if done is not None and (done[1] or done[2]):  # FMI 3 tells it ended or returned early
+        if done is not None and (done[1] or done[2]):  # of FMI 3: ended, or returned early
             raise InputError(f"the FMU {self.unit.path} stopped at {done[3]:g} s")
         self.now += length

@@ -1,4 +1,4 @@
-"""Unpack a functional mock-up unit, lend its instances, and match its variables to a record's."""
+"""Unpack a functional mock-up unit, lend instances, and match variables to a record's columns."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from splitband.data.signals import bare_name
 from splitband.runtime.errors import InputError, missing
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"
-"""Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs can be read at once."""
+"""Kinds of FMUs by FMPy's names. Model exchange is preferred: its outputs are always readable."""
 WHOLE = (
     *("Integer", "Enumeration", "Int8", "UInt8", "Int16", "UInt16"),
     *("Int32", "UInt32", "Int64", "UInt64"),
 )
-"""Types whose values are whole numbers."""
+"""Types of whole numbers."""
 REAL = "Real", "Float32", "Float64"
 NUMERIC = *REAL, "Boolean", *WHOLE
-"""Types of variables that can be a channel or an input."""
+"""Types of channels and inputs."""
 SIGNALS = "Signals"
-"""Name of the element that lists signals of our own exported FMUs: their labels, which are the
-names of the record's columns, and whether an input need not be driven."""
+"""Name of the element with the signals of our own exported FMUs: labels, which are the names of the
+record's columns, and optional inputs."""
 _MOST = 12
-"""Most names in a message. Layout."""
+"""Largest number of names in a message. Layout."""
 _OLDEST = "0.3.29"
-"""Of FMPy. With 0.3.26 outputs that a co-simulation computes in its step are a step late."""
+"""Oldest FMPy. In 0.3.26 outputs computed in a step of co-simulation are a step late."""
 
 
 class Variables:
-    """Know the names of an FMU's variables; `description` by FMPy.
+    """The names of an FMU's variables; `description` by FMPy.
 
     `outputs` and `inputs` of an FMU are numbers; `inputs` must be driven, while the `optional` ones
-    of an FMU of this package, which take measured samples, may keep their start values. `labels`
-    has the column of the record that a variable stands for, or else the variable's own name.
+    of an FMU of this package, for measured samples, may keep their start values. `labels` maps a
+    variable to its column of the record, or to its own name.
     """
 
     def __init__(self, path: Path, description: Any) -> None:
@@ -51,7 +51,7 @@ class Variables:
         usable = [v for v in every if v.type in NUMERIC and not (v.shape or v.dimensions)]
         inputs = [v.name for v in usable if v.causality == "input"]
         self.outputs = [v.name for v in usable if v.causality == "output"]
-        # A channel may be called as a parameter is, which is no signal.
+        # Parameters are no signals, even with the name of a channel.
         signals_too = [v for v in usable if "arameter" not in v.causality]
         self.others = [v.name for v in signals_too if v.name not in {*self.outputs, *inputs}]
         self.optional = [name for name in inputs if name in optional]
@@ -62,12 +62,11 @@ class Variables:
         ]
 
     def check(self, outputs: Iterable[str] | None, inputs: Iterable[str] | None) -> None:
-        """Raise ValueError for names that are no variables, or that cannot be driven."""
+        """Raise ValueError for unknown variables, and for inputs that cannot be driven."""
         inputs = [name for name in inputs or () if name]
         for name in (*(outputs or ()), *inputs):
             if name not in self.names:
-                known = listed(self.names)
-                raise InputError(f"{self.file} has no variable {name}; it has {known}")
+                raise InputError(f"{self.file} has no variable {name}; it has {listed(self.names)}")
         for name in inputs:
             if name not in self.able:
                 raise InputError(
@@ -75,62 +74,64 @@ class Variables:
                     f"{listed([*self.inputs, *self.optional])}"
                 )
 
-    def outputs_for(self, columns: Sequence[str], given: Sequence[str] | None) -> list[str]:
-        """Return the variable of each channel: the given ones, or those of its name or label.
+    def outputs_for(self, columns: Sequence[str], chosen: Sequence[str] | None) -> list[str]:
+        """Return the variables of the channels: the chosen ones, or those of their names or labels.
 
-        Raises ValueError, with both lists, where they cannot be told.
+        Raises ValueError, with both lists, for an ambiguous or missing match.
         """
-        if given is not None and len(given) == len(columns):
-            return [*given]
-        known = [*self.outputs, *self.others]
-        found = [""] if given is not None else _by_name(columns, known, self.labels)
-        if not all(found) and given is None and len(columns) == len(self.outputs) == 1:
+        if chosen is not None and len(chosen) == len(columns):
+            return [*chosen]
+        names = [*self.outputs, *self.others]
+        matches = [""] if chosen is not None else _by_name(columns, names, self.labels)
+        if not all(matches) and chosen is None and len(columns) == len(self.outputs) == 1:
             return [*self.outputs]
-        if not all(found):
+        if not all(matches):
             raise InputError(
                 f"outputs (--simulator-columns) must name the variable of {self.file} for each of "
                 f"the record's channels, {listed(columns)}, in their order: "
-                + (f"got {listed(given)}" if given else f"it has {listed(self.outputs)}")
+                + (f"got {listed(chosen)}" if chosen else f"it has {listed(self.outputs)}")
             )
-        return found
+        return matches
 
-    def inputs_for(self, inputs: Sequence[str], given: Sequence[str] | None) -> list[str]:
-        """Return the variable of each input: the given ones, or those of its name or label.
+    def inputs_for(self, inputs: Sequence[str], chosen: Sequence[str] | None) -> list[str]:
+        """Return the variables of the inputs: the chosen ones, or those of their names or labels.
 
-        An input that the FMU does not take has "". Raises ValueError, with both lists, where they
-        cannot be told, or where an input of the FMU would not be driven.
+        An input unknown to the FMU has "". Raises ValueError, with both lists, for an ambiguous or
+        missing match, or for an input of the FMU that would not be driven.
         """
-        if given is not None and len(given) in (0, len(inputs)):
-            return [*given]
-        if given is None and self.arrays:
+        if chosen is not None and len(chosen) in (0, len(inputs)):
+            return [*chosen]
+        if chosen is None and self.arrays:
             raise InputError(
                 f"inputs (--simulator-inputs) must name the inputs of {self.file} that are driven: "
                 f"{listed(self.arrays)} is an array, which cannot be; it keeps its start values"
             )
-        if given is None:
-            found = _by_name(inputs, [*self.inputs, *self.optional], self.labels)
-            if {*self.inputs} <= {*found}:
-                return found if any(found) else []
+        if chosen is None:
+            matches = _by_name(inputs, [*self.inputs, *self.optional], self.labels)
+            if {*self.inputs} <= {*matches}:
+                return matches if any(matches) else []
             if len(inputs) == len(self.inputs) == 1:
                 return [*self.inputs]
         raise InputError(
             f"inputs (--simulator-inputs) must name the variable of {self.file} for each of the "
             f"record's inputs, {listed(inputs) or 'of which it has none'}, in their order: "
-            + (f"got {listed(given)}" if given else f"it has {listed(self.inputs)}")
+            + (f"got {listed(chosen)}" if chosen else f"it has {listed(self.inputs)}")
             + '; "" for one that it does not take; inputs that are not named keep their start '
             "values, and with an empty list all do"
         )
 
 
-def _by_name(wanted: Sequence[str], known: Sequence[str], labels: Mapping[str, str]) -> list[str]:
-    """Return the known names with these labels or names, if need be without units; else ""."""
-    # A label counts before a name of ours that is like it, such as `observe`.
-    by_label = {labels[name]: name for name in sorted(known, key=lambda n: labels[n] != n)}
-    for names in (by_label, dict(zip(known, known, strict=True))):
-        if {*wanted} <= {*names}:
-            return [names[name] for name in wanted]
-    found = [[k for k in known if bare_name(labels[k]) == bare_name(name)] for name in wanted]
-    alone = [each[0] if len(each) == 1 else "" for each in found]
+def _by_name(
+    columns: Sequence[str], variables: Sequence[str], labels: Mapping[str, str]
+) -> list[str]:
+    """Return the variables with these labels or names, if need be without units; else ""."""
+    # A label precedes an equal name of ours, such as `observe`.
+    by_label = {labels[name]: name for name in sorted(variables, key=lambda n: labels[n] != n)}
+    for names in (by_label, dict(zip(variables, variables, strict=True))):
+        if {*columns} <= {*names}:
+            return [names[name] for name in columns]
+    matches = [[v for v in variables if bare_name(labels[v]) == bare_name(c)] for c in columns]
+    alone = [names[0] if len(names) == 1 else "" for names in matches]
     return [name if alone.count(name) == 1 else "" for name in alone]
 
 
@@ -140,26 +141,26 @@ def listed(names: Sequence[str]) -> str:
 
 
 def _signals(path: Path) -> dict[str, dict[str, str]]:
-    """Return what our own annotation in a model description says of signals, by their names."""
+    """Return the attributes of signals by name, from our own annotation in a model description."""
     with ZipFile(path) as archive:
         root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     listed = root.iterfind(f"VendorAnnotations/Tool[@name='splitband']/{SIGNALS}/Signal")
-    return {each.get("name", ""): dict(each.attrib) for each in listed}
+    return {signal.get("name", ""): dict(signal.attrib) for signal in listed}
 
 
 class Unit:
-    """Hold an unpacked FMU and an idle instance of it.
+    """An unpacked FMU and an idle instance.
 
     The archive is unpacked once; between runs an instance is reset, not loaded again. The unpacked
     files are removed by `close`, when the object is deleted, or when the process ends.
 
     Attributes
     ----------
-    checked : How its outputs depend on a communication step in s, empty if they hardly do.
-    doubted : Outputs of which it was said that a run cannot tell how they are read.
-    version : Of FMI, 2 or 3.
-    short_steps : Whether it makes steps of any length, as far as is known.
-    reads_before : Whether its outputs were found to be refused between inputs and a step.
+    checked : Remarks on the dependence on a communication step, by step in s; possibly empty.
+    doubted : Outputs with a warning about an unknown dependence.
+    version : Version of FMI, 2 or 3.
+    short_steps : Whether steps of any length are possible, as far as known.
+    reads_before : Whether outputs are unreadable between inputs and a step, as far as known.
     """
 
     def __init__(self, path: Path) -> None:
@@ -172,8 +173,8 @@ class Unit:
         self.reads_before = False
         self.folder = tempfile.mkdtemp(prefix="splitband-fmu-")
         self._idle: list[Any] = []  # the instance while it does not run
-        # Unlike `weakref.finalize` it also runs at the end of a worker process, and does not remove
-        # the files of a parent process.
+        # Unlike `weakref.finalize`, `Finalize` also runs at the end of a worker process, and does
+        # not remove the files of a parent process.
         self._end = Finalize(self, _free, (self._idle, self.folder), exitpriority=0)
         try:
             fmpy.extract(str(path), self.folder)
@@ -189,7 +190,7 @@ class Unit:
         self.short_steps = self.kind == COSIMULATION and self.any_step
 
     def settable(self) -> list[str]:
-        """Return the names of the variables whose start values can be set."""
+        """Return the names of the variables with settable start values."""
         from fmpy import simulation as by_fmpy  # noqa: PLC0415  the optional extra
 
         begin, later = by_fmpy.settable_in_instantiated, by_fmpy.settable_in_initialization_mode
@@ -198,29 +199,26 @@ class Unit:
 
     @property
     def own_step(self) -> float | None:
-        """Return the communication step in s that it declares, if it does."""
+        """Return the declared communication step in s; None without one."""
         experiment = self.description.defaultExperiment
-        own = self.description.coSimulation.fixedInternalStepSize
-        own = own or (experiment and experiment.stepSize)
-        return float(own) if own and float(own) > 0 else None
+        step = self.description.coSimulation.fixedInternalStepSize
+        step = step or (experiment and experiment.stepSize)
+        return float(step) if step and float(step) > 0 else None
 
     @property
     def any_step(self) -> bool:
-        """Return whether it declares to make communication steps of any length."""
+        """Return whether communication steps of any length are declared possible."""
         return bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
 
     @contextmanager
     def instance(self) -> Iterator[Any]:
-        """Lend an instance; it is used again only after success.
-
-        An instance that failed or still runs cannot be freed.
-        """
+        """Lend an instance, reused only after success; a failed or running one cannot be freed."""
         instance = self._idle.pop() if self._idle else self._instance()
         yield instance
         instance.terminate()
         try:
             instance.reset()
-        except Exception:  # it cannot be
+        except Exception:  # without support for a reset
             instance.freeInstance()
         else:
             self._idle.append(instance)
@@ -230,7 +228,7 @@ class Unit:
         self._end()
 
     def _first(self) -> Any:
-        """Return an instance; where that for model exchange fails, one for co-simulation."""
+        """Return an instance for model exchange or, if it fails, for co-simulation."""
         try:
             return self._instance()
         except Exception:
@@ -248,7 +246,7 @@ class Unit:
 
 
 def variables_of(path: Path) -> Variables:
-    """Return the variables of an FMU, without running its code."""
+    """Return the variables of an FMU; its code is not run."""
     _fmpy()
     try:
         return Variables(path, _description(str(path)))

@@ -27,18 +27,18 @@ from splitband.simulators.parameters import (
 from splitband.simulators.user_code import arguments, check_arguments, count_arguments
 
 PRECISE = 1e-6, 1e-8
-"""Largest relative and absolute tolerance for standard errors. With 1e-4 they came out up to 270
+"""Largest relative and absolute tolerance for standard errors: with 1e-4 errors were up to 270
 times too small."""
 
 
 class UserCode(Adjustable):
-    """Define the base of dataclasses that hold user code.
+    """The base of dataclasses with user code.
 
-    Functions from a user's file cannot be pickled: other processes recreate them by a function of
-    the parameters, which `opened_by` sets.
+    Functions from a user's file cannot be pickled: other processes recreate the simulator by a
+    function of the parameters, set by `opened_by`.
     """
 
-    survives = True  # but for compiled code that crashes
+    survives = True  # apart from crashes of compiled code
     _opened_by: Callable[[Given], Any] | None = None
     _set_apart: ClassVar[tuple[str, ...]] = ()
     """Prefixes of parameters that are no arguments of the functions."""
@@ -46,7 +46,7 @@ class UserCode(Adjustable):
     @property
     @abstractmethod
     def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
-        """Return the user's functions, or None, each with the names of its arguments."""
+        """Return pairs of a user's function, or None, and the names of its arguments."""
 
     @property
     def code(self) -> list[Any]:  # type: ignore[override]
@@ -55,13 +55,13 @@ class UserCode(Adjustable):
 
     @property
     def driven(self) -> bool:  # type: ignore[override]
-        """Return whether it takes a record's inputs."""
-        return any(count_arguments(each) > names.index("u") for each, names in self._functions)
+        """Return whether a function takes a record's inputs."""
+        return any(count_arguments(f) > names.index("u") for f, names in self._functions)
 
     @property
     def needs_inputs(self) -> bool:
-        """Return whether it takes inputs for no other reason than parameters after them."""
-        return any(count_arguments(each) == names.index("p") for each, names in self._functions)
+        """Return whether a function takes inputs, but no parameters after them."""
+        return any(count_arguments(f) == names.index("p") for f, names in self._functions)
 
     def _check(self) -> None:
         """Raise ValueError for a wrong start, arguments in another order, unused parameters."""
@@ -69,29 +69,29 @@ class UserCode(Adjustable):
         for function, names in self._functions:
             check_arguments(function, *names)
         unused = [name for name in self.known.given if not name.startswith(self._set_apart)]
-        taken = [count_arguments(each) > names.index("p") for each, names in self._functions]
+        taken = [count_arguments(f) > names.index("p") for f, names in self._functions]
         if unused and not any(taken):
             function, names = self._functions[0]
             name = getattr(function, "__name__", "") or type(function).__name__
-            given = [each.replace(annotation=each.empty) for each in arguments(function).values()]
+            bare = [p.replace(annotation=p.empty) for p in arguments(function).values()]
             raise InputError(
                 "parameters must be used by the function, or be left out: "
-                f"{name}{Signature(given)} must be {name}({', '.join(names)}), with "
+                f"{name}{Signature(bare)} must be {name}({', '.join(names)}), with "
                 f"p.{unused[0]} in it"
             )
 
     def _with(self, **changes: Any) -> Self:
-        """Return a copy with changed fields, which other processes recreate as before."""
+        """Return a copy with changed fields, recreated in other processes as before."""
         made = replace(self, **changes)  # type: ignore[type-var]
         return made.opened_by(self._opened_by)
 
     def opened_by(self, function: Callable[[Given], Self] | None) -> Self:
-        """Set the function of the parameters by which other processes recreate it; return it."""
+        """Set the function of the parameters for other processes; return the simulator."""
         vars(self)["_opened_by"] = function
         return self
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Return how other processes recreate it."""
+        """Return the reduction for other processes."""
         if self._opened_by is None:
             return super().__reduce_ex__(protocol)
         return self._opened_by, (dict(self.parameters or {}),)
@@ -99,16 +99,16 @@ class UserCode(Adjustable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Function(UserCode):
-    """Call a Python function of time, whose parameters may be fitted to a record.
+    """A Python function of time, possibly with parameters to fit to a record.
 
     Attributes
     ----------
     function : `function(time, u, p) -> (time,) or (time, ny)`, or without the last or the last two
         arguments: times in s `(time,)`, inputs `(time, nu)`, and parameters by name (`p.k`).
-    parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
-        this order. Those whose names begin with `x0_` are fitted for each record separately.
+    parameters : By name a number, or a range `(low, high)` to fit; p has them in this order.
+        Parameters with names in `x0_` are fitted by record.
     start : Time of a record's first sample in s, by default 0, or "record" for its time stamp. A
-        function of time alone needs it where the record's clock does not begin at 0.
+        function of time alone needs it if the record's clock does not begin at 0.
     """
 
     function: Callable[..., npt.ArrayLike]
@@ -126,17 +126,17 @@ class Function(UserCode):
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Simulate the measured channels at the times `time` in s, with the inputs `(time, nu)`.
 
-        A parameter with a range takes the middle of it.
+        A parameter with a range takes the middle.
         """
         return self._called(time, u, self.known.middle())
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
         """Return the responses, without states, see `Adjustable`."""
-        found = []
+        responses = []
         for values, _ in points:
             y = np.asarray(self._called(time, u, values), dtype=float)
-            found.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
-        return found
+            responses.append((y[:, None] if y.ndim == 1 else y, np.empty((len(time), 0))))
+        return responses
 
     def _called(self, time: Array, u: Array | None, values: Mapping[str, float]) -> npt.ArrayLike:
         u = np.empty((len(time), 0)) if u is None else u
@@ -146,22 +146,21 @@ class Function(UserCode):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ode(UserCode):
-    """Solve an ordinary differential equation, whose parameters may be fitted to a record.
+    """An ordinary differential equation, possibly with parameters to fit to a record.
 
     Attributes
     ----------
     rhs : `rhs(t, x, u, p) -> dx/dt`, or without the last or the last two arguments. x and u are
-        arrays of the states and the inputs at time t in s, p holds the parameters by name (`p.k`).
-        After many steps it is compiled with Numba, if possible.
+        arrays of the states and the inputs at time t in s, p has the parameters by name (`p.k`).
+        After many steps the equation is compiled with Numba, if possible.
     x0 : x at the record's first sample.
     observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
-        channels, `(time,)` or `(time, ny)`; by default the first states, as many as the record has
-        channels.
-    parameters : By name a number, or a range `(low, high)` in which it is fitted; p holds them in
-        this order. `x0_1`, `x0_2`, ... replace the elements of `x0`.
+        channels, `(time,)` or `(time, ny)`; by default the channels are the first states.
+    parameters : By name a number, or a range `(low, high)` to fit; p has them in this order.
+        `x0_1`, `x0_2`, ... replace the elements of `x0`.
     hold : "zoh" holds inputs until the next sample (zero-order hold), as a D/A converter does;
-        "linear" interpolates them.
-    method : "RK45", the method of Dormand and Prince, compiled where it can be; or another one of
+        "linear" interpolates.
+    method : "RK45", the method of Dormand and Prince, compiled if possible; or another one of
         `scipy.integrate.solve_ivp`, such as "Radau" and "BDF" for stiff equations.
     tolerances : Relative and absolute tolerance of a step.
     start : t at a record's first sample in s, or "record" for its time stamp.
@@ -189,7 +188,7 @@ class Ode(UserCode):
     start: Start = 0.0
 
     def __post_init__(self) -> None:
-        """Check the initial values, and that every one among the parameters names a state."""
+        """Check the initial values, and those among the parameters."""
         self._check()
         check_hold(self.hold)
         try:
@@ -215,11 +214,11 @@ class Ode(UserCode):
 
     @property
     def difference(self) -> float:  # type: ignore[override]
-        """Return the finite-difference step; it is smaller for RK45, which reuses its steps."""
+        """Return the finite-difference step, smaller for RK45, which reuses its steps."""
         return 1e-6 if self.method == "RK45" else 1e-4
 
     def unfinished(self, time: float) -> str:
-        """Return what is wrong where the states are NaN from `time` in s on."""
+        """Return the message for states that are NaN from `time` in s on."""
         return (
             f"the solver, {self.method}, stopped before t = {time:g} s, where it cannot reach the "
             f'tolerances {self.tolerances}: for a stiff equation there are method="Radau" and '
@@ -231,7 +230,7 @@ class Ode(UserCode):
         return [(self.rhs, ("t", "x", "u", "p")), (self.observe, ("x", "u", "p"))]
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
-        """Return the equation with as many of its first states observed as there are channels.
+        """Return the equation with the first states observed, one per channel.
 
         Raises ValueError for an equation of fewer states.
         """
@@ -248,23 +247,22 @@ class Ode(UserCode):
         return made.opened_by(again)
 
     def precise(self) -> Self:
-        """Return a copy with tolerances that also make its derivatives accurate.
+        """Return a copy with tolerances for accurate derivatives.
 
         With few steps, a solution within its tolerance may still depend on a parameter far more
-        strongly than the exact solution does, for example where a tank reaches its rim.
+        strongly than the exact solution does, for example when a tank reaches its rim.
         """
         return self._with(tolerances=tuple(map(min, self.tolerances, PRECISE)))
 
     def otherwise(self) -> Any:
-        """Return a copy that interpolates held inputs, or holds others; None without inputs."""
+        """Return a copy with the other `hold`; None without inputs."""
         other: Hold = "linear" if self.hold == "zoh" else "zoh"
         return self._with(hold=other) if self.driven else None
 
     def simulate(self, time: Array, u: Array | None = None) -> npt.ArrayLike:
         """Solve at the times `time` in s, with the inputs `(time, nu)`.
 
-        A parameter with a range takes the middle of it. Raises RuntimeError for an equation that
-        cannot be solved.
+        A parameter with a range takes the middle. Raises RuntimeError for an unsolvable equation.
         """
         (y, x), *_ = self.respond(time, u, [(self.known.middle(), None)])
         if not np.isfinite(x).all():
@@ -273,18 +271,18 @@ class Ode(UserCode):
         return y
 
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> list[Response]:
-        """Return the responses at several points; RK45 takes the steps of the first one for all.
+        """Return the responses at several points; RK45 repeats the steps of the first one.
 
         Parameters
         ----------
         time, u : `(time,)` in s, and the inputs `(time, nu)`.
-        points : Parameters and initial state; None is the state at the record's first sample.
+        points : Parameters and initial state; None for the state at the record's first sample.
         """
-        steps, found = np.empty(0), []
+        steps, responses = np.empty(0), []
         for values, state in points:
             y, x, steps, _ = self._response(values, state, time, u, (steps, 0.0))
-            found.append((y, x))
-        return found
+            responses.append((y, x))
+        return responses
 
     @property
     def advances(self) -> bool:  # type: ignore[override]
@@ -294,14 +292,14 @@ class Ode(UserCode):
     def advance(
         self, values: Mapping[str, float], state: Array, time: Array, u: Array | None, size: float
     ) -> tuple[Array, Array, float]:
-        """Return channels and states at `time`, and the `size` of the next call.
+        """Return channels and states at `time`, and `size` for the next call.
 
         Parameters
         ----------
         values : Values of the parameters.
         state : State at the first time, `(nx,)`.
         time, u : See `respond`.
-        size : Step size in s to go on with; 0 at the beginning.
+        size : First step size in s; 0 at the beginning.
         """
         y, x, _, size = self._response(values, state, time, u, (np.empty(0), size))
         return y, x, size
@@ -309,7 +307,7 @@ class Ode(UserCode):
     def stepped(
         self, values: Mapping[str, float], state: Any, time: Array, u: Array | None, count: int
     ) -> tuple[Array, Array]:
-        """Return channels and states by `count` equal steps from each time to the next.
+        """Return channels and states by `count` equal steps from one time to the next.
 
         Arguments as of `advance`; the method must be RK45.
         """
@@ -325,12 +323,12 @@ class Ode(UserCode):
         u: Array | None,
         steps: tuple[Array, float],
     ) -> tuple[Array, Array, Array, float]:
-        """Return channels, states, the solver's steps, and the size of its next one."""
+        """Return channels, states, the solver's steps, and the size of the next step."""
         time = np.ascontiguousarray(time, dtype=float)
         u = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         begin = np.array(self.initial(values) if state is None else state, dtype=float)
         if self.method == "RK45":
-            from splitband.kernels.ode import solver  # noqa: PLC0415  which loads numba
+            from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
 
             solve = solver(self.rhs, count_arguments(self.rhs) or 2)
             p = self.p(values)
@@ -368,7 +366,7 @@ class Ode(UserCode):
             inputs = u[n] if self.hold == "zoh" else u[n] + (place - n) * (u[n + 1] - u[n])
             return self.rhs(*(begin + t, x, inputs, p)[:count])
 
-        # Its steps are lost in the rounding of large times: it counts from 0.
+        # Time counts from 0: small steps would be lost in the rounding of large times.
         rtol, atol = self.tolerances
         how: Any = {"rtol": rtol, "atol": atol, "max_step": step if self.driven else np.inf}
         span, times = (0.0, time[-1] - begin), time - begin
@@ -385,9 +383,9 @@ class Ode(UserCode):
         return y[:, None] if y.ndim == 1 else y
 
 
-def _matched_again(opened: Callable[[Given], Ode], columns: list[str], given: Given) -> Ode:
-    """Return an equation of a user's file, opened in another process, with its states observed."""
-    return opened(given).matched(columns, ())
+def _matched_again(opened: Callable[[Given], Ode], columns: list[str], parameters: Given) -> Ode:
+    """Return an equation of a user's file, reopened in another process, see `Ode.matched`."""
+    return opened(parameters).matched(columns, ())
 
 
 def _first_states(count: int, x: Array) -> Array:

@@ -2,7 +2,7 @@
 
 `scipy.optimize.least_squares` starts from the middle of the ranges and from points of a Sobol
 sequence. Every other start begins with short windows, see `shooting`, which then grow: a short
-simulation determines parameters even where a long one loses its phase.
+simulation determines parameters even if a long one loses its phase.
 """
 
 from __future__ import annotations
@@ -39,41 +39,43 @@ from splitband.simulators.user_code import failure
 STARTS = 32
 """Default limit of starting points. Bounds the time."""
 ENOUGH = 4
-"""The search stops after so many starts with the same error. So many are tried in parallel, on any
-number of processes, so that the result does not depend on it. By eye."""
+"""Number of starts with equal errors at the end of the search, and of starts in a batch, for any
+number of processes, so that results do not depend on it. Bounds the time."""
 PATIENCE, _HARDLY_BETTER = 8, 0.02
-"""The search stops if the last `PATIENCE` starts lowered the error by less than this share.
-By eye."""
+"""Number of last starts, and their gain as a share of the error, at the end of the search. Bounds
+the time."""
 SAME_ERROR = 1e-3
-"""Relative difference within which errors count as the same. Rounding."""
-SHORTEST, _GROWTH, _WINDOWS = 16, 4, 32
-"""Samples of the shortest windows, the factor by which they grow from stage to stage, and how many
-the longest record has at most in the first one. By eye."""
+"""Relative difference of equal errors. Rounding."""
+SHORTEST = 16
+"""Samples of the shortest windows. By eye."""
+_GROWTH, _WINDOWS = 4, 32
+"""Growth of windows from stage to stage, and the largest number of windows of the longest record in
+the first stage. Bounds the time."""
 _PULL = 1e-6
-"""Residual of an unknown that moves from its start by its unit: those that the records do not tell
-stay where they are. Rounding."""
+"""Residual of an unknown at a unit's distance from its start: unobservable unknowns do not move.
+Rounding."""
 QUICK, SLOW = 2.0, 20.0
-"""Seconds. Starts that are quicker than the first number run in one process: further ones would
-first have to start and to compile the equation, 4 s here. If the first start takes longer than the
-second number, by eye, they are slow.
-"""
+"""Seconds. Quicker starts than the first number run in one process: further processes would have to
+start and to compile the equation, 4 s here. After a first start slower than the second number, the
+time of a start is not measured. Bounds the time."""
 _ROUNDS, LAST_ROUNDS = 30, 100
-"""Most evaluations in a search, and in the last one, from the best values. Bounds the time."""
+"""Largest number of evaluations in a search, and in the last search from the best values. Bounds
+the time."""
 _SAME_PLACE = 0.02
-"""Distance, as a share of a range, within which values count as the same. By eye."""
+"""Distance of equal values, as a share of a range. By eye."""
 WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
-"""Error of a simulation of whole records, in deviations, from which on windows are considered, and
-the share of it below which they are used. By eye."""
+"""Least error of a simulation of whole records, in deviations, with windows as an alternative, and
+the largest error of useful windows, as a share of the first error. By eye."""
 _DEFECTS = (NameError, AttributeError, ImportError)
-"""Errors of code that do not depend on parameter values."""
+"""Errors of code, independent of parameter values."""
 
 
 @dataclass(frozen=True)
 class StartOutcome:
-    """Hold what one starting point led to.
+    """The outcome of one starting point.
 
-    `found`: places in the ranges and error, in deviations, by length of the windows; `failure`: of
-    the last failed run; `cut`: whether the deadline passed before the search was done.
+    `found`: positions in the ranges and error, in deviations, by length of the windows; `failure`:
+    message of the last failed run; `cut`: whether the deadline ended the search.
     """
 
     number: int
@@ -84,13 +86,13 @@ class StartOutcome:
 
 @dataclass(frozen=True)
 class Effort:
-    """Limit the effort of a fit.
+    """Limits of the effort of a fit.
 
     Attributes
     ----------
-    starts : Most starting points.
-    seconds : Time limit, after which the best result so far is used; None for no limit.
-    workers : Number of processes that try starts in parallel, or an executor.
+    starts : Largest number of starting points.
+    seconds : Time limit, at which the best result so far is used; None for no limit.
+    workers : Number of processes for starts in parallel, or an executor.
     progress : Called with the number of finished starts and of all starts.
     """
 
@@ -106,7 +108,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     Parameters
     ----------
     simulator : Simulator with ranges for the fitted parameters, such as an `Ode`.
-    records : Records of which all samples are used; each has its own initial values.
+    records : Whole records to fit, with separate initial values.
     effort : Limits of the search.
 
     Returns
@@ -135,7 +137,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    # Without states every window begins with the record: a shorter one leaves out the rest.
+    # Without states every window begins with the record: a shorter one omits the rest.
     window = _window(outcomes, longest if simulator.states else math.inf)
     ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
@@ -143,7 +145,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     with within(NEVER):  # the result is evaluated even after the deadline
         precise = Shooting(simulator.precise(), experiments, scale)
         unknowns = precise.divide(window, fractions)
-        rough = not _runs(precise, unknowns)  # as its solver cannot be that precise
+        rough = not _runs(precise, unknowns)  # the solver cannot keep smaller tolerances
         if rough:
             unknowns = shooting.divide(window, fractions)
         else:
@@ -157,14 +159,14 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     reason = next(iter(lost), "")
     cut = any(o.cut for o in outcomes) or deadline.over
     lost_whole = "as a simulation of the whole record is lost"
-    more = {
+    further = {
         "standard errors are rough, as the solver cannot keep smaller tolerances": rough,
         f"{len(lost)} of {len(outcomes)} starting points could not be simulated: {reason}": lost,
         "the time was over before every starting point was tried": cut,
         f"simulated in windows of {window} samples, {lost_whole}": window < longest,
     }
     remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
-    remarks += [remark for remark, holds in more.items() if holds]
+    remarks += [remark for remark, holds in further.items() if holds]
     remarks += simulator.remarks
     agreed = len(agreeing), len(ranked)
     doubt = _doubt(shooting, unknowns, window, deadline)
@@ -174,16 +176,17 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
 def check_runs(simulator: Any, record: Record) -> Any:
     """Return the simulator for a record's channels and inputs, if it runs at its start values.
 
-    Raises ValueError, with the reason, for one that fails wherever a search begins, as code with a
-    wrong type does; where a function of the parameters is not defined, a run is a bad one. Also
-    raises it where another number of channels comes than the record has.
+    Raises ValueError, with the reason, for failure at all starting points, as of defective code; a
+    failure at some of them is only a bad run. Also raises it for a wrong number of channels.
     """
     simulator = matched(simulator, record.columns, record.inputs)
-    begin, known = Experiment.of(record, simulator).part(0, 3), simulator.known
+    begin, parameters = Experiment.of(record, simulator).part(0, 3), simulator.known
     reason: Exception | None = None
-    for fractions in starting_points(STARTS if known.free else 1, max(len(known.free), 1)):
-        at = dict(zip(known.free, fractions, strict=False))
-        values = {name: known.value_at(name, at.get(name, 0.5)) for name in known.given}
+    for fractions in starting_points(
+        STARTS if parameters.free else 1, max(len(parameters.free), 1)
+    ):
+        at = dict(zip(parameters.free, fractions, strict=False))
+        values = {name: parameters.value_at(name, at.get(name, 0.5)) for name in parameters.given}
         try:
             with np.errstate(all="ignore"):
                 y, _ = simulator.respond(begin.time, begin.u, [(values, None)])[0]
@@ -201,7 +204,7 @@ def check_runs(simulator: Any, record: Record) -> Any:
             )
         return simulator
     assert reason is not None
-    where = ", ".join(f"{name} = {value:.4g}" for name, value in known.middle().items())
+    where = ", ".join(f"{name} = {value:.4g}" for name, value in parameters.middle().items())
     raise InputError(
         f"simulator must run at its start values{where and f' ({where})'}: {failure(reason)}"
     ) from reason
@@ -209,9 +212,9 @@ def check_runs(simulator: Any, record: Record) -> Any:
 
 def _window(outcomes: Sequence[StartOutcome], longest: float) -> int:
     """Return the longest window length, unless shorter windows fit far better."""
-    found = [(n, error) for each in outcomes for n, (_, error) in each.found.items()]
-    lengths = sorted({n for n, _ in found}, reverse=True)
-    best, chosen = {n: min(e for m, e in found if m == n) for n in lengths}, lengths[0]
+    errors = [(n, error) for outcome in outcomes for n, (_, error) in outcome.found.items()]
+    lengths = sorted({n for n, _ in errors}, reverse=True)
+    best, chosen = {n: min(e for m, e in errors if m == n) for n in lengths}, lengths[0]
     if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
         return chosen
     return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
@@ -222,12 +225,12 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     fractions = unknowns[: len(shooting.names)]
     by_channel = _by_channel(shooting, unknowns)
     jacobian = projected(shooting.jacobian(unknowns), len(fractions))
-    known = shooting.simulator.known
+    parameters = shooting.simulator.known
     errors, correlations, remarks = uncertainty(
-        shooting.names, known, fractions, by_channel, jacobian
+        shooting.names, parameters, fractions, by_channel, jacobian
     )
     named = [*zip(shooting.names, fractions, errors, strict=True)]
-    values = {labelled(name): known.value_at(name[0], float(at)) for name, at, _ in named}
+    values = {labelled(name): parameters.value_at(name[0], float(at)) for name, at, _ in named}
     deviations = {labelled(name): float(error) for name, _, error in named}
     rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
     rest = tuple(map(float, rmse)), tuple(remarks), window
@@ -242,9 +245,9 @@ def _by_channel(shooting: Shooting, unknowns: Array) -> Array:
 
 
 def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline) -> str:
-    """Return a sentence where the other course of inputs between samples fits decisively better.
+    """Return a sentence if the other course of inputs between samples fits decisively better.
 
-    It is fitted once more from the values that were found, if there is time.
+    The other course is fitted from the best values, if there is time.
     """
     simulator = shooting.simulator.otherwise()
     if simulator is None:
@@ -258,10 +261,10 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     except DeadlineError:
         return ""
     with within(NEVER):
-        found = [_by_channel(shooting, unknowns), _by_channel(other, at)]
-    if not favours(*found):
+        both = [_by_channel(shooting, unknowns), _by_channel(other, at)]
+    if not favours(*both):
         return ""
-    here, there = (f"{np.sqrt(np.nanmean(each**2)):.2g}" for each in found)
+    here, there = (f"{np.sqrt(np.nanmean(residuals**2)):.2g}" for residuals in both)
     better = "held" if simulator.hold == "zoh" else "interpolated"
     return (
         f"the record favours inputs that are {better} between samples, hold={simulator.hold!r} "
@@ -277,20 +280,20 @@ def _alternatives(
     estimate: Estimate,
     fractions: Array,
 ) -> list[str]:
-    """Return remarks on minima that fit as well, with other values of identifiable parameters."""
-    told = np.isfinite([*estimate.errors.values()])
-    fits = [each.found[window] for each in outcomes if window in each.found]
-    most, known = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
-    found = [fractions]
-    for other in (np.array(at) for at, error in fits if error <= most and told.any()):
-        if all(np.abs(other - each)[told].max() > _SAME_PLACE for each in found):
-            found.append(other)
+    """Return remarks on equally good minima with other values of identifiable parameters."""
+    identified = np.isfinite([*estimate.errors.values()])
+    fits = [outcome.found[window] for outcome in outcomes if window in outcome.found]
+    most, parameters = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
+    minima = [fractions]
+    for other in (np.array(at) for at, error in fits if error <= most and identified.any()):
+        if all(np.abs(other - minimum)[identified].max() > _SAME_PLACE for minimum in minima):
+            minima.append(other)
 
     def in_words(name: Name, place: float) -> str:
-        return f"{labelled(name)} = {known.value_at(name[0], float(place)):.4g}"
+        return f"{labelled(name)} = {parameters.value_at(name[0], float(place)):.4g}"
 
-    texts = [map(in_words, shooting.names, other) for other in found[1:4]]
-    return [f"fits as well with {', '.join(each)}" for each in texts]
+    texts = [map(in_words, shooting.names, other) for other in minima[1:4]]
+    return [f"fits as well with {', '.join(values)}" for values in texts]
 
 
 def starting_points(count: int, dimensions: int) -> Array:
@@ -301,7 +304,7 @@ def starting_points(count: int, dimensions: int) -> Array:
 
 
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
-    """Try starting points in order until enough of them agree, and return their outcomes."""
+    """Try starting points in order until enough of them agree; return the outcomes."""
     points = starting_points(effort.starts, len(problem.names))
     done: dict[int, StartOutcome] = {}
     work, workers = partial(_try, problem, points, deadline), effort.workers
@@ -309,14 +312,14 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
         batch = [*range(first, min(first + ENOUGH, len(points)))]
         if done and deadline.over:
             break
-        # The first start, in this process, shows whether others are worth starting.
+        # The first start runs in this process: its time decides on further processes.
         alone, began = batch[: problem.simulator.survives and first == 0], now()
         for part in (alone, batch[len(alone) :]):
             for outcome in _side_by_side(work, part, 1 if part is alone else workers):
                 done[outcome.number] = outcome
                 if effort.progress is not None:
                     effort.progress(len(done), len(points))
-            # It may have compiled an equation; only of a slow one is that a small part.
+            # The time may include compilation, negligible only in a slow start.
             quick = part is alone and alone and now() - began < SLOW
             if quick and _seconds(problem, points[0], deadline) < QUICK:
                 workers = 1
@@ -326,7 +329,7 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
 
 
 def _seconds(problem: Shooting, fractions: Array, deadline: Deadline) -> float:
-    """Return about how long a start takes, of whose runs the first ones are done."""
+    """Return the estimated time of a start in s, from its first runs."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
     with suppress(DeadlineError), within(min(current(), deadline)):
         unknowns = shooting.divide(shooting.longest, fractions)
@@ -339,25 +342,25 @@ def _seconds(problem: Shooting, fractions: Array, deadline: Deadline) -> float:
 def _side_by_side(
     work: Any, batch: Sequence[int], workers: int | Executor
 ) -> Iterator[StartOutcome]:
-    """Yield the outcomes of several starts; a start whose process has ended has failed."""
-    own = Workers(workers) if isinstance(workers, int) and workers > 1 else None
-    executor = own if isinstance(workers, int) else workers
+    """Yield the outcomes of several starts; the end of a start's process is a failure."""
+    pool = Workers(workers) if isinstance(workers, int) and workers > 1 else None
+    executor = pool if isinstance(workers, int) else workers
     try:
         for number, future in run_jobs(work, batch, executor):
             error = future.exception()
             if error is None:
                 yield future.result()
-            elif said := ended_from_outside(error):
-                yield StartOutcome(number, failure=said)
+            elif message := ended_from_outside(error):
+                yield StartOutcome(number, failure=message)
             else:
                 raise error
     finally:
-        if own is not None:
-            own.shutdown()
+        if pool is not None:
+            pool.shutdown()
 
 
 def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
-    """Return whether enough starts agree on the lowest error, or it has hardly fallen lately."""
+    """Return whether enough starts agree on the lowest error, or the last hardly lowered it."""
     errors = [o.found[longest][1] for o in outcomes if longest in o.found]
     if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
         return True
@@ -368,7 +371,7 @@ def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    found: dict[int, tuple[list[float], float]] = {}
+    outcomes: dict[int, tuple[list[float], float]] = {}
     fractions, cut = points[number], False
     try:
         with within(min(current(), deadline)):
@@ -377,10 +380,10 @@ def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> S
                 if _runs(shooting, unknowns):
                     unknowns, error = descend(shooting, unknowns, _ROUNDS)
                     fractions = unknowns[: len(fractions)]
-                    found[length] = fractions.tolist(), error
+                    outcomes[length] = fractions.tolist(), error
     except DeadlineError:
         cut = True
-    return StartOutcome(number, found, shooting.failure, cut)
+    return StartOutcome(number, outcomes, shooting.failure, cut)
 
 
 def _lengths(longest: int, growing: bool) -> list[int]:
@@ -392,24 +395,21 @@ def _lengths(longest: int, growing: bool) -> list[int]:
 
 
 def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, float]:
-    """Minimise the error within the ranges; return the best unknowns and their error.
-
-    After the deadline the best ones so far are returned.
-    """
+    """Minimise the error within the ranges; return the best unknowns so far, and their error."""
     least, best = np.inf, None
 
     def residuals(at: Array) -> Array:
         nonlocal least, best
-        found = shooting.residuals(at)
-        error = _error(found)
+        values = shooting.residuals(at)
+        error = _error(values)
         if error < least:
             least, best = error, at.copy()
-        return np.concatenate([found, _PULL * (at - begin)])
+        return np.concatenate([values, _PULL * (at - begin)])
 
     def jacobian(at: Array) -> Array:
         return np.vstack([shooting.jacobian(at), _PULL * np.eye(len(at))])
 
-    ranged = np.arange(len(unknowns)) < len(shooting.names)  # the states are not
+    ranged = np.arange(len(unknowns)) < len(shooting.names)  # states have no range
     bounds = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
     begin = np.where(ranged, np.clip(unknowns, 1e-6, 1 - 1e-6), unknowns)
     how: Any = {"max_nfev": rounds, "x_scale": np.where(ranged, 0.1, 1.0)}
@@ -424,7 +424,7 @@ def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, fl
 
 
 def _runs(shooting: Shooting, unknowns: Array) -> bool:
-    """Return whether most of the records can be simulated."""
+    """Return whether most of the records are simulated without failure."""
     return _error(shooting.residuals(unknowns)) < 0.5 * BAD
 
 

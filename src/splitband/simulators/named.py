@@ -11,7 +11,7 @@ from splitband.simulators.functions import Ode
 
 
 def exported_simulator(name: str) -> Simulator:
-    """Return the simulator's output that a named record contains, in the record's units."""
+    """Return the simulator's output in a named record, in the record's units."""
     record = RECORDS[name].make()
     assert record.y_sim is not None
     return Recorded(record.y_sim, record.sampling_time, record.start, f"simulator of {name}")

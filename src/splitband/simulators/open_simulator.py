@@ -1,4 +1,4 @@
-"""Open the simulator that a path or a name stands for, and run it beside a record."""
+"""Open a simulator by a path or a name, and run it beside a record."""
 
 from __future__ import annotations
 
@@ -50,22 +50,22 @@ def open_simulator(  # noqa: PLR0913
     timeout: float | None = None,
     time_column: str | None = None,
 ) -> Any:
-    """Return the simulator that a text stands for, as `--simulator` does.
+    """Return the simulator for a text, as `--simulator` does.
 
     Parameters
     ----------
     name : A file of an exported trajectory, an .fmu, FILE.py:FUNCTION, FILE.py:RHS with
-        `parameters`, or the name of a public record that has a simulator.
-    record : The record that it is for.
-    columns : Its columns or outputs that match the record's; by default those of the same names.
-    inputs : Variables of an FMU that take the record's inputs; by default those of their names.
-    start : Its time in s at the record's first sample, or "record" for its time stamp there.
-    hold : How inputs run between samples, "zoh" or "linear", see `Ode` and `Fmu`; None is what an
-        `Ode` of the file says itself.
+        `parameters`, or the name of a public record with a simulator.
+    record : The record of the simulation.
+    columns : Columns or outputs of the record's channels; by default those of equal names.
+    inputs : Variables of an FMU for the record's inputs; by default those of equal names.
+    start : Simulator time in s at the record's first sample, or "record" for its time stamp.
+    hold : Course of inputs between samples, "zoh" or "linear", see `Ode` and `Fmu`; None for that
+        of an `Ode` in the file.
     step : Communication step of an FMU in s, see `Fmu`.
     parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
-    timeout : Seconds after which a run is given up; None for no limit.
-    time_column : Of an exported trajectory, if it has such a column.
+    timeout : Time limit of a run in s; None for no limit.
+    time_column : Time column of an exported trajectory, if it has one.
 
     Returns
     -------
@@ -77,22 +77,22 @@ def open_simulator(  # noqa: PLR0913
     FileNotFoundError
         For a missing file.
     ValueError
-        For what this kind of simulator does not take, and a file that cannot be used.
+        For an option of another kind of simulator, and an unusable file.
     """
     file, _, function = name.partition(".py:")
     file += ".py" if function else ""
     fmu, exists = file.lower().endswith(".fmu"), Path(file).is_file()
-    for what, given, taken in (
+    for option, value, taken in (
         ("inputs (--simulator-inputs)", inputs, fmu),
         ("step (--simulator-step)", step, fmu),
         ("start (--simulator-start)", start, fmu or function),
         ("hold (--simulator-hold)", hold, fmu or function),
         ("parameters", parameters, fmu or function),
     ):
-        if given is not None and not taken:
+        if value is not None and not taken:
             others = "" if taken is fmu else " or FILE.py:FUNCTION"
             raise InputError(
-                f"{what} must be left out but for a simulator that is an .fmu{others}, got "
+                f"{option} must be left out but for a simulator that is an .fmu{others}, got "
                 f"{name or 'none'}"
             )
     if timeout is not None and not math.isfinite(timeout):
@@ -104,7 +104,7 @@ def open_simulator(  # noqa: PLR0913
     except InputError as error:
         raise InputError(f"{error} (--simulator-start)") from None
     if parameters is None and function and exists and outline(file, function) is None:
-        # An `Ode` of the file may have ranges to fit itself.
+        # An `Ode` in the file may have ranges to fit.
         parameters = {} if isinstance(named_in(file, function), UserCode) else None
     if parameters is None and name in SIMULATORS:
         return SIMULATORS[name]()
@@ -116,38 +116,38 @@ def open_simulator(  # noqa: PLR0913
             f"got {name}"
         )
     if parameters is not None:
-        given = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return adjustable_from(file, function, given, columns, inputs, begin, hold, step)
+        ranges = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
+        return adjustable_from(file, function, ranges, columns, inputs, begin, hold, step)
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
-    outputs, own = () if function else tuple(columns), None if inputs is None else tuple(inputs)
+    outputs, names = () if function else tuple(columns), None if inputs is None else tuple(inputs)
     rest = driven, begin if function else begin or 0.0, hold, step
-    made = Isolated(file, function or None, outputs, timeout, own, *rest)
-    # Not before it is matched does an FMU say whether inputs drive it.
+    made = Isolated(file, function or None, outputs, timeout, names, *rest)
+    # For an FMU, `matched` sets `driven`.
     return made.matched(record.columns, record.inputs)
 
 
 def is_fitted(simulator: Any) -> bool:
-    """Return whether a simulator has parameters to fit or, as an `Ode`, needs inputs."""
+    """Return whether a simulator has parameters to fit or, like an `Ode`, needs inputs."""
     return isinstance(simulator, Adjustable) and simulator.adjustable
 
 
-def check_runs_as_it_is(option: str, given: str | None, simulator: Any) -> None:
-    """Raise ValueError for the name of a baseline, and for parameters that have to be fitted."""
+def check_runs_as_it_is(option: str, value: str | None, simulator: Any) -> None:
+    """Raise ValueError for the name of a baseline, and for parameters to fit."""
     if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):
         why = "is a baseline" if isinstance(simulator, str) else "has parameters to fit"
         raise InputError(
-            f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {given}, "
+            f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {value}, "
             f"which {why}"
         )
 
 
 def _takes_inputs(file: str, name: str, record: Record) -> bool:
-    """Return whether a function of a file is one of time and inputs.
+    """Return whether a function of a file takes time and inputs.
 
-    Raises ValueError for a differential equation, whose states have to be named, and for a function
-    of time alone that may be meant to take the inputs of the record.
+    Raises ValueError for a differential equation, which needs initial states, and for a function of
+    time alone that may be meant to take the inputs of the record.
     """
     function = outline(file, name) or named_in(file, name)
     count = count_arguments(function) if callable(function) else 1
@@ -180,9 +180,9 @@ def _exported(
 def read_beside(
     path: str | Path, sampling_time: float, time_column: str | None, **options: Any
 ) -> Record:
-    """Read a file that accompanies a record, whose sampling time and time column are the default.
+    """Read a file beside a record, with the record's sampling time and time column as defaults.
 
-    The file may have a time column with a usual name in place of the record's.
+    The file may have a time column with another usual name.
     """
     options |= {"fallback_sampling_time": sampling_time}
     try:
@@ -204,11 +204,11 @@ def simulated(
 
     Parameters
     ----------
-    record : The samples to run beside.
+    record : The record of the simulation.
     simulator : As for `simulators.run`.
-    ahead : Samples beyond the record that the output must reach, too.
-    longer : Ask for more samples, for a calibration, if the simulator can run that long.
-    u : Inputs that may drive the simulator, by default the record's.
+    ahead : Further samples of the output beyond the record.
+    longer : Ask for more samples, for a calibration, if the simulator can run longer.
+    u : Inputs of the simulator, by default the record's.
 
     Raises
     ------
@@ -228,16 +228,16 @@ def simulated(
             samples = min(samples, len(u))
         begin = origin(known, record.start)
         if record.start:
-            said = known.name, begin, in_words(record.start)
-            log.info("%s runs from %g s on, at the record's first sample, %s", *said)
+            facts = known.name, begin, in_words(record.start)
+            log.info("%s runs from %g s on, at the record's first sample, %s", *facts)
 
     def output(samples: int) -> Any:
         if not isinstance(known, Recorded):
             return run(known, samples, grid.step, record.ny, None, grid.start, u)
-        found = known.on(replace(grid, samples=samples))
-        if found.note:
-            log.info("%s: %s", known.name, found.note)
-        return found.values
+        resampled = known.on(replace(grid, samples=samples))
+        if resampled.note:
+            log.info("%s: %s", known.name, resampled.note)
+        return resampled.values
 
     try:
         y_sim = output(samples)
@@ -255,15 +255,15 @@ def simulated(
 
 
 def trajectory(record: Record, simulator: Simulator, steps: int = 0) -> Record:
-    """Run a simulator beside a record; return its output, with the same channels and time stamps.
+    """Run a simulator beside a record; return its output, with equal channels and time stamps.
 
-    It goes on for `steps` samples after the record, and further, for a calibration of its delay and
-    clock, if it can. As a file, it stands for the simulator from then on.
+    The output continues for `steps` samples after the record and, for a calibration of delay and
+    clock, further if possible. Written to a file, it can replace the simulator.
 
     Raises
     ------
     ValueError
-        As `simulators.run`, and for `steps` of a simulator that the record's inputs drive.
+        As `simulators.run`, and for `steps` of a simulator driven by the record's inputs.
     """
     if steps and matched(simulator, record.columns, record.inputs).driven:
         raise InputError(

@@ -1,6 +1,6 @@
-"""Define simulators with parameters: fixed numbers, ranges in which they are fitted, estimates.
+"""Define simulators with parameters: fixed numbers, ranges to fit, and estimates.
 
-An estimate holds standard errors, and says which parameters are not identifiable.
+An estimate has standard errors, and remarks on unidentifiable parameters.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ Response = tuple[Array, Array]
 """Measured channels `(time, ny)` and states `(time, nx)`."""
 
 INITIAL = "x0_"
-"""Prefix of the names of initial values, which are fitted for each record separately."""
+"""Prefix of the names of initial values, which are fitted by record."""
 DECADE = 10.0
-"""A range is searched on a logarithmic scale if its ends differ by more than this factor.
-By eye."""
+"""Largest ratio of the ends of a range with a linear scale; wider ranges have a logarithmic one.
+A convention."""
 Name = tuple[str, int]
 """Name of a parameter, and number of its record; -1 for all records."""
 
 AT_BOUND = 2e-3
-"""Distance from a bound, as a share of the range, within which a parameter is at it. Rounding."""
+"""Distance from a bound of a parameter at the bound, as a share of the range. Rounding."""
 MAX_RELATIVE_ERROR = 0.25
-"""Standard error, as a share of the range, above which a direction is not identifiable. By eye."""
+"""Largest standard error of an identifiable direction, as a share of the range; a uniform
+distribution over the range has 0.29. By eye."""
 MIN_NOISE = 1e-3
 """Smallest assumed error of a model, in deviations of the record. Rounding."""
 MIN_COMPONENT = 0.2
-"""Smallest component of a direction for which its parameter is named in a remark. By eye."""
+"""Smallest component of a direction with its parameter named in a remark. By eye."""
 DECISIVE = 10.0
-"""Difference in BIC from which on evidence is very strong (Kass and Raftery, 1995). A convention.
-"""
+"""Least difference in BIC for very strong evidence (Kass and Raftery, 1995). A convention."""
 _MOST_LAGS = 0.1
 """Longest lag of the residuals' autocorrelation, as a share of the samples. By eye."""
 
@@ -70,10 +70,10 @@ def parameters_class(names: tuple[str, ...]) -> Any:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Hold the parameters of a simulator in their order.
+    """The parameters of a simulator in their order.
 
-    `given` maps each name to a number, or to the lower and upper end of a range. A range of
-    positive numbers of more than a decade is searched on a logarithmic scale.
+    `given` maps names to numbers, or to the lower and upper ends of ranges. A range of positive
+    numbers over more than a decade is searched on a logarithmic scale.
     """
 
     given: Given = field(default_factory=dict)
@@ -97,12 +97,12 @@ class Parameters:
 
     @property
     def shared(self) -> tuple[str, ...]:
-        """Return the names of the fitted parameters that all records share."""
+        """Return the names of the fitted parameters common to all records."""
         return tuple(name for name in self.free if not name.startswith(INITIAL))
 
     @property
     def initial(self) -> tuple[str, ...]:
-        """Return the names of the fitted initial values, separate for each record."""
+        """Return the names of the initial values, fitted by record."""
         return tuple(name for name in self.free if name.startswith(INITIAL))
 
     def logarithmic(self, name: str) -> bool:
@@ -111,7 +111,7 @@ class Parameters:
         return low > 0 and high / low > DECADE
 
     def range(self, name: str) -> tuple[float, float]:
-        """Return the ends of a parameter's range; they are equal for a fixed one."""
+        """Return the ends of a parameter's range, equal for a fixed parameter."""
         return _ends(name, self.given[name])
 
     def value_at(self, name: str, fraction: float) -> float:
@@ -128,7 +128,7 @@ class Parameters:
         return self.value_at(name, fraction) * math.log(high / low) if logarithmic else high - low
 
     def middle(self) -> dict[str, float]:
-        """Return every parameter as a number, a fitted one in the middle of its range."""
+        """Return all parameters as numbers, fitted ones in the middle of their ranges."""
         return {name: self.value_at(name, 0.5) for name in self.given}
 
     def fixed(self, values: Mapping[str, float]) -> Parameters:
@@ -144,23 +144,23 @@ class Parameters:
 
         Raises ValueError for another form.
         """
-        given: dict[str, Any] = {}
-        for part in filter(None, (each.strip() for each in text.split(","))):
-            name, equals, said = (each.strip() for each in part.partition("="))
+        parameters: dict[str, Any] = {}
+        for part in filter(None, (piece.strip() for piece in text.split(","))):
+            name, equals, value = (piece.strip() for piece in part.partition("="))
             try:
-                ends = [float(end) for end in said.split(":")]
+                ends = [float(end) for end in value.split(":")]
             except ValueError:
                 ends = []
-            if not equals or not name or len(ends) not in (1, 2) or name in given:
+            if not equals or not name or len(ends) not in (1, 2) or name in parameters:
                 raise InputError(
                     "parameters must be given as NAME=VALUE or NAME=LOW:HIGH, separated by commas, "
                     f"each once, got {part!r}"
                 )
-            given[name] = ends[0] if len(ends) == 1 else (ends[0], ends[1])
-        return cls(given)
+            parameters[name] = ends[0] if len(ends) == 1 else (ends[0], ends[1])
+        return cls(parameters)
 
     def __str__(self) -> str:
-        """Return the parameters in the form that `read` takes."""
+        """Return the parameters in the form of `read`."""
         texts = []
         for name in self.given:
             ends = [repr(end).removesuffix(".0") for end in dict.fromkeys(self.range(name))]
@@ -181,15 +181,15 @@ def _ends(name: str, value: Any) -> tuple[float, float]:
 
 
 class Adjustable(WithRepr, KnownSimulator, ABC):
-    """Define simulators whose parameters can be fitted.
+    """A simulator with parameters to fit.
 
     Attributes
     ----------
     parameters : By name a number, or a range `(low, high)`.
-    states : Number of states that a run can start from; 0 for a black box.
+    states : Number of states of an initial state; 0 for a black box.
     difference : Finite-difference step, as a share of a parameter's range.
-    survives : Whether no run can end the process that it runs in.
-    remarks : What is to be said of the runs after `precise`.
+    survives : Whether no run can end its process.
+    remarks : Remarks on the runs after `precise`.
     """
 
     parameters: Given | None
@@ -206,18 +206,18 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     @property
     @abstractmethod
     def driven(self) -> bool:  # type: ignore[override]
-        """Return whether it takes a record's inputs."""
+        """Return whether the simulator takes a record's inputs."""
 
     @property
     def adjustable(self) -> bool:  # type: ignore[override]
-        """Return whether it has parameters or needs inputs, and so a `GreyBox` to run it."""
+        """Return whether the simulator has parameters or needs inputs, and so a `GreyBox`."""
         return bool(self.known.given) or self.driven
 
     @abstractmethod
     def respond(self, time: Array, u: Array | None, points: Sequence[Point]) -> Sequence[Response]:
         """Return the responses at several neighbouring points; `u` is `(time, nu)`.
 
-        Values that cannot be computed are NaN.
+        Failed values are NaN.
         """
 
     @abstractmethod
@@ -233,11 +233,11 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
         return self
 
     def otherwise(self) -> Any:
-        """Return it with the other course of inputs between samples; None without a choice."""
+        """Return a copy with the other course of inputs between samples; None without one."""
         return None
 
     def unfinished(self, time: float) -> str:
-        """Return what is wrong where values are not finite from `time` in s on."""
+        """Return the message for non-finite values from `time` in s on."""
         return f"the simulator must return finite values, got others from {time:g} s on"
 
 
@@ -246,7 +246,7 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Hold the values of fitted parameters, with standard errors.
+    """The values of fitted parameters, with standard errors.
 
     Attributes
     ----------
@@ -254,12 +254,12 @@ class Estimate:
     errors : Standard errors, corrected for the autocorrelation of the residuals; NaN for parameters
         at a bound or not identifiable.
     correlations : Correlations of the estimated values, `(n, n)`, in their order; NaN as above.
-    rmse : RMSE of each channel over the training samples.
-    remarks : Parameters that are not identifiable or at a bound, and other fits as good.
-    window : Samples of the windows in which the record was simulated; 0 for all of it.
-    starts : Number of starting points that led to the same fit, and number that were fitted.
-    cut : Whether the deadline passed before every starting point was tried.
-    doubt : Sentence where the record favours the other course of inputs between samples.
+    rmse : RMSE by channel over the training samples.
+    remarks : Parameters not identifiable or at a bound, and other fits as good.
+    window : Samples of the windows of the simulation; 0 for the whole record.
+    starts : Number of starting points with the same fit, and of all fitted ones.
+    cut : Whether the deadline passed before the last starting point.
+    doubt : Sentence on the other course of inputs between samples, if the record favours it.
     """
 
     values: dict[str, float] = field(default_factory=dict)
@@ -281,11 +281,11 @@ class Estimate:
             raise InputError(f"an estimate must have finite values with errors, got {self.values}")
 
     def __str__(self) -> str:
-        """Return each value with its standard error, the doubt and the remarks."""
+        """Return the values with their standard errors, the doubt and the remarks."""
         remarks = [*filter(None, [self.doubt]), *self.remarks]
         pairs = self.values.items()
-        said = [f"{name} = {_rounded(value, self.errors[name])}" for name, value in pairs]
-        return "; ".join([", ".join(said), *remarks] if said else remarks)
+        lines = [f"{name} = {_rounded(value, self.errors[name])}" for name, value in pairs]
+        return "; ".join([", ".join(lines), *remarks] if lines else remarks)
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of result files."""
@@ -315,15 +315,19 @@ def _rounded(value: float, error: float) -> str:
 
 
 def uncertainty(
-    names: Sequence[Name], known: Parameters, fractions: Array, residuals: Array, jacobian: Array
+    names: Sequence[Name],
+    parameters: Parameters,
+    fractions: Array,
+    residuals: Array,
+    jacobian: Array,
 ) -> tuple[Array, Array, list[str]]:
     """Return the standard errors of fitted values, their correlations, and remarks.
 
-    What is at a bound or not identifiable has NaN.
+    Parameters at a bound or not identifiable have NaN.
 
     Parameters
     ----------
-    names, known : Names of the fitted parameters, and all parameters.
+    names, parameters : Names of the fitted parameters, and all parameters.
     fractions : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
     residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
     jacobian : Derivatives of the residuals with respect to `fractions`, `(samples * ny, n)`.
@@ -333,25 +337,25 @@ def uncertainty(
         at_bound[i] = not AT_BOUND <= fraction <= 1 - AT_BOUND
         if at_bound[i]:
             side, end = ("upper", 1) if fraction > 0.5 else ("lower", 0)
-            bound = known.range(name[0])[end]
+            bound = parameters.range(name[0])[end]
             remarks.append(f"{labelled(name)} is at its {side} bound, {bound:.4g}")
-    slopes = np.array([known.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
+    slopes = np.array([parameters.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
     free = np.flatnonzero(~at_bound)
-    # RMS error of each channel, corrected for the number of fitted parameters
+    # RMS error by channel, corrected for the number of fitted parameters
     measured = np.maximum((~np.isnan(residuals)).sum(axis=0), 1)
     freedom = np.maximum(measured - len(fractions) / residuals.shape[1], 1)
     noise = np.sqrt(np.nansum(residuals**2, axis=0) / freedom)
-    kept, weak = _directions(jacobian[:, free], noise)
-    told = (jacobian[:, free] @ kept) * np.tile(noise, len(residuals))[:, None]
+    factor, weak = _directions(jacobian[:, free], noise)
+    weighted = (jacobian[:, free] @ factor) * np.tile(noise, len(residuals))[:, None]
     covariance = np.full((len(fractions), len(fractions)), np.nan)
-    # (J'J)^-1 J' W J (J'J)^-1, where W holds the error variance of each channel
-    inner = kept @ (told.T @ told) @ kept.T * _correlated(residuals)
+    # (J'J)^-1 J' W J (J'J)^-1, where W are the error variances by channel
+    inner = factor @ (weighted.T @ weighted) @ factor.T * _correlated(residuals)
     covariance[np.ix_(free, free)] = inner
     for direction in weak:
         involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         lost = free[involved]
         covariance[lost] = covariance[:, lost] = np.nan
-        values = np.array([known.value_at(names[i][0], fractions[i]) or 1.0 for i in lost])
+        values = np.array([parameters.value_at(names[i][0], fractions[i]) or 1.0 for i in lost])
         changes = direction[involved] * slopes[lost] / values
         remarks.append(_remark([labelled(names[i]) for i in lost], changes))
     deviations = np.sqrt(np.diag(covariance))
@@ -380,17 +384,17 @@ def _directions(jacobian: Array, noise: Array) -> tuple[Array, Array]:
 def favours(residuals: Array, others: Array) -> bool:
     """Return whether the residuals of another fit, with as many parameters, are decisively smaller.
 
-    Their difference in BIC is that of the log likelihoods. Residuals are `(samples, ny)` in
+    The difference in BIC is that of the log likelihoods. Residuals are `(samples, ny)` in
     deviations of the channels, NaN in gaps; correlated ones count for fewer samples.
     """
     samples = (~np.isnan(residuals)).sum(axis=0) / _correlated(residuals)
-    squares = [np.nanmean(each**2, axis=0) for each in (residuals, others)]
+    squares = [np.nanmean(errors**2, axis=0) for errors in (residuals, others)]
     before, after = np.maximum(squares, MIN_NOISE**2)
     return bool((samples * np.log(before / after)).sum() > DECISIVE)
 
 
 def _correlated(residuals: Array) -> float:
-    """Return how many residual samples are worth one independent sample, at least 1."""
+    """Return the number of residual samples per independent sample, at least 1."""
     most = 1.0
     for channel in residuals.T:
         r = channel[~np.isnan(channel)]
@@ -412,10 +416,10 @@ def labelled(name: Name) -> str:
 
 
 def _remark(names: Sequence[str], changes: Array) -> str:
-    """Return a remark about a direction along which the values change by `changes`, relatively."""
+    """Return a remark about a direction with relative `changes` of the values."""
     if len(names) == 1:
         return f"the record does not tell {names[0]}: its value does not matter"
-    said = f"the record does not tell {', '.join(names[:-1])} and {names[-1]} apart"
+    sentence = f"the record does not tell {', '.join(names[:-1])} and {names[-1]} apart"
     if len(names) > 2 or abs(abs(changes[0] / changes[1]) - 1) > 0.1:
-        return said
-    return f"{said}: only their {'product' if changes[0] * changes[1] < 0 else 'ratio'} matters"
+        return sentence
+    return f"{sentence}: only their {'product' if changes[0] * changes[1] < 0 else 'ratio'} matters"

@@ -1,9 +1,9 @@
 """Compare a simulator with records: residuals and their derivatives, over whole records or windows.
 
-Where a long simulation loses its phase or is unstable, and so does not determine the parameters,
-records are simulated in windows, each from an initial state of its own (multiple shooting; Bock,
-1987). Parameters and initial states are the unknowns of one least-squares problem. The simulator
-with fitted parameters runs from an initial state that is estimated from a history.
+A long simulation may lose its phase or be unstable, and then does not determine the parameters.
+Then records are simulated in windows with separate initial states (multiple shooting; Bock, 1987).
+Parameters and initial states are the unknowns of one least-squares problem. The simulator with
+fitted parameters runs from an initial state estimated from a history.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Poi
 from splitband.simulators.user_code import failure, place
 
 BAD = 1e3
-"""Residual of a failed run, in deviations of a channel, and limit of all others. By eye."""
+"""Residual of a failed run, and upper limit of others, in deviations of a channel. By eye."""
 FAILED = 1e9
-"""The same in deviations of the noise, of which a wrong state may be far away: bounds rounding."""
+"""The same limit in deviations of the noise, for the larger residuals of a wrong state. Rounding.
+"""
 STATE_STEP = 1e-6
 """Relative step of finite differences with respect to a state. Rounding."""
 _STATE_RUNS = 8
-"""Most evaluations in the search for the initial state of a window, from which all unknowns are
-then searched for together. Bounds the time."""
+"""Largest number of evaluations in the search for the initial state of a window, a start for the
+search for all unknowns. Bounds the time."""
 MOST_STATES = 500
-"""Most training states that are kept, as prior and as starting points of searches. Bounds the
-time."""
+"""Largest number of stored training states, as prior and as starting points. Bounds the time."""
 _TRIED, _MOST_RUNS = 3, 50
-"""Kept states, those with the closest outputs, from which searches for an initial state start, and
-most evaluations in each. Bounds the time."""
+"""Number of stored states with the closest outputs as starts for an initial state, and largest
+number of evaluations per start. Bounds the time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Hold the times, measured samples and inputs of a record.
+    """The times, measured samples and inputs of a record.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Experiment:
 
     @classmethod
     def of(cls, record: Record, simulator: Any) -> Experiment:
-        """Return the experiment of a record for a simulator, on whose clock its times are."""
+        """Return the experiment of a record, with times on the simulator's clock."""
         begin = origin(simulator, record.start)
         time = begin + record.sampling_time * np.arange(len(record), dtype=np.float64)
         return cls(time, record.y_with_gaps, record.u)
@@ -70,10 +70,10 @@ class Experiment:
 
 
 class Window(NamedTuple):
-    """Hold a part of a record that is simulated at once.
+    """A part of a record for one simulation.
 
-    `unknowns`: which of all unknowns concern it, the last `states` of which are its initial state.
-    At the beginning of a record, parameters define that.
+    `unknowns`: indices of the window's unknowns, the last ones, `states`, for its initial state. At
+    the beginning of a record, parameters define the initial state.
     """
 
     record: int
@@ -83,7 +83,7 @@ class Window(NamedTuple):
 
 
 class Shooting:
-    """Compare a simulator with records.
+    """A comparison of a simulator with records.
 
     The unknowns are the relative positions of parameters in their ranges, 0 to 1, and then the
     initial states of the windows, in units of `sizes`.
@@ -91,19 +91,19 @@ class Shooting:
     Parameters
     ----------
     simulator, experiments : The simulator to fit, and the data of the records.
-    scale : Deviation of each channel, `(ny,)`, the unit of residuals.
+    scale : Deviations of the channels, `(ny,)`, the unit of residuals.
 
     Attributes
     ----------
-    names : Parameter of each position: those that all records share, then initial values by record.
+    names : Parameters by position: the common ones, then initial values by record.
     failure : Message of the last failed run.
     """
 
     def __init__(self, simulator: Adjustable, experiments: Sequence[Experiment], scale: Array):
         self.simulator, self.experiments, self.scale = simulator, experiments, scale
-        known = simulator.known
-        self.names = [(name, -1) for name in known.shared]
-        self.names += [(name, r) for r in range(len(experiments)) for name in known.initial]
+        parameters = simulator.known
+        self.names = [(name, -1) for name in parameters.shared]
+        self.names += [(name, r) for r in range(len(experiments)) for name in parameters.initial]
         self.failure = ""
         self.windows: list[Window] = []
         self.sizes = np.ones(simulator.states)
@@ -111,36 +111,36 @@ class Shooting:
     @property
     def longest(self) -> int:
         """Return the number of samples of the longest record."""
-        return max(len(each.y) for each in self.experiments)
+        return max(len(experiment.y) for experiment in self.experiments)
 
     def values(self, unknowns: Array, record: int) -> dict[str, float]:
-        """Return every parameter's value for a record."""
-        known = self.simulator.known
-        found = known.middle()
+        """Return the values of all parameters for a record."""
+        parameters = self.simulator.known
+        by_name = parameters.middle()
         for (name, of), fraction in zip(self.names, unknowns, strict=False):
             if of in (-1, record):
-                found[name] = known.value_at(name, float(fraction))
-        return found
+                by_name[name] = parameters.value_at(name, float(fraction))
+        return by_name
 
     def divide(self, length: int, fractions: Array) -> Array:
         """Divide every record into windows of at most `length` samples, and return the unknowns.
 
         The search for a window's state starts from the final state of the window before. A black
-        box can only run from the beginning of a record: it has a single window there.
+        box, which runs from the beginning of a record, has a single window there.
         """
         self.windows = []
         states: list[Array] = []
         for r, experiment in enumerate(self.experiments):
             samples = len(experiment.y)
-            own = [i for i, (_, record) in enumerate(self.names) if record in (-1, r)]
+            parameters = [i for i, (_, record) in enumerate(self.names) if record in (-1, r)]
             if not self.simulator.states:
-                self.windows.append(Window(r, experiment.part(0, length), own, slice(0)))
+                self.windows.append(Window(r, experiment.part(0, length), parameters, slice(0)))
                 continue
             cuts = np.linspace(0, samples, -(-samples // length) + 1).round().astype(int)
             values, state = self.values(fractions, r), None
             for begin, end in pairwise(cuts):
                 part = experiment.part(begin, min(end + 1, samples))
-                if end < samples:  # the last sample also begins the next window, and counts there
+                if end < samples:  # the last sample counts as the first of the next window
                     part.y[-1] = np.nan
                 where = slice(0)
                 if state is not None:
@@ -148,7 +148,9 @@ class Shooting:
                     states.append(state)
                     first = len(fractions) + (len(states) - 1) * self.simulator.states
                     where = slice(first, first + self.simulator.states)
-                self.windows.append(Window(r, part, [*own, *range(*where.indices(10**9))], where))
+                self.windows.append(
+                    Window(r, part, [*parameters, *range(*where.indices(10**9))], where)
+                )
                 last = self.respond(part, [(values, state)])[0][1][-1]
                 if np.isfinite(last).all():
                     state = last.copy()
@@ -160,9 +162,11 @@ class Shooting:
 
     def residuals(self, unknowns: Array) -> Array:
         """Return all residuals in deviations of the channels, `(samples * ny,)`, 0 in gaps."""
-        found = [self.respond(each.part, [self._point(each, unknowns)])[0] for each in self.windows]
-        pairs = zip(self.windows, found, strict=True)
-        return np.concatenate([self._errors(window.part, each) for window, each in pairs])
+        errors = [
+            self._errors(window.part, self.respond(window.part, [self._point(window, unknowns)])[0])
+            for window in self.windows
+        ]
+        return np.concatenate(errors)
 
     def jacobian(self, unknowns: Array) -> Array:
         """Return the derivatives of the residuals, `(samples * ny, unknowns)`."""
@@ -175,8 +179,9 @@ class Shooting:
             for i in window.unknowns:
                 moved.append(unknowns.copy())
                 moved[-1][i] += steps[i]
-            found = self.respond(window.part, [self._point(window, each) for each in moved])
-            at, *others = (self._errors(window.part, each) for each in found)
+            points = [self._point(window, values) for values in moved]
+            responses = self.respond(window.part, points)
+            at, *others = (self._errors(window.part, response) for response in responses)
             block = np.zeros((len(at), len(unknowns)))
             for i, other in zip(window.unknowns, others, strict=True):
                 block[:, i] = _difference(at, other, steps[i])
@@ -184,7 +189,7 @@ class Shooting:
         return np.concatenate(blocks)
 
     def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
-        """Return the simulator's responses at several points; NaN for all if the call fails."""
+        """Return the simulator's responses at several points; NaN for a failed call."""
         check()
         try:
             with np.errstate(all="ignore"):
@@ -209,11 +214,11 @@ class Shooting:
         return _scaled_errors(response[0], part.y, self.scale)
 
     def _settled(self, part: Experiment, values: Mapping[str, float], state: Array) -> Array:
-        """Return the state from which a window is simulated best."""
+        """Return the initial state with the least error of a window."""
 
         def errors(states: Sequence[Array]) -> list[Array]:
-            found = self.respond(part, [(values, each) for each in states])
-            return [self._errors(part, each) for each in found]
+            responses = self.respond(part, [(values, begin) for begin in states])
+            return [self._errors(part, response) for response in responses]
 
         size = np.maximum(np.abs(state), 1e-3)
         return best_state(errors, state, size, STATE_STEP, _STATE_RUNS)[0]
@@ -227,10 +232,10 @@ def best_state(
     most: int,
     limit: float = BAD,
 ) -> tuple[Array, float]:
-    """Return the state of the least squared error, and that error.
+    """Return the state of the least squared error, and the error.
 
-    `errors` returns the residuals from each of several states; `size` is the typical magnitude of a
-    state, `step` that of finite differences, relative to it, `most` limits the evaluations, and
+    `errors` returns the residuals by state for several states; `size` is the typical magnitude of a
+    state, `step` the relative step of finite differences, `most` limits the evaluations, and
     `limit` the residuals.
     """
 
@@ -241,19 +246,19 @@ def best_state(
         at, *others = errors([size * x, *(size * (x + unit) for unit in step * np.eye(len(x)))])
         return np.stack([_difference(at, other, step, limit) for other in others], axis=1)
 
-    found = scipy.optimize.least_squares(residuals, begin / size, jacobian, max_nfev=most)
-    return np.asarray(size * found.x), float(found.cost)
+    minimum = scipy.optimize.least_squares(residuals, begin / size, jacobian, max_nfev=most)
+    return np.asarray(size * minimum.x), float(minimum.cost)
 
 
 def projected(jacobian: Array, count: int) -> Array:
-    """Return derivatives by the first `count` unknowns where all others are the best for them."""
+    """Return derivatives by the first `count` unknowns, with all others optimal."""
     u, s, _ = np.linalg.svd(jacobian[:, count:], full_matrices=False)
     u = u[:, s > 1e-9 * s.max(initial=1e-300)]
     return np.asarray(jacobian[:, :count] - u @ (u.T @ jacobian[:, :count]))
 
 
 def _difference(at: Array, beside: Array, step: float, limit: float = BAD) -> Array:
-    """Return the difference quotient of residuals; 0 where a run failed."""
+    """Return the difference quotient of residuals; 0 after a failed run."""
     whole = (np.abs(at) < limit) & (np.abs(beside) < limit)
     return np.asarray(np.where(whole, (beside - at) / step, 0.0))
 
@@ -266,13 +271,13 @@ def _scaled_errors(y: Array, measured: Array, scale: Array, limit: float = BAD) 
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """Run a simulator with the fitted parameter values.
+    """A simulator with fitted parameter values.
 
     Attributes
     ----------
     simulator : The simulator with the ranges of the fit; None in a saved model.
-    values : Value of every parameter; initial values are those of the first training record.
-    noise : RMSE of each channel in training, `(ny,)`.
+    values : Values of all parameters; initial values are those of the first training record.
+    noise : RMSE by channel in training, `(ny,)`.
     states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
         `MOST_STATES` rows.
     """
@@ -290,7 +295,7 @@ class Adjusted:
         """Return the fitted simulator; `experiments` are those of the fit."""
         middle = simulator.known.middle()
         values = {name: estimate.values.get(name, x) for name, x in middle.items()}
-        deviation = np.nanstd(np.concatenate([each.y for each in experiments]), axis=0)
+        deviation = np.nanstd(np.concatenate([e.y for e in experiments]), axis=0)
         noise = np.maximum(np.array(estimate.rmse), MIN_NOISE * np.maximum(deviation, 1e-300))
         usual = cls(simulator, values, noise)
         outputs, states = usual.response(experiments[0].time, experiments[0].u)
@@ -311,7 +316,7 @@ class Adjusted:
     def advance(
         self, state: Any, time: Array, u: Array | None, size: float = 0.0
     ) -> tuple[Array, Array, float]:
-        """Return channels, states, and the step size to go on with; see `Ode.advance`.
+        """Return channels, states, and the next step size; see `Ode.advance`.
 
         Raises ValueError if the run fails.
         """
@@ -324,15 +329,15 @@ class Adjusted:
     def beginning(self, history: Experiment) -> Array | None:
         """Estimate the initial state of a history; None for a simulator without one.
 
-        The estimate fits the history and a prior from the training states, which weighs as much as
-        one sample per state and decides where the history does not determine the state. For a
-        black box, the fitted initial values take the place of the state.
+        The estimate fits the history and a prior from the training states. The prior has the weight
+        of one sample per state, and decides if the history does not determine the state. For a
+        black box, the initial values take the place of the state.
         """
-        known = self._given.known
-        if not self.simulator.states and not known.initial:
+        parameters = self._given.known
+        if not self.simulator.states and not parameters.initial:
             return None
         if not self.simulator.states:
-            low, high = np.transpose([known.range(name) for name in known.initial])
+            low, high = np.transpose([parameters.range(name) for name in parameters.initial])
             return self._searched(history, [0.5 * (low + high)], 0.5 * (low + high), high - low)
         mean, spread = self.states.mean(axis=0), self.states.std(axis=0)
         spread = np.maximum(spread, 1e-6 * np.maximum(np.abs(mean), 1e-6))
@@ -342,18 +347,18 @@ class Adjusted:
 
     @property
     def _given(self) -> Any:
-        """Return the simulator; raises ValueError if a saved model has not been given it."""
+        """Return the simulator; raises ValueError for a saved model without it."""
         return self.simulator.require()
 
     def _finite(self, y: Array, time: Array) -> Array:
-        """Return the channels; raises ValueError for values that are not finite."""
+        """Return the channels; raises ValueError for non-finite values."""
         good = np.isfinite(y).all(axis=1)
         if not good.all():
             raise InputError(self._given.unfinished(float(time[np.argmin(good)])))
         return y
 
     def _began(self, state: Any) -> Point:
-        """Return parameters and initial state as `Adjustable.respond` takes them."""
+        """Return parameters and initial state for `Adjustable.respond`."""
         if state is None or self.simulator.states:
             return self.values, state
         return {**self.values, **dict(zip(self.simulator.known.initial, state, strict=True))}, None
@@ -366,19 +371,19 @@ class Adjusted:
         def errors(states: Sequence[Array]) -> list[Array]:
             points = [self._began(state) for state in states]
             with np.errstate(all="ignore"), _running():
-                found = self.simulator.respond(history.time, history.u, points)
-            apart = [_scaled_errors(y, history.y, self.noise, FAILED) for y, _ in found]
-            pairs = zip(apart, states, strict=True)
-            return [np.concatenate([each, (state - mean) / spread]) for each, state in pairs]
+                responses = self.simulator.respond(history.time, history.u, points)
+            left = [_scaled_errors(y, history.y, self.noise, FAILED) for y, _ in responses]
+            pairs = zip(left, states, strict=True)
+            return [np.concatenate([e, (state - mean) / spread]) for e, state in pairs]
 
         step = max(STATE_STEP, self.simulator.difference)
-        found = [best_state(errors, state, spread, step, _MOST_RUNS, FAILED) for state in begin]
-        return min(found, key=lambda each: each[1])[0]
+        minima = [best_state(errors, state, spread, step, _MOST_RUNS, FAILED) for state in begin]
+        return min(minima, key=lambda minimum: minimum[1])[0]
 
 
 @contextmanager
 def _running() -> Iterator[None]:
-    """Turn errors of user code into a ValueError that states the place."""
+    """Turn errors of user code into a ValueError with the place."""
     try:
         yield
     except DeadlineError:

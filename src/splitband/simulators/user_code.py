@@ -18,7 +18,7 @@ from splitband.runtime.errors import InputError
 _INSTALLED = {"site-packages", "dist-packages"}
 # On Windows, Python's own compiled modules lie in a folder beside its library.
 _OWN = Path(__file__).parents[1], Path(get_path("stdlib")), Path(sys.base_prefix, "DLLs")
-_OURS = {each.resolve() for each in _OWN}
+_OURS = {folder.resolve() for folder in _OWN}
 """Folders of this package and of Python."""
 
 
@@ -26,7 +26,7 @@ _OURS = {each.resolve() for each in _OWN}
 
 
 def arguments(function: Any) -> Mapping[str, inspect.Parameter]:
-    """Return the arguments of a function by name; none if they are unknown."""
+    """Return the arguments of a function by name; none for an unknown signature."""
     try:
         return inspect.signature(function).parameters
     except (TypeError, ValueError):
@@ -34,13 +34,13 @@ def arguments(function: Any) -> Mapping[str, inspect.Parameter]:
 
 
 def count_arguments(function: Any) -> int:
-    """Return the number of arguments that a function is to be given; 0 if it is unknown.
+    """Return the number of arguments to pass to a function; 0 for an unknown signature.
 
-    Those are the required ones, and those with a default that are called `u`, or `p` after it.
+    All required arguments count, and with a default only `u`, and `p` after it.
     """
     try:
         return _counted(function)
-    except TypeError:  # it has no hash
+    except TypeError:  # an object without a hash
         return _counted.__wrapped__(function)
 
 
@@ -48,63 +48,64 @@ def count_arguments(function: Any) -> int:
 def _counted(function: Any) -> int:
     taken = _positions(function)
     named = ("u", "p") if "u" in taken else ()
-    required = [name for name, each in taken.items() if each.default is each.empty]
-    wanted = [i + 1 for i, name in enumerate(taken) if name in (*required, *named)]
-    return max(wanted, default=0)
+    required = [name for name, parameter in taken.items() if parameter.default is parameter.empty]
+    counts = [i + 1 for i, name in enumerate(taken) if name in (*required, *named)]
+    return max(counts, default=0)
 
 
 def check_arguments(function: Any, *expected: str) -> None:
-    """Raise ValueError if arguments of the user's function stand where others belong."""
-    given = {name: i for i, name in enumerate(_positions(function))}
-    if any(given.get(name, expected.index(name)) != expected.index(name) for name in ("u", "p")):
+    """Raise ValueError for misplaced arguments of the user's function."""
+    actual = {name: i for i, name in enumerate(_positions(function))}
+    if any(actual.get(name, expected.index(name)) != expected.index(name) for name in ("u", "p")):
         raise InputError(
             f"a simulator's function must have the arguments ({', '.join(expected)}), in this "
-            f"order and without gaps: got ({', '.join(given)})"
+            f"order and without gaps: got ({', '.join(actual)})"
         )
 
 
 def check_open(function: Any, what: str, inputs: Sequence[str] = ()) -> None:
-    """Raise ValueError if a function, of code that is not driven, may be meant to take the inputs.
+    """Raise ValueError if a function without inputs may be meant to take the inputs.
 
-    That is one of any number of arguments, or whose argument can be left out and has the default
-    None, or the name of an input.
+    Such a function has any number of arguments, or an argument with the default None or the name of
+    an input.
     """
-    named = {bare_name(each) for each in inputs}
-    for each in arguments(function).values():
-        gathers = each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
-        if gathers or each.default is None or each.name in named:
+    named = {bare_name(name) for name in inputs}
+    for parameter in arguments(function).values():
+        gathers = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+        if gathers or parameter.default is None or parameter.name in named:
+            bare = parameter.replace(annotation=parameter.empty)
             raise InputError(
-                f"simulator {what} must say whether its argument "
-                f"{each.replace(annotation=each.empty)} is the record's inputs, which it would not "
-                "get: call it u, without a * before it, or else remove it or its default"
+                f"simulator {what} must say whether its argument {bare} is the record's inputs, "
+                "which it would not get: call it u, without a * before it, or else remove it or "
+                "its default"
             )
 
 
 def _positions(function: Any) -> dict[str, inspect.Parameter]:
-    """Return the positional arguments of a function; none if they are unknown."""
+    """Return the positional arguments of a function; none for an unknown signature."""
     kinds = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
-    return {name: each for name, each in arguments(function).items() if each.kind in kinds}
+    return {name: p for name, p in arguments(function).items() if p.kind in kinds}
 
 
 def outline(file: str | Path, name: str) -> Callable[..., Any] | None:
     """Return an empty function with the arguments of a `def name` at module level, or None.
 
-    Nothing of the file is run: a default that is no plain value becomes `...`.
+    The file is not run: a default other than a constant becomes `...`.
     """
     try:
         tree = ast.parse(Path(file).read_bytes())
     except (OSError, SyntaxError, ValueError):
         return None
-    found = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
-    if not found:
+    nodes = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == name]
+    if not nodes:
         return None
-    given = found[-1].args
-    for each in (*given.posonlyargs, *given.args, given.vararg, *given.kwonlyargs, given.kwarg):
-        if each is not None:
-            each.annotation = None
-    given.defaults = [_plain(each) for each in given.defaults]
-    given.kw_defaults = [each and _plain(each) for each in given.kw_defaults]
-    empty = ast.Expression(ast.Lambda(given, ast.Constant(None)))
+    a = nodes[-1].args
+    for argument in (*a.posonlyargs, *a.args, a.vararg, *a.kwonlyargs, a.kwarg):
+        if argument is not None:
+            argument.annotation = None
+    a.defaults = [_plain(default) for default in a.defaults]
+    a.kw_defaults = [default and _plain(default) for default in a.kw_defaults]
+    empty = ast.Expression(ast.Lambda(a, ast.Constant(None)))
     function: Callable[..., Any] = eval(compile(ast.fix_missing_locations(empty), "", "eval"), {})
     return function
 
@@ -119,12 +120,12 @@ def _plain(value: ast.expr) -> ast.expr:
 def failure(error: BaseException) -> str:
     """Return the message of an error in user code, on one line, and the place of the error."""
     where = place(error)
-    said = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return f"{said} ({where})" if where else said
+    message = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return f"{message} ({where})" if where else message
 
 
 def place(error: BaseException) -> str:
-    """Return the file and line of user code that raised an error; empty if there is none."""
+    """Return the file and line of an error in user code; empty for other code."""
     for frame in reversed(extract_tb(error.__traceback__)):
         path = Path(frame.filename).resolve()
         if path.is_file() and _of_the_user(path):

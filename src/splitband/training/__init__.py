@@ -1,6 +1,6 @@
 """Train networks: windows, settings and recipes, the fit.
 
-What is handed out stands in `__init__.pyi`, and is loaded when it is used: `fit` needs torch.
+`__init__.pyi` lists the exports, loaded on first use: `fit` needs torch.
 """
 
 import lazy_loader

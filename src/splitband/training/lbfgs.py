@@ -1,10 +1,10 @@
 """Finish a training by L-BFGS on windows laid end to end, all of them in every step.
 
-Not in the paper. Adam, which sees a few windows at a time, makes fast progress from random weights.
-Near a minimum its steps are mostly noise. The gradient over the whole record costs no more than a
-few dozen steps of Adam for networks of this size. From there on, quasi-Newton iterations
-(Nocedal and Wright, Numerical Optimization, 2006, Sec. 7.2) lower the loss in a fraction of the
-time. Where rounding in float32 hides the descent, they go on in float64.
+Not in the paper. Adam takes a few windows at a time and makes fast progress from random weights;
+near a minimum its steps are mostly noise. The gradient over the whole record costs no more than a
+few dozen steps of Adam for networks of this size, and quasi-Newton iterations (Nocedal and Wright,
+Numerical Optimization, 2006, Sec. 7.2) then lower the loss in a fraction of the time. Where
+rounding in float32 hides the descent, the iterations go on in float64.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from splitband.training.optimizers import LBFGS
 from splitband.training.settings import ROUND
 
 ROUND_IN_FLOAT64 = 12
-"""Iterations of a round in float64: they take about as long as `ROUND` of them in float32."""
+"""Iterations of a round in float64, for the time of `ROUND` iterations in float32."""
 MEMORY = 30
-"""Steps from which the curvature is estimated."""
+"""Steps in the estimate of the curvature."""
 CONVERGED = 1e-5
-"""A round makes no progress if it lowers the mean square by less than this share; see `round`."""
+"""Least share by which a round with progress lowers the mean square; see `round`."""
 MAX_WINDOWS_WITH_OVERLAP = 20_000
-"""Up to this many windows to choose from, the predicted parts of successive ones overlap by
-half."""
+"""Up to this many candidates, the predicted parts of successive windows overlap by half."""
 UNBOUNDED = 1e10
-"""Multiple of the first loss that replaces larger and non-finite losses."""
+"""Upper limit of losses, non-finite ones included, in multiples of the first loss."""
 
 
 def end_to_end(starts: Tensor, window: int, warmup: int, max_samples: int) -> Tensor:
-    """Choose from the first samples of all windows as few as are needed to predict every sample.
+    """Choose the fewest windows, given the first samples of all, that predict every sample.
 
     The warm-up of a window lies in the predicted part of the window before it. In short records
-    (see `MAX_WINDOWS_WITH_OVERLAP`) a further window lies halfway between two of them,
-    so that most samples are predicted both early and late in a free run, where errors differ.
+    (see `MAX_WINDOWS_WITH_OVERLAP`) a further window lies halfway between two of them: most samples
+    are then predicted both early and late in a free run, where errors differ.
     """
     overlap = 2 if len(starts) <= MAX_WINDOWS_WITH_OVERLAP else 1
     hop = max(1, (window - warmup) // overlap)
@@ -47,19 +46,19 @@ def end_to_end(starts: Tensor, window: int, warmup: int, max_samples: int) -> Te
         if start >= chosen[-1] + hop or start in last:
             chosen.append(start)
     most = max(1, max_samples // window)
-    kept = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
-    return torch.tensor(chosen)[kept]
+    indices = torch.linspace(0, len(chosen) - 1, min(most, len(chosen))).round().long()
+    return torch.tensor(chosen)[indices]
 
 
 class _OverError(Exception):
-    """Report that the deadline has passed in the middle of a round."""
+    """The deadline has passed in the middle of a round."""
 
 
 class Lbfgs:
-    """Run L-BFGS with a line search for the strong Wolfe conditions, round by round.
+    """L-BFGS with a line search for the strong Wolfe conditions, round by round.
 
-    It minimises `mean_square`, the mean squared error of all windows. A round that the `deadline`
-    ends keeps the best weights so far.
+    The objective is `mean_square`, the mean squared error of all windows. At the `deadline` a round
+    ends with the best weights so far.
     """
 
     def __init__(
@@ -74,8 +73,8 @@ class Lbfgs:
         """Whether the deadline has ended the last round."""
         self.parameters, self._mean_square = [*parameters], mean_square
         self.scale = 0.0
-        """Mean square at the beginning, by which the loss is divided: torch's tolerances suit a
-        loss of about 1."""
+        """Mean square at the beginning, the unit of the loss: torch's tolerances suit a loss of
+        about 1."""
         self.settled = self._stuck = False
         double = self.parameters[0].dtype == torch.float64
         iterations = ROUND_IN_FLOAT64 if double else ROUND
@@ -92,8 +91,8 @@ class Lbfgs:
     def round(self) -> float:
         """Run the iterations of a `ROUND`; return the RMS error after them.
 
-        If the error is not finite, or has grown, the weights stay as they were. The second round in
-        a row without progress (see `CONVERGED`) is the last one.
+        If the error has grown or is not finite, the weights stay unchanged. The second round in a
+        row without progress (see `CONVERGED`) is the last one.
         """
         before = [p.detach().clone() for p in self.parameters]
         began = self._error()
@@ -136,8 +135,8 @@ class Lbfgs:
         value = loss.item()
         slopes = [p.grad for p in self.parameters if p.grad is not None]
         if not (value < UNBOUNDED and all(bool(slope.isfinite().all()) for slope in slopes)):
-            # A step too far: a state has grown without bound. The line search interpolates values
-            # and slopes, and would not return from infinite ones.
+            # The step is too long: a state has grown without bound. The line search interpolates
+            # values and slopes, and would not return from infinite ones.
             for parameter in self.parameters:
                 parameter.grad = torch.zeros_like(parameter)
             value = UNBOUNDED

@@ -25,20 +25,18 @@ def fit(
     """Train a model in place (paper, Eq. 10, training, and Eq. 12, hybrid loss).
 
     A window lies within one record, its warm-up has no gap, and its loss counts measured samples
-    only. An epoch whose loss is no longer finite, or diverges (see `DIVERGED`), is repeated from
-    its start with half the learning rate, and the history notes it. If the deadline of the job
-    (`runtime.deadlines`) comes first, training stops with the weights that it has then; several
-    networks share the remaining time equally.
+    only. An epoch with a diverging (see `DIVERGED`) or non-finite loss is repeated from its start
+    with half the learning rate, and the history notes the restart. At the deadline of the job
+    (`runtime.deadlines`) training stops with the current weights; several networks share the
+    remaining time equally.
 
-    Raises ValueError for records whose channels differ from the model's, or that have room for no
-    window. Raises FloatingPointError when one network's loss diverges for the fourth time
-    (`MOST_RESTARTS`).
+    Raises ValueError for records with other channels than the model, or without a window. Raises
+    FloatingPointError when one network's loss diverges for the fourth time (`MOST_RESTARTS`).
 
     Parameters
     ----------
-    model : What to train; its initial parameters are the caller's.
-    records : The training record, without samples that are to be predicted, or several records of
-        the same system.
+    model : The model, with initial parameters.
+    records : The training record, without samples to predict, or several records of one system.
     settings : Training settings; by default `TrainingSettings.of` the shortest record's length.
     seed : Fixes the order of the windows.
     progress : Called after each epoch.
@@ -53,8 +51,8 @@ def fit(
     model.adapt_to(records, settings.normalize)
     began = time.perf_counter()
     history = History()
-    seen = [model.normalised(record) for record in records]
-    tasks = [joined(of_records) for of_records in zip(*map(model.tasks, seen), strict=True)]
+    signals = [model.normalised(record) for record in records]
+    tasks = [joined(of_records) for of_records in zip(*map(model.tasks, signals), strict=True)]
     for task in tasks:
         if settings.warmup < task.stride:
             raise InputError(
@@ -62,7 +60,7 @@ def fit(
                 f"down-sampled by {task.stride}, got {settings.warmup}"
             )
     for done, task in enumerate(tasks):
-        # Each network gets the same seed, so that its training does not depend on the others.
+        # All networks get the same seed: a training does not depend on the other ones.
         deadline = Deadline.after(current().left / (len(tasks) - done))
         training = NetworkTraining(task, chosen, settings, seed, deadline)
         losses = history.losses[task.name] = training.losses

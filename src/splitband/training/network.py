@@ -19,22 +19,20 @@ from splitband.training.settings import ROUND, TrainingSettings
 from splitband.training.windows import WindowSet, select, targets, windows
 
 DIVERGED = 100.0
-"""Loss, in multiples of the target's RMS or of the untrained network's loss, whichever is larger,
-that is treated as divergence."""
+"""Diverging loss, in multiples of the target's RMS or of the untrained network's loss, whichever is
+larger."""
 UNLEARNED = 0.9
-"""Loss, in multiples of the target's RMS, above which a network has learned hardly more than the
-mean, which gives 1."""
+"""Loss of a network that has learned nothing, in multiples of the target's RMS; the mean has 1."""
 ENOUGH_STEPS = 100
-"""Gradient steps before which a network that has learned nothing is not reported."""
+"""Gradient steps before which `UNLEARNED` is not applied."""
 _TINY = 1e-6
-"""Smallest loss by which the penalty is divided."""
+"""Smallest divisor of the penalty."""
 MOST_RESTARTS = 3
-"""Times that an epoch which diverged is repeated, each time with half the learning rate, before
-the training is given up."""
+"""Largest number of restarts after divergence, with half the learning rate after each."""
 
 
 class NetworkTraining:
-    """Train one network, epoch by epoch."""
+    """The training of one network, epoch by epoch."""
 
     def __init__(
         self,
@@ -59,11 +57,11 @@ class NetworkTraining:
         size = float(torch.linalg.vector_norm(task.target)) / task.target.numel() ** 0.5
         self.target_rms = size or 1.0
         self.first_loss = 0.0
-        """Loss of the untrained network. The residual of a good simulator may be much smaller than
-        any untrained network's output, so that the target's RMS alone does not show divergence."""
+        """Loss of the untrained network. The target's RMS alone does not show divergence: the
+        residual of a good simulator may be much smaller than an untrained network's output."""
         self.losses: list[float] = []
         self.restarts: list[int] = []
-        """Epochs that diverged and were repeated with half the learning rate."""
+        """Epochs repeated after divergence, with half the learning rate."""
         self.finish: lbfgs.Lbfgs | None = None
         self._given_dtype = self._dtype
         if settings.lbfgs_iterations:
@@ -71,20 +69,20 @@ class NetworkTraining:
 
     @property
     def notes(self) -> list[str]:
-        """Return what a user should know of the training, in words."""
-        said = [
+        """Return remarks on the training for the user."""
+        remarks = [
             f"the loss diverged in epoch {epoch}, repeated with half the learning rate"
             for epoch in self.restarts
         ]
         if self.cut:
             done = f"{len(self.losses)} of {self.passes}"
-            said.append(f"stopped by the time limit at epoch or round {done}")
+            remarks.append(f"stopped by the time limit at epoch or round {done}")
         share = self.losses[-1] / self.target_rms if self.losses else 1.0
         if share > UNLEARNED and self.steps() >= ENOUGH_STEPS:
-            said.append(
+            remarks.append(
                 f"nothing was learned: the error in training is {100 * share:.0f} % of the signal"
             )
-        return said
+        return remarks
 
     @property
     def done(self) -> bool:
@@ -100,7 +98,7 @@ class NetworkTraining:
     def advance(self) -> None:
         """Train for one epoch or, when all epochs are over, for one round of L-BFGS.
 
-        At least one gradient step is taken, even after the deadline, so that there is a loss.
+        At least one gradient step is taken, even after the deadline: its loss is needed.
         """
         if self.losses and self.deadline.over:
             self.cut = True
@@ -120,11 +118,11 @@ class NetworkTraining:
         return batches * (len(self.losses) - rounds) + ROUND * rounds
 
     def end(self) -> None:
-        """Return the network to the precision in which it came."""
+        """Return the network to its original precision."""
         self.task.network.to(self._given_dtype)
 
     def epoch(self) -> None:
-        """Train an epoch; repeat it with a smaller learning rate where it diverges."""
+        """Train an epoch; after divergence, repeat it with half the learning rate."""
         network, optimizer, generator = self.task.network, self.optimizer, self.generator
         good = deepcopy([network.state_dict(), optimizer.state_dict(), generator.get_state()])
         first_loss = self.first_loss
@@ -141,7 +139,7 @@ class NetworkTraining:
                     f"{loss:.4g} (at most {most:.4g} is allowed), after halving the learning rate "
                     f"{MOST_RESTARTS} times; lower it ({self.settings.learning_rate:g})"
                 )
-            weights, moments, drawn = deepcopy(good)  # the optimizer changes what it is given
+            weights, moments, drawn = deepcopy(good)  # the optimizer changes the tensors in place
             network.load_state_dict(weights)
             optimizer.load_state_dict(moments)
             generator.set_state(drawn)
@@ -163,10 +161,10 @@ class NetworkTraining:
             for group in self.optimizer.param_groups:
                 group["lr"] = settings.rate(epoch, share) * slower
             with one_torch_thread():
-                seen, wanted = select(self.known, batch), self.target[batch, :steps]
+                signals, target = select(self.known, batch), self.target[batch, :steps]
                 counted = None if self.measured is None else self.measured[batch, :steps]
             self.optimizer.zero_grad(set_to_none=True)
-            loss = _rmse(self.task.simulate(seen, steps), wanted, counted)
+            loss = _rmse(self.task.simulate(signals, steps), target, counted)
             # The square root of a mean square with its penalty, to first order.
             (loss + self._penalty() / (2 * loss.detach().clamp_min(_TINY))).backward()
             with one_torch_thread():
@@ -191,7 +189,7 @@ class NetworkTraining:
         self.finish = self._lbfgs()
         try:
             self._mean_square(self.starts[:1])
-        except RuntimeError:  # a user's cell that makes float32 tensors
+        except RuntimeError:  # a user's cell may create float32 tensors
             self.end()
             self.finish = settled
 
@@ -204,16 +202,16 @@ class NetworkTraining:
         return lbfgs.Lbfgs([*self.task.network.parameters()], error, self.deadline)
 
     def _mean_square(self, starts: Tensor) -> Tensor:
-        """Return the mean squared error of the windows that begin there, plus the penalty."""
+        """Return the mean squared error of the windows from `starts` on, plus the penalty."""
         dtype = self._dtype
-        wanted = self.target[starts].to(dtype)
-        seen = select(self.known, starts).map(lambda signal: signal.to(dtype))
-        prediction = self.task.simulate(seen, wanted.shape[1])
+        target = self.target[starts].to(dtype)
+        signals = select(self.known, starts).map(lambda signal: signal.to(dtype))
+        prediction = self.task.simulate(signals, target.shape[1])
         counted = None if self.measured is None else self.measured[starts]
-        return _rmse(prediction, wanted, counted) ** 2 + self._penalty()
+        return _rmse(prediction, target, counted) ** 2 + self._penalty()
 
     def _penalty(self) -> Tensor | float:
-        """Return what `TrainingSettings.l2` adds to the mean square."""
+        """Return the penalty of `TrainingSettings.l2`, in the unit of the mean square."""
         if not self.settings.l2:
             return 0.0
         network = self.task.network
@@ -222,7 +220,7 @@ class NetworkTraining:
 
 
 def _rmse(prediction: Tensor, target: Tensor, counted: Tensor | None = None) -> Tensor:
-    # A norm, not the root of a mean: its gradient at zero error is zero, not NaN.
+    # At zero error the gradient of a norm is zero; that of the root of a mean is NaN.
     if counted is None:
         return torch.linalg.vector_norm(prediction - target) / target.numel() ** 0.5
     left = torch.linalg.vector_norm((prediction - target) * counted)

@@ -1,8 +1,7 @@
 """Provide torch's optimizers without its compiler, which loads longer than a short training takes.
 
-Torch loads the compiler as soon as an optimizer is made, only to exempt the optimizer's methods
-from compilation. These classes use the methods without that wrapper; their steps are the same, to
-the bit.
+Torch loads the compiler with the first optimizer, only to exempt the optimizer's methods from
+compilation. These classes use the methods without this wrapper; their steps are equal to the bit.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from torch.optim import Optimizer
 
 
 class _Plain(Optimizer):
-    """Unwrap the methods that all optimizers share."""
+    """The common methods of all optimizers, unwrapped."""
 
     add_param_group = unwrap(Optimizer.add_param_group)
     load_state_dict = unwrap(Optimizer.load_state_dict)

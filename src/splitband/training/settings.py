@@ -1,4 +1,4 @@
-"""Define how a network is trained, the recipes for a record, and what a training reports."""
+"""Define the settings of a training, the recipes for a record, progress and history."""
 
 from __future__ import annotations
 
@@ -21,14 +21,12 @@ ROUND = 20
 STEPS = 1000
 """Gradient steps of the default recipe, for each network."""
 SHORTEST_WINDOW = 150
-"""Shortest window of the default recipe in samples, for records that are long enough."""
-
-
+"""Shortest window of the default recipe in samples, for records of sufficient length."""
 MAX_BATCHES = 100
-"""Largest number of steps per epoch in the default recipe; an epoch leaves out further windows of a
-long record."""
+"""Largest number of steps per epoch in the default recipe, for a part of a long record's windows.
+"""
 ENOUGH_WINDOWS = 0.25
-"""Share of all windows that must have a warm-up without gaps, or else warm-ups are shortened."""
+"""Least share of windows with a warm-up without gaps; below it, warm-ups are shortened."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,22 +38,21 @@ class TrainingSettings(WithRepr):
     Attributes
     ----------
     window : Length of a training window in samples, with its warm-up; one starts at every sample.
-    warmup : R, measured samples at the start of a window that set the initial state.
+    warmup : R, measured samples at the start of a window, for the initial state.
     epochs : Passes over all windows (the paper's "training steps"), or over `max_batches` of them;
         may be 0 with `lbfgs_iterations`.
     batch_size : Windows per gradient step.
     learning_rate : Initial learning rate of Adam.
-    milestones : `(epoch, learning rate)` pairs: the rate from that epoch on.
-    one_cycle : The rate rises to `learning_rate` over the first tenth of the steps and falls along
-        a cosine to a hundredth of it; in place of milestones.
+    milestones : `(epoch, learning rate)` pairs: the rate from an epoch on.
+    one_cycle : In place of milestones, the rate rises to `learning_rate` over the first tenth of
+        the steps and falls along a cosine to a hundredth of `learning_rate`.
     clip : Largest norm of a gradient.
     growth : Share of the training in which the free run grows from a tenth to its full length.
-    normalize : Scale each channel by mean and standard deviation of the training record.
-    max_batches : Largest number of steps per epoch, with windows drawn anew in each epoch.
-    lbfgs_iterations : Iterations of L-BFGS after the epochs; fewer if it converges before. See
-        `training.lbfgs`.
-    max_samples : Of all windows together in an iteration of L-BFGS, warm-ups included; above it,
-        windows are left out evenly.
+    normalize : Scale channels by mean and standard deviation of the training record.
+    max_batches : Largest number of steps per epoch, with windows drawn anew for every epoch.
+    lbfgs_iterations : Iterations of L-BFGS after the epochs, at most. See `training.lbfgs`.
+    max_samples : Largest number of samples in an iteration of L-BFGS, warm-ups included; of more
+        windows, evenly spaced ones are used.
     l2 : Weight of the sum of squared weights in the loss, relative to the mean squared error
         of the scaled channels (ridge regression). It helps with few samples.
     linear_start : Networks with a linear part begin as the linear model of the record.
@@ -79,10 +76,12 @@ class TrainingSettings(WithRepr):
 
     def __post_init__(self) -> None:
         """Check ranges."""
-        own = vars(self)
-        given = [name for name in ("max_batches", "lbfgs_iterations") if own[name] is not None]
-        for name in ("window", "warmup", "epochs", "batch_size", "max_samples", *given):
-            own[name] = whole(name, own[name], 0 if name == "epochs" else 1)
+        values = vars(self)
+        optional = [
+            name for name in ("max_batches", "lbfgs_iterations") if values[name] is not None
+        ]
+        for name in ("window", "warmup", "epochs", "batch_size", "max_samples", *optional):
+            values[name] = whole(name, values[name], 0 if name == "epochs" else 1)
         if not self.epochs and not self.lbfgs_iterations:
             raise InputError("epochs must be positive without lbfgs_iterations, got 0")
         if self.window <= self.warmup:
@@ -107,11 +106,11 @@ class TrainingSettings(WithRepr):
 
     @classmethod
     def of(cls, samples: int, windows: int | None = None) -> TrainingSettings:
-        """Return the default recipe for a training record of so many samples; not in the paper.
+        """Return the default recipe for a number of training samples; not in the paper.
 
         Windows have two fifths of the samples, 150 to 400. The learning rate has one cycle,
-        gradients are clipped, free runs grow. Each network takes about `STEPS` steps, at most
-        `MAX_BATCHES` of them per epoch. `windows` is their number, if gaps leave fewer than usual.
+        gradients are clipped, free runs grow. A network takes about `STEPS` steps, at most
+        `MAX_BATCHES` of them per epoch. `windows`: the number of windows, if gaps reduce it.
         """
         window = max(SHORTEST_WINDOW, 2 * samples // 5)
         window = max(2, min(400, window, longest_window(samples)))
@@ -138,12 +137,12 @@ class TrainingSettings(WithRepr):
         return cls(window, warmup, epochs, batch_size, learning_rate, **{**plain, **changes})
 
     def batches(self, windows: int) -> int:
-        """Return the steps of an epoch over so many windows."""
+        """Return the steps of an epoch over a number of windows."""
         batches = -(-windows // self.batch_size)
         return batches if self.max_batches is None else min(batches, self.max_batches)
 
     def batches_of(self, samples: int) -> int:
-        """Return the steps of an epoch over a record of so many samples without gaps."""
+        """Return the steps of an epoch over a record of `samples` without gaps."""
         return self.batches(max(samples - self.window + 1, 1))
 
     @property
@@ -152,7 +151,7 @@ class TrainingSettings(WithRepr):
         return -(-(self.lbfgs_iterations or 0) // ROUND)
 
     def after(self, earlier: TrainingSettings | None) -> TrainingSettings:
-        """Return the settings of a training and the one that it went on from, for tables."""
+        """Return the sum of an `earlier` training and its continuation by this one, for tables."""
         if earlier is None:
             return self
         iterations = (earlier.lbfgs_iterations or 0) + (self.lbfgs_iterations or 0)
@@ -168,7 +167,7 @@ class TrainingSettings(WithRepr):
         return ", ".join(filter(None, [random, epochs if self.epochs else "", finish, l2]))
 
     def rate(self, epoch: int, share: float) -> float:
-        """Return the learning rate in an epoch, when `share` (0 to 1) of all steps are done."""
+        """Return the learning rate in an epoch after a `share` (0 to 1) of all steps."""
         if self.one_cycle:
             rise = 0.1
             if share < rise:
@@ -179,13 +178,13 @@ class TrainingSettings(WithRepr):
         return reached[-1] if reached else self.learning_rate
 
     def reach(self, share: float, steps: int) -> int:
-        """Return how many of a window's `steps` to simulate after this `share` of all batches."""
+        """Return the length of the free run, at most `steps`, after a `share` of all batches."""
         done = min(1.0, share / self.growth) if self.growth else 1.0
         return max(1, round(steps * (0.1 + 0.9 * done)))
 
 
 def longest_window(samples: int) -> int:
-    """Return the longest window, three fifths of a record's samples, so that its windows differ."""
+    """Return the longest window, three fifths of a record's samples: windows then differ."""
     return 3 * samples // 5
 
 
@@ -227,7 +226,7 @@ def recipe_settings(
 
 
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
-    """Return the first samples of all possible windows, counted over the records."""
+    """Return the first samples of all windows, counted over the records."""
     lengths = [len(record) for record in records]
     complete = np.concatenate([record.complete for record in records])
     something = np.concatenate([(~np.isnan(record.y_with_gaps)).any(axis=1) for record in records])
@@ -237,7 +236,7 @@ def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.ND
 
 
 def checked_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
-    """Return the `window_starts`; raises ValueError where there are none."""
+    """Return the `window_starts`; raises ValueError for none."""
     shortest = min(records, key=len)
     if len(shortest) < window:
         named = f" {shortest.name}" if len(records) > 1 and shortest.name else ""
@@ -254,7 +253,7 @@ def checked_starts(records: Sequence[Record], window: int, warmup: int) -> npt.N
 
 
 def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:
-    """Count how many of the values from `begin` to `end` after each index are true."""
+    """Count the true values from `begin` to `end` after each index."""
     count = np.concatenate([[0], np.cumsum(true)])
     index, last = np.arange(len(true)), len(true)
     counted = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
@@ -263,24 +262,24 @@ def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np
 
 @dataclass(frozen=True)
 class Progress:
-    """Report the progress of a training, after each epoch."""
+    """The progress of a training, after an epoch."""
 
     task: str
     epoch: int
     epochs: int
     loss: float
     share: float
-    """Share of the whole training that is done, 0 to 1."""
+    """Completed share of the whole training, 0 to 1."""
 
 
 @dataclass
 class History:
-    """Hold the mean loss of each epoch by task, and the run time of a training."""
+    """The losses by task, and the run time of a training."""
 
     losses: dict[str, list[float]] = field(default_factory=dict)
-    """The losses of the epochs, followed by those of the rounds of L-BFGS in the same unit."""
+    """The mean losses of epochs, then of rounds of L-BFGS, in one unit."""
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)
-    """What went wrong in training, in words."""
+    """Failures in training, in words."""
     cut: bool = False
     """Whether a deadline ended the training early."""

@@ -16,12 +16,12 @@ from splitband.training.settings import checked_starts
 
 @dataclass(frozen=True, eq=False)
 class WindowSet:
-    """Hold the possible windows of training records, one record after the other.
+    """The windows of training records, one record after the other.
 
     Attributes
     ----------
-    starts : Their first samples, counted over all records.
-    measured : Mask of the samples that the loss counts, `(time, ny)`; None: all of them.
+    starts : First samples of the windows, counted over all records.
+    measured : Mask of the samples in the loss, `(time, ny)`; None for all samples.
     """
 
     starts: Tensor
@@ -31,11 +31,13 @@ class WindowSet:
 def windows_in(records: Sequence[Record], window: int, warmup: int) -> WindowSet:
     """Return all windows within a record with a complete warm-up and a measured sample after it.
 
-    Raises ValueError for a record shorter than a window, and where gaps leave no window.
+    Raises ValueError for a record shorter than a window, and if gaps leave no window.
     """
     starts = checked_starts(records, window, warmup)
-    seen = np.concatenate([~np.isnan(record.y_with_gaps) for record in records])
-    return WindowSet(torch.from_numpy(starts), None if seen.all() else torch.from_numpy(seen))
+    measured = np.concatenate([~np.isnan(record.y_with_gaps) for record in records])
+    return WindowSet(
+        torch.from_numpy(starts), None if measured.all() else torch.from_numpy(measured)
+    )
 
 
 def joined(tasks: Sequence[Task]) -> Task:
@@ -44,35 +46,32 @@ def joined(tasks: Sequence[Task]) -> Task:
         return tasks[0]
 
     def end_to_end(signals: Sequence[Tensor | None]) -> Tensor | None:
-        given = [signal for signal in signals if signal is not None]
-        return torch.cat(given) if len(given) == len(signals) else None
+        parts = [signal for signal in signals if signal is not None]
+        return torch.cat(parts) if len(parts) == len(signals) else None
 
-    known = [task.known for task in tasks]
+    inputs = [task.known for task in tasks]
     whole = Signals(
-        torch.cat([of_record.y for of_record in known]),
-        end_to_end([of_record.u for of_record in known]),
-        end_to_end([of_record.y_sim for of_record in known]),
+        torch.cat([of_record.y for of_record in inputs]),
+        end_to_end([of_record.u for of_record in inputs]),
+        end_to_end([of_record.y_sim for of_record in inputs]),
     )
     return replace(tasks[0], known=whole, target=torch.cat([task.target for task in tasks]))
 
 
 def windows(task: Task, window: int, warmup: int) -> tuple[Signals, Tensor]:
     """Return views of a window from every sample on: the known signals, and the target."""
-    known = task.known.map(lambda signal: _views(signal, window))
-    return replace(known, y=known.y[:, :warmup]), targets(task.target, task, window, warmup)
+    signals = task.known.map(lambda signal: _views(signal, window))
+    return replace(signals, y=signals.y[:, :warmup]), targets(task.target, task, window, warmup)
 
 
 def targets(signal: Tensor, task: Task, window: int, warmup: int) -> Tensor:
-    """Return those samples of a signal `(time, n)` that the network predicts, for every window.
-
-    They are on the device of the task's target.
-    """
+    """Return the predicted samples of a signal `(time, n)`, by window, on the target's device."""
     return _views(signal.to(task.target.device), window)[:, warmup :: task.stride]
 
 
-def select(known: Signals, batch: Tensor) -> Signals:
+def select(signals: Signals, batch: Tensor) -> Signals:
     """Return the windows of a batch, copied."""
-    return known.map(lambda signal: signal[batch])
+    return signals.map(lambda signal: signal[batch])
 
 
 def _views(signal: Tensor, window: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""Write results as one HTML file to look at and send on: it loads nothing from elsewhere."""
+"""Write results as one self-contained HTML file."""
 
 from functools import cache
 from typing import Any
@@ -10,7 +10,7 @@ NAME = "report.html"
 @cache
 def template(name: str) -> Any:
     """Return a template of this folder."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  where it is shown
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415  loads slowly
 
     loader = PackageLoader("splitband.report.page", "")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)

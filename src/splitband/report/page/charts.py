@@ -36,56 +36,57 @@ from splitband.runtime.arrays import Array
 WIDTH, TALL, LOW, SMALL = 800, 270, 210, 150
 """Pixels: the width of plots, and the heights of large, low and small ones."""
 LEFT = 70
-"""Pixels for the numbers of a vertical axis, the same for all plots: their time axes line up."""
+"""Pixels for the numbers of a vertical axis, equal for all plots: the time axes line up."""
 X = "x"
 """The column of a chart's source along its axis."""
 MOST = 4_000
-"""Points of one curve, at most: more than a screen has columns."""
+"""Largest number of points of a curve, more than the columns of a screen. Layout."""
 MAX_AXIS_RANGE = 1e3
-"""How far beyond a plot a curve is drawn, in heights of the plot: a canvas takes no larger numbers.
-Layout."""
+"""Largest distance of a curve from a plot, in heights of the plot: a canvas takes no larger
+numbers. Layout."""
 MAX_ROUNDING = 1e-4
-"""Largest change of a curve by single precision, as a share of its range: less than a pixel of a
-plot. Otherwise the curve stays double."""
+"""Largest change of a curve by single precision, as a share of its range: less than a pixel.
+Layout."""
 TOLD = 8
-"""Curves of a chart, and points of a short curve, that are told in words, at most. Layout."""
+"""Largest number of curves of a chart, and of points of a short curve, in its description.
+Layout."""
 _UP_TO_MINUTES = {"milliseconds": "%H:%M:%S.%3N", "seconds": "%H:%M:%S", "minsec": "%H:%M:%S"}
 _UP_TO_DAYS = {"minutes": "%H:%M", "hourmin": "%H:%M", "hours": "%d %b %H:%M", "days": "%d %b"}
 DATES: dict[str, Any] = _UP_TO_MINUTES | _UP_TO_DAYS | {"months": "%b %Y", "years": "%Y"}
 _DASHES = "dashed", "dotted", "dashdot"
 MANY = 200
-"""Range of an axis of angular frequencies from which on it has one number a decade. Layout."""
+"""Least range of an axis of angular frequencies with one number a decade. Layout."""
 MOST_DECIMALS = 12
-"""In a tooltip. Layout."""
+"""Largest number of decimals in a tooltip. Layout."""
 FAINT = 0.45
-"""Opacity of curves that are shown for comparison. Layout."""
+"""Opacity of curves for comparison. Layout."""
 
 Drawn = npt.NDArray[np.float32] | Array
 
 
 class Key(NamedTuple):
-    """Hold an entry of a legend."""
+    """An entry of a legend."""
 
-    color: str  # the name of its colour in the style
+    color: str  # the name of the colour in the style
     text: str
-    method: str = ""  # with whose switch it comes and goes
+    method: str = ""  # the method whose switch shows and hides the entry
     hidden: bool = False  # at first
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Hold what charts over the same axis share; they zoom together."""
+    """The common axis of several charts, which zoom together."""
 
     values: Array  # positions of the samples; dates are in milliseconds since 1970
-    label: str  # label with its unit
+    label: str  # label with the unit
     shown: Range1d  # the visible range
-    bins: npt.NDArray[np.int64]  # their first samples; two values are drawn of a bin of several
+    bins: npt.NDArray[np.int64]  # first samples of bins; two values of a longer bin are drawn
     dates: bool = False  # whether the values are dates
     log: bool = False
 
     @classmethod
     def over(cls, values: Array, label: str, name: str = "", dates: bool = False) -> Axis:
-        """Return an axis of numbers; the buttons of the page move the one called "time"."""
+        """Return an axis of numbers; the buttons of the page move the axis named "time"."""
         margin = 0.01 * (values[-1] - values[0] or 1.0)
         shown = _range(values[0] - margin, values[-1] + margin, name)
         samples = len(values)
@@ -94,7 +95,7 @@ class Axis:
 
     @classmethod
     def over_frequency(cls, values: Array, unit: str) -> Axis:
-        """Return a logarithmic axis; its bins are equally wide on it."""
+        """Return a logarithmic axis, with equally wide bins."""
         shown = _range(values[0], max(values[-1], 2 * values[0]))  # a short record has only one
         bins = np.arange(len(values))
         if len(values) > MOST:
@@ -117,7 +118,7 @@ class Axis:
 
     @property
     def whole(self) -> bool:
-        """Return whether every sample is drawn."""
+        """Return whether all samples are drawn."""
         return len(self.bins) == len(self.values)
 
     @property
@@ -128,7 +129,7 @@ class Axis:
 
     @property
     def drawn(self) -> Array:
-        """Return the positions that are drawn: two in each bin, the same for all curves."""
+        """Return the drawn positions: two a bin, equal for all curves."""
         if self.whole:
             return self.values
         sizes = np.diff(self.bins, append=len(self.values))
@@ -136,7 +137,7 @@ class Axis:
         return self.values[pairs.ravel()]
 
     def thinned(self, y: Array) -> Drawn:
-        """Return the lowest and the highest value of each bin, ordered as the curve runs in it."""
+        """Return the lowest and the highest value by bin, in the order of the curve."""
         if self.whole:
             return compact(y)
         low, high = np.fmin.reduceat(y, self.bins), np.fmax.reduceat(y, self.bins)
@@ -145,7 +146,7 @@ class Axis:
         return compact(pairs.ravel())
 
     def edges(self, lower: Array, upper: Array) -> tuple[Drawn, Drawn]:
-        """Return the lowest lower and the highest upper edge of an interval in each bin, twice."""
+        """Return the lowest lower and the highest upper edge of an interval by bin, twice."""
         if self.whole:
             return compact(lower), compact(upper)
         low, high = np.fmin.reduceat(lower, self.bins), np.fmax.reduceat(upper, self.bins)
@@ -153,26 +154,26 @@ class Axis:
 
 
 def compact(y: Array) -> Drawn:
-    """Return a curve in single precision if the difference is invisible."""
-    seen = y[np.isfinite(y)]
-    if not len(seen) or abs(seen).max() > np.finfo(np.float32).max:
+    """Return a curve in single precision if the difference is invisible, else unchanged."""
+    finite = y[np.isfinite(y)]
+    if not len(finite) or abs(finite).max() > np.finfo(np.float32).max:
         return y
-    worst = abs(seen.astype(np.float32).astype(np.float64) - seen).max()
-    return y.astype(np.float32) if worst <= MAX_ROUNDING * np.ptp(seen) else y
+    worst = abs(finite.astype(np.float32).astype(np.float64) - finite).max()
+    return y.astype(np.float32) if worst <= MAX_ROUNDING * np.ptp(finite) else y
 
 
 def _range(low: float, high: float, name: str = "") -> Range1d:
-    """Return a range that no panning or zooming can leave."""
+    """Return a range with limits for panning and zooming."""
     shown = Range1d(start=low, end=high, bounds=(low, high), name=name or None)
     shown.update(reset_start=low, reset_end=high)
     return shown
 
 
 class Chart:
-    """Draw a chart with its curves, and only those tools that a reader needs.
+    """A chart with curves, and only the necessary tools.
 
     Labels are plain text: to look for formulas in users' names, Bokeh would load a library. Several
-    `small` charts share a row. With `methods`, it is shown if one of these is switched on.
+    `small` charts share a row. With `methods`, the chart is visible if one of them is switched on.
     """
 
     def __init__(  # noqa: PLR0913
@@ -189,7 +190,7 @@ class Chart:
         self.axis, self.label, self.limits, self.log = axis, label, limits, log
         self.caption, self.small, self.methods = caption, small, methods
         self.data = ColumnDataSource({X: axis.drawn})
-        self._curves: list[tuple[str, list[str], str]] = []  # name, tags, and how it is told
+        self._curves: list[tuple[str, list[str], str]] = []  # name, tags, and values in words
         self._said: dict[str, str] = {}
         box = "xbox_zoom" if log else "box_zoom"
         shown = self.figure = figure(
@@ -218,7 +219,7 @@ class Chart:
 
     @property
     def key(self) -> list[Key]:
-        """Return the legend, the last curve first; of methods, those that say something here."""
+        """Return the legend, the last curve first; only methods with a text are included."""
         key = []
         for name, tags, _ in reversed(self._curves):
             if "method" not in tags:
@@ -229,19 +230,16 @@ class Chart:
 
     @property
     def says(self) -> str:
-        """Describe the plot for readers who cannot see it: what is drawn, and its first and last.
-
-        Of a curve of few points, all are told.
-        """
-        said = []
-        for name, _, told in sorted(self._curves, key=lambda each: "hidden" in each[1])[:TOLD]:
-            said += [f"{name} {told}"] if told else []
+        """Describe the plot for blind readers: curves with first and last values, or all of few."""
+        curves = []
+        for name, _, values in sorted(self._curves, key=lambda curve: "hidden" in curve[1])[:TOLD]:
+            curves += [f"{name} {values}"] if values else []
         scale = ", with a logarithmic axis" if self.log else ""
         what = f"Plot of {self.label} over {self.axis.label}{scale}"
-        return f"{self.caption}. {what}: {'; '.join(said)}."
+        return f"{self.caption}. {what}: {'; '.join(curves)}."
 
     def _told(self, y: Array) -> str:
-        """Return the values of a curve that are told in words."""
+        """Return the values of a curve in words, see `says`."""
         rows = np.flatnonzero(np.isfinite(y))
         if len(rows) > TOLD:
             return f"from {number(float(y[rows[0]]))} to {number(float(y[rows[-1]]))}"
@@ -252,7 +250,7 @@ class Chart:
     ) -> None:
         """Add a curve in the colour of its first tag: `measured`, `truth`, `c0`...
 
-        With `stepped`, each value stays until the next sample, where every sample is drawn.
+        With `stepped`, values are constant until the next sample, if all samples are drawn.
         """
         self._curves.append((name, [*tags], self._told(y)))
         column = self._kept(self.axis.thinned(self._within(y)))
@@ -262,14 +260,14 @@ class Chart:
             self._add(Line(x=X, y=column, **style), name, tags)
 
     def method(self, y: Array, method: Method, said: str = "", **style: Any) -> None:
-        """Add a method's curve, which its switch turns on and off; `said` is for the legend."""
+        """Add a method's curve, with a switch; `said` is the text in the legend."""
         if said:
             self._said[method.name] = said
         usual = {"line_width": 1.4, "line_dash": "dashed" if method.dashed else "solid"}
         self.line(y, method.name, method.tags, **{**usual, **style})
 
     def add_angular_frequencies(self) -> None:
-        """Add an axis above, with the angular frequencies of one in Hz."""
+        """Add an axis of angular frequencies above, to an axis in Hz."""
         first, last = (2 * math.pi * float(self.axis.values[i]) for i in (0, -1))
         decades = range(math.floor(math.log10(first)), math.ceil(math.log10(last)) + 1)
         few = last / first < MANY
@@ -280,7 +278,7 @@ class Chart:
         self.figure.add_layout(above, "above")
 
     def stems(self, y: Array, name: str, tags: Sequence[str]) -> None:
-        """Add a vertical line from 0 for each value."""
+        """Add vertical lines from 0 to the values."""
         self._curves.append((name, [*tags], self._told(y)))
         ends = self._kept(np.zeros(len(self.axis.drawn))), self._kept(self.axis.thinned(y))
         stems = Segment(x0=X, x1=X, y0=ends[0], y1=ends[1], line_width=2)
@@ -293,10 +291,7 @@ class Chart:
         self._add(VArea(x=X, y1=names[0], y2=names[1], fill_alpha=0.18), name, tags)
 
     def _add(self, glyph: Any, name: str, tags: Sequence[str]) -> None:
-        """Add a glyph without the glyphs for selections, which Bokeh would add.
-
-        These would take most of the time to make a page.
-        """
+        """Add a glyph without Bokeh's glyphs for selections, which take most of a page's time."""
         none: dict[str, Any] = dict.fromkeys(
             ("selection_glyph", "nonselection_glyph", "muted_glyph")
         )
@@ -312,7 +307,7 @@ class Chart:
         self.figure.add_layout(Span(location=at, dimension=dimension, **style))
 
     def _within(self, y: Array) -> Array:
-        """Clip a curve to what a canvas can draw."""
+        """Clip a curve to the numbers of a canvas."""
         if self.log:
             return np.maximum(y, 1e-300)
         low, high = self.limits
@@ -326,7 +321,7 @@ class Chart:
 
 
 def _decades(limits: tuple[float, float]) -> FixedTicker:
-    """Return ticks of a logarithmic axis at 1, 2 and 5; with many decades only at 1."""
+    """Return ticks of a logarithmic axis at 1, 2 and 5; over many decades only at 1."""
     first, last = (math.floor(math.log10(v)) for v in limits)
     step = max((last - first) // 8, 1)
     mantissas = (1, 2, 5) if last - first < 4 else (1,)
@@ -342,10 +337,10 @@ def dash(i: int) -> str:
 
 def limits(values: Sequence[Array], margin: float = 0.1) -> tuple[float, float]:
     """Return limits around the finite values of some curves."""
-    seen = np.concatenate([v[np.isfinite(v)].ravel() for v in values] or [np.zeros(1)])
-    if not len(seen):
+    finite = np.concatenate([v[np.isfinite(v)].ravel() for v in values] or [np.zeros(1)])
+    if not len(finite):
         return -1.0, 1.0
-    low, high = float(seen.min()), float(seen.max())
+    low, high = float(finite.min()), float(finite.max())
     room = margin * (high - low or abs(high) or 1.0)
     return low - room, high + room
 

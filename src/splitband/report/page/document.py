@@ -1,4 +1,4 @@
-"""Write a page as one file: text, style, script and plots, so that it needs no network."""
+"""Write a page as one file for use without a network: text, style, script and plots."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from splitband.runtime.files import write_text
 
 
 def of_comparison(result: Comparison, path: str | Path, usage: Usage | None = None) -> None:
-    """Write the page of a comparison, whole or not at all; `usage` is shown on it."""
+    """Write the page of a comparison, whole or not at all; it shows `usage`."""
     write(pages.of_comparison(result, usage or Usage()), path)
 
 
@@ -46,7 +46,7 @@ def html(page: Page) -> str:
 
 
 def _embedded(plots: Sequence[Chart]) -> str:
-    """Return the plots as JSON that is safe inside a script; one document, so they share ranges."""
+    """Return the plots as JSON, safe inside a script; one document, for common ranges."""
     document = Document()
     with document.models.freeze():  # one update for all plots: faster
         for plot in plots:

@@ -33,7 +33,7 @@ from splitband.report.tables import ordered
 from splitband.runtime.arrays import Array
 
 MAX_BODE = 4
-"""Largest number of pairs of input and output that have gain and phase, too. Bounds the time."""
+"""Largest number of pairs of input and output with gain and phase, too. Bounds the time."""
 
 
 def of_comparison(result: Comparison, used: Usage) -> Page:
@@ -44,15 +44,15 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     called = {name: listed.label(name) for name in ordered(trial, result.fits)}
     leaving = {name for name in called if name != best and tables.leaving_range(result, name)}
     styles = method_styles(called, best, {*listed.minor, *leaving})
-    every = [each for each in predicted(result) if each.predictions]
-    first = [each for each in every if each.protocol == every[0].protocol]
+    every = [runs for runs in predicted(result) if runs.predictions]
+    first = [runs for runs in every if runs.protocol == every[0].protocol]
     shown = [plots.OverTime(p, styles, "" if i else "time") for i, p in enumerate(first)]
-    curves = [plot for each in shown for plot in (*each.outputs(), *each.inputs())]
+    curves = [plot for over_time in shown for plot in (*over_time.outputs(), *over_time.inputs())]
     left, errors = [p for s in shown for p in s.residuals()], [p for s in shown for p in s.errors()]
-    said = (*result.warnings, *words.warnings(result), *words.of_gaps(record))
-    warned = [*map(words.sentence, said)]
+    warnings = (*result.warnings, *words.warnings(result), *words.of_gaps(record))
+    warned = [*map(words.sentence, warnings)]
     why = " ".join(words.why(trial, result.plan.train, listed.labels))
-    headline = [(of, "\n".join(said)) for of, said in words.headline(result)]
+    headline = [(of, "\n".join(facts)) for of, facts in words.headline(result)]
     sections = [
         Section("answer", answer, words.afterwards(result), warned, facts=headline),
         Section("plot", "Measured and predicted", [what_was_known(result)], plots=curves),
@@ -81,54 +81,54 @@ _HORIZON = (
 
 
 def _shared(result: Comparison) -> dict[str, object]:
-    """Return the settings that all methods share, without those that a search found for each."""
+    """Return the common settings of all methods, without those of a search."""
     plan = result.plan
     facts = {**plan.as_json(), "choice": None}
     if not plan.searched:
         return facts
-    found = {"settings", *asdict(plan.sizes)}
-    kept = {name: value for name, value in facts.items() if name not in found}
-    return kept | {"warmup": plan.settings.warmup}
+    searched = {"settings", *asdict(plan.sizes)}
+    common = {name: value for name, value in facts.items() if name not in searched}
+    return common | {"warmup": plan.settings.warmup}
 
 
 def _residuals(
-    said: Sequence[str], tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]
+    verdicts: Sequence[str], tests: Sequence[ResidualTests], title: str, further: Sequence[Chart]
 ) -> Section:
-    """Return the section of the residual tests and what they `said`, with further plots."""
+    """Return the section of the residual tests with their verdicts, and further plots."""
     text = [
-        " ".join(said),
+        " ".join(verdicts),
         f"Shaded: the band that holds {100 * CONFIDENCE:.0f} % of the values by chance. Residuals "
         "that depend on an input show dynamics that the model misses; residuals that depend on "
         "their own past show a disturbance, or such dynamics.",
     ]
-    stems = [plots.correlation(t.output, each) for t in tests for each in (t.whiteness, *t.inputs)]
+    stems = [plots.correlation(t.output, c) for t in tests for c in (t.whiteness, *t.inputs)]
     return Section("residuals", title, text if tests else (), plots=[*stems, *further])
 
 
 def _responses(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
-    """Return the section of the responses of the recommended model and of the linear one."""
+    """Return the section of the responses of the recommended and of the linear model."""
     models = {result.recommended: result.model}
     for linear in _linear_of(result):
         models.setdefault(linear.name, linear)
     every = {name: respond_over_range(model) for name, model in models.items()}
-    found = {name: each for name, each in every.items() if each}
-    if not found:
+    by_model = {name: responses for name, responses in every.items() if responses}
+    if not by_model:
         return []
     outside = [styles[name].label for name, model in models.items() if "simulator" in model.needs]
-    shown = " and ".join(styles[name].label for name in found)
-    said = f"Of {shown}: {outside[0]} needs its simulator's output." if outside else ""
+    shown = " and ".join(styles[name].label for name in by_model)
+    remark = f"Of {shown}: {outside[0]} needs its simulator's output." if outside else ""
     few = result.record.nu * result.record.ny <= MAX_BODE
-    return [_responses_of(found, styles, said, few)]
+    return [_responses_of(by_model, styles, remark, few)]
 
 
 def _responses_of(
-    found: Mapping[str, Sequence[Responses]],
+    by_model: Mapping[str, Sequence[Responses]],
     styles: Mapping[str, Method],
-    said: str = "",
+    remark: str = "",
     bode: bool = True,
 ) -> Section:
-    """Return the section of step and Bode responses at the operating points of each model."""
-    most = max(found.values(), key=len)
+    """Return the section of step and Bode responses at the operating points of the models."""
+    most = max(by_model.values(), key=len)
     text = (
         "Change of the output for a step of 1, from small steps of one input at a time around the "
         f"mean of the training inputs, {most[0].operating_point}"
@@ -141,14 +141,14 @@ def _responses_of(
             "ranges in training. Where the curves differ, the model is nonlinear: its gain depends "
             "on the operating point."
         )
-    remarks = dict.fromkeys(said for of in found.values() for said in of[0].remarks)
-    drawn = plots.responses(found, styles, bode)
+    remarks = dict.fromkeys(sentence for of in by_model.values() for sentence in of[0].remarks)
+    drawn = plots.responses(by_model, styles, bode)
     title = "Step and Bode responses" if bode else "Step responses"
-    return Section("responses", title, [said, text, *remarks], (), tables.of_gains(most), drawn)
+    return Section("responses", title, [remark, text, *remarks], (), tables.of_gains(most), drawn)
 
 
 def _linear_of(result: Comparison) -> list[Linear]:
-    """Return the fitted linear model, if it is one of the methods."""
+    """Return the fitted linear model, if among the methods."""
     every = (fit.fitted for fits in result.fits.values() for fit in fits)
     return [fitted for fitted in every if isinstance(fitted, Linear)][:1]
 
@@ -174,22 +174,22 @@ def _of_linear(fitted: Linear) -> Section:
 
 
 def _roots(roots: npt.NDArray[np.complex128]) -> str:
-    """Return zeros in a line, pairs as one."""
-    return ", ".join(complex_in_words(each) for each in roots if each.imag >= 0) or "none"
+    """Return zeros in a line, with conjugate pairs as one."""
+    return ", ".join(complex_in_words(root) for root in roots if root.imag >= 0) or "none"
 
 
 def _further(every: Sequence[Predicted], styles: Mapping[str, Method]) -> list[Section]:
-    """Return the sections of a forecast that is not shown first, of simulations, of components."""
+    """Return the sections of a second forecast, of simulations, of components."""
     sections = []
-    for each in every:
-        drawn = plots.OverTime(each, styles)
-        ahead = each.protocol == "forecast"
-        said = each.says[:1].upper() + each.says[1:]
-        title = said if ahead else "Simulation from the start of the record"
+    for runs in every:
+        drawn = plots.OverTime(runs, styles)
+        ahead = runs.protocol == "forecast"
+        caption = runs.says[:1].upper() + runs.says[1:]
+        title = caption if ahead else "Simulation from the start of the record"
         name = "forecast" if ahead else "runs"
         sections.append(Section(name, title, plots=drawn.outputs(), folded=True))
         if parts := [] if ahead else drawn.components():
-            names = ", ".join(styles[n].label for n, y in each.predictions.items() if y.components)
+            names = ", ".join(styles[n].label for n, y in runs.predictions.items() if y.components)
             text = (
                 "A model's output is the sum of these parts. All curves are without their means. "
                 f"Switch on a method to see its parts: {names}."
@@ -205,31 +205,31 @@ def _bands(result: Comparison) -> Section:
     text, choices = [words.of_bands(bands, part)], [bands.choice if bands.cutoff else None]
     for name, fits in result.fits.items():
         fitted = fits[0].fitted
-        own = fitted._trained_in if isinstance(fitted, Network) else None
-        if own is not None and own.cutoff != bands.cutoff:
-            text.append(f"{name}: {words.of_bands(own, part)}")
-            choices.append(own.choice)
+        trained = fitted._trained_in if isinstance(fitted, Network) else None
+        if trained is not None and trained.cutoff != bands.cutoff:
+            text.append(f"{name}: {words.of_bands(trained, part)}")
+            choices.append(trained.choice)
     drawn = plots.spectrum(part, bands.cutoff, _bases(result))
-    drawn += [plots.cutoffs(each) for each in dict.fromkeys(choices) if each is not None]
+    drawn += [plots.cutoffs(choice) for choice in dict.fromkeys(choices) if choice is not None]
     return Section("spectrum", "Spectrum and cut-off", text, plots=drawn, folded=True)
 
 
 def _bases(result: Comparison) -> dict[str, Array]:
-    """Return the training-part outputs of fitted models that replace a simulator in hybrids.
+    """Return the training-part outputs of fitted models in place of a simulator in hybrids.
 
-    Their first samples, the warm-up, are the record's.
+    The first samples, the warm-up, are the record's.
     """
     train, record = result.plan.train, result.record
-    found: dict[str, Array] = {}
+    bases: dict[str, Array] = {}
     for fits in result.fits.values():
         run, method = fits[0], fits[0].fitted
         parts: Mapping[str, Array] = run.unfiltered or run.from_start.components
         slow = [part.slow_label for part in parts_of(method)]
-        for label in [each for each in slow if each in parts and each != SIMULATOR]:
+        for label in [name for name in slow if name in parts and name != SIMULATOR]:
             whole = record.y.copy()
             whole[len(whole) - len(parts[label]) :] = parts[label]
-            found.setdefault(label, whole[:train])
-    return found
+            bases.setdefault(label, whole[:train])
+    return bases
 
 
 def _trained(result: Comparison, styles: Mapping[str, Method]) -> list[Section]:
@@ -264,12 +264,12 @@ def of_check(
     for i, column in enumerate(record.columns):
         fits = [f"fit {tenths(of[i])} %, {horizon}" for horizon, of in result.fits.items()]
         facts.append((column, "\n".join(fits)))
-    said, title = [test.finding() for test in result.tests], "Is the model good? Residual tests"
+    findings, title = [test.finding() for test in result.tests], "Is the model good? Residual tests"
     answer = f"{result.outcome.capitalize()}: {result.title or name}"
     curves = [*drawn.outputs(), *drawn.inputs()]
     sections = [
         Section("answer", answer, result.in_words(), plots=curves, facts=facts),
-        _residuals(said, result.tests, title, []),
+        _residuals(findings, result.tests, title, []),
     ]
     if responses:
         sections.append(_responses_of({name: responses}, styles))
@@ -282,18 +282,18 @@ def of_check(
 def of_spectrum(
     record: Record, bands: Bands, tables: Sequence[Table], facts: Mapping[str, Any], used: Usage
 ) -> Page:
-    """Return the page of a spectrum; `facts` are those of results.json."""
-    said = [words.sentence(each) for each in facts["in_words"]]
-    items = [words.sentence(each) for each in (*facts["warnings"], *words.of_gaps(record))]
+    """Return the page of a spectrum; `facts` are the content of results.json."""
+    sentences = [words.sentence(text) for text in facts["in_words"]]
+    items = [words.sentence(text) for text in (*facts["warnings"], *words.of_gaps(record))]
     drawn = plots.spectrum(record, bands.cutoff, {})
     drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
     title = f"Cut-off: {number(bands.cutoff)} Hz, order {bands.order}"
-    sections = [Section("answer", title, said, items, tables, drawn), _settings([], used)]
+    sections = [Section("answer", title, sentences, items, tables, drawn), _settings([], used)]
     return Page(f"{record.name or 'a record'}: spectrum", words.lead(record), sections)
 
 
 def _next_steps(used: Usage) -> list[Section]:
-    """Return the section of the commands that use the model, if there are any."""
+    """Return the section of commands for the model, if any."""
     return [Section("next", "What to do next", code=used.commands)] if used.commands else []
 
 

@@ -15,42 +15,42 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """Hold a part of the page with a heading."""
+    """A part of the page with a heading."""
 
-    name: str  # its anchor
+    name: str  # the anchor
     title: str  # the heading
     words: Sequence[str] = ()  # paragraphs
-    items: Sequence[str] = ()  # warnings, above these
-    tables: Sequence[Table] = ()  # shown after the list
+    items: Sequence[str] = ()  # warnings, above the paragraphs
+    tables: Sequence[Table] = ()  # below the paragraphs
     plots: Sequence[Chart] = ()
-    code: Sequence[tuple[str, str]] = ()  # lines to copy, each with what they do
+    code: Sequence[tuple[str, str]] = ()  # pairs of a purpose and lines to copy
     facts: Sequence[tuple[str, str]] = ()  # pairs of a name and a value
-    folded: bool = False  # whether it is closed until clicked
+    folded: bool = False  # whether the section is closed until clicked
 
 
 @dataclass(frozen=True)
 class Method:
-    """Describe a method that readers switch on and off."""
+    """A method with a switch on the page."""
 
     name: str  # name of the forecaster
-    color: int = 0  # index of its colour in the palette
-    dashed: bool = False  # whether its colour repeats that of another method
-    recommended: bool = True  # whether it is the recommended method
-    shown: bool = True  # whether it is on at first
-    label: str = ""  # what it is, in words
+    color: int = 0  # index of the colour in the palette
+    dashed: bool = False  # whether the colour repeats another method's
+    recommended: bool = True
+    shown: bool = True  # whether the switch is on at first
+    label: str = ""  # the method in words
 
     @property
     def tags(self) -> list[str]:
-        """Return the tags by which the page's script colours its curves and switches them."""
+        """Return the tags of curves, for colours and switches in the page's script."""
         return [f"c{self.color}", "method", *([] if self.shown else ["hidden"])]
 
 
 def method_styles(
     labels: Mapping[str, str], recommended: str, minor: Collection[str] = ()
 ) -> dict[str, Method]:
-    """Return how each method is drawn; if colours run out, they repeat, dashed.
+    """Return the styles by method; if colours run out, they repeat, dashed.
 
-    `labels` are methods in words, in the order of the table; its `minor` rows are off at first.
+    `labels` are methods in words, in the order of the table; `minor` rows are off at first.
     """
     return {
         name: Method(
@@ -62,12 +62,12 @@ def method_styles(
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Hold a page."""
+    """A page."""
 
     title: str
-    lead: str  # the line below it
+    lead: str  # the line below the title
     sections: Sequence[Section]  # the switches of the methods are below the first one
-    methods: Sequence[Method] = ()  # methods that are drawn
+    methods: Sequence[Method] = ()  # methods with curves
     views: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # buttons: time ranges
 
     @property
@@ -78,7 +78,7 @@ class Page:
 
 @dataclass(frozen=True)
 class Usage:
-    """Hold the command that made a result, and how to use its model."""
+    """The command of a result, and commands for its model."""
 
-    commands: Sequence[tuple[str, str]] = ()  # what each does, and the command or Python code
-    asked: str = ""  # the command that made the page
+    commands: Sequence[tuple[str, str]] = ()  # pairs of a purpose and a command or Python code
+    asked: str = ""  # the command of the page

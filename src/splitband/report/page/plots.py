@@ -38,13 +38,13 @@ from splitband.report.predictions import Predicted
 from splitband.runtime.arrays import Array
 
 MAX_TALL_CHANNELS = 2
-"""Largest number of outputs or inputs that have plots of full size. Layout."""
+"""Largest number of outputs or inputs with plots of full size. Layout."""
 TRANSIENT = 10
-"""First samples of a prediction, whose errors vary too much to set the scale. Layout."""
+"""First samples of a prediction, with errors too variable for the scale. Layout."""
 
 
 class OverTime:
-    """Plot a record and predictions over the same time axis, of which the predicted part is seen.
+    """Plots of a record and predictions over a common time axis, with the predicted part visible.
 
     The buttons of the page move the plots with the `name` "time".
     """
@@ -56,17 +56,17 @@ class OverTime:
         self._length = len(self.axis.values)
 
     def outputs(self) -> list[Chart]:
-        """Return a plot for each output."""
+        """Return the plots by output."""
         return [self._output(i) for i in range(self.record.ny)]
 
     def _output(self, i: int) -> Chart:
         record, shown, column = self.record, self.shown, self.record.columns[i]
-        seen = record.y_with_gaps[:, i]
+        measured = record.y_with_gaps[:, i]
         recommended = next(m for m in self.styles.values() if m.recommended)
         best = shown.predictions.get(recommended.name)
-        scale = [seen[shown.first :]]
-        if best is not None and np.isfinite(seen).any():
-            scale.append(np.clip(best.y[:, i], *limits([seen], DIVERGED)))
+        scale = [measured[shown.first :]]
+        if best is not None and np.isfinite(measured).any():
+            scale.append(np.clip(best.y[:, i], *limits([measured], DIVERGED)))
         caption = f"{column}: {shown.says}"
         if best is not None and best.level is not None:
             caption += f"; shaded: {percent(best.level)} interval"
@@ -77,28 +77,28 @@ class OverTime:
             chart.band(lower, upper, recommended.name, recommended.tags)
         for name in self._best_last():
             style, y = self.styles[name], shown.predictions[name].y[:, i]
-            # The recommended one is wide, so that it shows behind what was measured.
-            said, look = self._legend(name, i), _look(style, 3.5)
-            chart.method(padded(y, self._length), style, said, **look)
+            # The recommended method's curve is wide, to be visible behind the measurement.
+            text, look = self._legend(name, i), _look(style, 3.5)
+            chart.method(padded(y, self._length), style, text, **look)
         if record.y_true is not None:
             chart.line(record.y_true[:, i], "noise-free", ["truth"], line_width=1.0)
-        chart.line(seen, "measured", ["measured"], line_width=1.2)
+        chart.line(measured, "measured", ["measured"], line_width=1.2)
         if 0 < shown.begin < self._length:
             chart.mark(self.axis.values[shown.begin])
         return chart
 
     def _best_last(self) -> list[str]:
-        """Return the methods as they are drawn: the recommended one above the others."""
+        """Return the methods in drawing order: the recommended one above the others."""
         return [name for name in reversed([*self.styles]) if name in self.shown.predictions]
 
     def _legend(self, name: str, i: int) -> str:
-        """Return a method in words, with its fit where the output was measured."""
+        """Return a method in words, with the fit of a measured output."""
         prediction, label = self.shown.predictions[name], self.styles[name].label or name
         fit = float(fit_percent(self.shown.truth(prediction), prediction.y)[i])
         return f"{label}: {tenths(fit)} %" if np.isfinite(fit) else label
 
     def inputs(self) -> list[Chart]:
-        """Return a plot for each input, which zooms together with the plots of the outputs."""
+        """Return the plots by input, which zoom together with those of the outputs."""
         record, plots = self.record, []
         u = np.zeros((len(record), 0)) if record.u is None else record.u
         for name, values in zip(record.inputs, u.T, strict=True):
@@ -109,7 +109,7 @@ class OverTime:
         return plots
 
     def residuals(self) -> list[Chart]:
-        """Return a plot for each output, with the residuals of each prediction."""
+        """Return the plots by output of the residuals of all predictions."""
         plots, shown = [], self.shown
         for i, (column, unit) in enumerate(
             zip(self.record.columns, self.record.units, strict=True)
@@ -130,7 +130,7 @@ class OverTime:
         return plots
 
     def errors(self) -> list[Chart]:
-        """Return plots of each output's error over the horizon, the range of trainings shaded."""
+        """Return plots by output of the error over the horizon, the range of trainings shaded."""
         counted, shown, plots = self.axis.label == "sample", self.shown, []
         step = 1.0 if counted else self.record.sampling_time
         horizon = step * np.arange(1.0, shown.steps + 1)
@@ -145,21 +145,21 @@ class OverTime:
             caption = f"{column}: error over horizon, {shown.says}"
             chart = Chart(axis, _with("RMSE", unit), scale, caption, log=True)
             for name, y in means.items():
-                each = [self._grown(p, i) for p in shown.trainings[name]]
-                if len(each) > 1:
-                    edges = np.min(each, axis=0), np.max(each, axis=0)
+                by_training = [self._grown(p, i) for p in shown.trainings[name]]
+                if len(by_training) > 1:
+                    edges = np.min(by_training, axis=0), np.max(by_training, axis=0)
                     chart.band(*edges, name, self.styles[name].tags)
                 chart.method(y, self.styles[name], self.styles[name].label or name)
             plots.append(chart)
         return plots
 
     def _grown(self, predicted: Prediction, i: int) -> Array:
-        """Return the RMSE up to each horizon, NaN beyond the end of the prediction."""
+        """Return the RMSE by horizon, NaN beyond the end of the prediction."""
         error = cumulative_rmse(self.shown.truth(predicted)[:, i], predicted.y[:, i])
         return padded(error, self.shown.steps, first=True)
 
     def components(self) -> list[Chart]:
-        """Return plots of the components of each split or hybrid model, without their means."""
+        """Return plots of the components of split and hybrid models, without their means."""
         return [
             self._parts(name, predicted, i)
             for name, predicted in self.shown.predictions.items()
@@ -170,8 +170,8 @@ class OverTime:
     def _parts(self, name: str, predicted: Prediction, i: int) -> Chart:
         column, parts = self.record.columns[i], predicted.components
         curves = {p: padded(y[:, i] - y[:, i].mean(), self._length) for p, y in parts.items()}
-        seen = self.record.y_with_gaps[:, i]
-        about = seen - np.nanmean(seen)
+        measured = self.record.y_with_gaps[:, i]
+        about = measured - np.nanmean(measured)
         scale, caption = (
             limits([about, *curves.values()]),
             f"{self.styles[name].label or name}, {column}: components",
@@ -184,7 +184,7 @@ class OverTime:
 
 
 def _look(style: Method, width: float) -> dict[str, Any]:
-    """Return how a method's curve is drawn: the recommended one of this width, the others faint."""
+    """Return the style of a method's curve: this width if recommended, else faint."""
     return {"line_width": width} if style.recommended else {"line_alpha": FAINT}
 
 
@@ -195,7 +195,7 @@ def _with(what: str, unit: str) -> str:
 def spectrum(record: Record, cutoff: float | None, bases: Mapping[str, Array]) -> list[Chart]:
     """Return plots of the power of a record, and of its coherence with simulators and inputs.
 
-    `bases` `(time, ny)` are outputs of fitted models that replace a simulator in hybrids, by name.
+    `bases` are outputs `(time, ny)`, by name, of fitted models in place of a simulator in hybrids.
     """
     beside = ({} if record.y_sim is None else {"simulator": record.y_sim}) | dict(bases)
     others = [(name, [*y.T]) for name, y in beside.items()]
@@ -211,17 +211,17 @@ def spectrum(record: Record, cutoff: float | None, bases: Mapping[str, Array]) -
 def _power(record: Record, cutoff: float | None, beside: Mapping[str, Array]) -> Chart:
     unit, curves = _unit(record), {}
     for name, y in {"": record.y, **beside}.items():
-        found = periodogram(y, record.sampling_rate)
-        for column, density in zip(record.columns, found.density.T, strict=True):
+        estimate = periodogram(y, record.sampling_rate)
+        for column, density in zip(record.columns, estimate.density.T, strict=True):
             several = name and (record.ny > 1 or name == column)
             curves[f"{name}, {column}" if several else name or column] = density[1:]
     low, high = log_limits(np.concatenate([curves[c] for c in record.columns]))
-    said = "" if cutoff is None else f"; dashed: the cut-off at {number(cutoff)} {unit}"
+    note = "" if cutoff is None else f"; dashed: the cut-off at {number(cutoff)} {unit}"
     chart = Chart(
-        Axis.over_frequency(found.frequencies[1:], unit),
+        Axis.over_frequency(estimate.frequencies[1:], unit),
         f"power density ({squared(record)}/{unit})",
         (max(low, 1e-9 * high), 2 * high),
-        f"Spectrum{said}",
+        f"Spectrum{note}",
         log=True,
     )
     for i, (name, density) in enumerate(curves.items()):
@@ -236,10 +236,11 @@ def _coherence(
     record: Record, name: str, others: Sequence[Array], cutoff: float | None, small: bool
 ) -> Chart:
     """Return a plot of the coherence of the record with a simulator, a fitted model or an input."""
-    found = [coherence(y, x, record.sampling_rate) for y, x in zip(record.y.T, others, strict=True)]
-    axis = Axis.over_frequency(found[0][0][1:], _unit(record))
+    pairs = zip(record.y.T, others, strict=True)
+    by_output = [coherence(y, x, record.sampling_rate) for y, x in pairs]
+    axis = Axis.over_frequency(by_output[0][0][1:], _unit(record))
     chart = Chart(axis, "coherence", (0, 1.03), f"Coherence with {name}", SMALL, small=small)
-    for i, (column, (_, y)) in enumerate(zip(record.columns, found, strict=True)):
+    for i, (column, (_, y)) in enumerate(zip(record.columns, by_output, strict=True)):
         chart.line(y[1:], column, [f"c{i % len(PALETTE)}"], line_width=1.3)
     if cutoff is not None:
         chart.mark(cutoff, "cutoff")
@@ -247,17 +248,17 @@ def _coherence(
 
 
 def cutoffs(choice: Choice) -> Chart:
-    """Return a plot of the loss at each cut-off that was considered, a curve for each order."""
-    every = np.array(sorted({each.cutoff for each in choice.candidates}))
+    """Return a plot of the loss over all candidate cut-offs, one curve per order."""
+    every = np.array(sorted({candidate.cutoff for candidate in choice.candidates}))
     curves: dict[tuple[int, bool], Array] = {}
-    for each in choice.candidates:
-        enough = each.passed >= LEAST_PASSED or choice.simulator_helps is True
-        y = curves.setdefault((each.order, enough), np.full(len(every), np.nan))
-        y[np.searchsorted(every, each.cutoff)] = each.loss
+    for candidate in choice.candidates:
+        enough = candidate.passed >= LEAST_PASSED or choice.simulator_helps is True
+        y = curves.setdefault((candidate.order, enough), np.full(len(every), np.nan))
+        y[np.searchsorted(every, candidate.cutoff)] = candidate.loss
     _, high = limits([*curves.values()])
     caption = f"Loss: {choice.loss}; dashed: the cut-off chosen, {number(choice.cutoff)} Hz"
     chart = Chart(Axis.over_frequency(every, "Hz"), "loss", (0.0, high), caption, SMALL)
-    for (order, enough), y in sorted(curves.items(), key=lambda each: each[0]):
+    for (order, enough), y in sorted(curves.items(), key=lambda item: item[0]):
         name = f"order {order}" if enough else f"order {order}, little in the low band"
         style: dict[str, Any] = {"line_width": 1.3, "line_dash": dash(not enough)}
         chart.line(y, name, [f"c{order - 1}"], **style)
@@ -270,19 +271,19 @@ def _unit(record: Record) -> str:
 
 
 def losses(fits: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> list[Chart]:
-    """Return plots of the loss over the epochs of each training, one for each kind of network."""
+    """Return plots of the losses over the epochs of all trainings, one per kind of network."""
     tasks = dict.fromkeys(task for of in fits.values() for fit in of for task in fit.report.losses)
     return [_losses(task, fits, styles) for task in tasks]
 
 
 def _losses(task: str, fits: Mapping[str, Sequence[Fit]], styles: Mapping[str, Method]) -> Chart:
-    found = {name: [fit.report.losses.get(task, ()) for fit in of] for name, of in fits.items()}
+    losses = {name: [fit.report.losses.get(task, ()) for fit in of] for name, of in fits.items()}
     curves = {
-        name: [np.asarray(y, float) for y in of if len(y)] for name, of in found.items() if any(of)
+        name: [np.asarray(y, float) for y in of if len(y)] for name, of in losses.items() if any(of)
     }
-    each = [y for of in curves.values() for y in of]
-    axis = Axis.over(np.arange(1.0, 1 + max(2, *map(len, each))), "epoch, then rounds of L-BFGS")
-    caption, scale = f"Training loss: {task}", log_limits(np.concatenate(each))
+    every = [y for of in curves.values() for y in of]
+    axis = Axis.over(np.arange(1.0, 1 + max(2, *map(len, every))), "epoch, then rounds of L-BFGS")
+    caption, scale = f"Training loss: {task}", log_limits(np.concatenate(every))
     chart = Chart(axis, "training loss", scale, caption, log=True, methods=[*curves])
     for name, of_method in curves.items():
         for i, loss in enumerate(of_method):
@@ -292,7 +293,7 @@ def _losses(task: str, fits: Mapping[str, Sequence[Fit]], styles: Mapping[str, M
 
 
 def orders(model: LinearModel) -> list[Chart]:
-    """Return plots over the order; none of outputs with different delays, modelled one by one."""
+    """Return plots over the order; none for outputs with different delays, in separate models."""
     most = min(max(model.orders, default=2 * model.order), len(model.values))
     tried = np.array(model.orders, float)
     curves = {
@@ -311,26 +312,26 @@ def orders(model: LinearModel) -> list[Chart]:
 
 
 SILENT = 1e-12
-"""Gain that is drawn in place of a smaller one: -240 dB. Rounding."""
+"""Smallest gain in a plot: -240 dB. Rounding."""
 
 
 def gains(record: Record, model: LinearModel) -> list[Chart]:
-    """Return a plot of a linear model's gain over frequency for each input and output."""
-    found = model.uncertainty
-    if found is None:
+    """Return plots of a linear model's gain over frequency by input and output."""
+    estimate = model.uncertainty
+    if estimate is None:
         return []
-    axis = Axis.over_frequency(found.angles / (2 * np.pi * record.sampling_time), "Hz")
+    axis = Axis.over_frequency(estimate.angles / (2 * np.pi * record.sampling_time), "Hz")
     plots = []
     for (i, name), (j, column) in product(enumerate(record.inputs), enumerate(record.columns)):
-        gain, error = found.response[:, j, i], NORMAL * found.response_errors[:, j, i]
+        gain, error = estimate.response[:, j, i], NORMAL * estimate.response_errors[:, j, i]
         if not (np.isfinite(gain) & (gain > 0)).all():
             continue
-        caption, known = f"Gain, {name} to {column}", np.isfinite(error).all()
-        if known:
+        caption, certain = f"Gain, {name} to {column}", np.isfinite(error).all()
+        if certain:
             least, most = (number(float(100 * f(error / gain))) for f in (np.min, np.max))
             caption += f"; shaded: 95 % interval, ± {least} to {most} %"
         chart = _response(axis, {"gain": (_decibels(gain), "c0", 0)}, "gain (dB)", caption)
-        if known:
+        if certain:
             lower = np.maximum(gain - error, 1e-3 * gain)
             chart.band(_decibels(lower), _decibels(gain + error), "95 % interval", ["c0"])
         plots.append(chart)
@@ -338,28 +339,28 @@ def gains(record: Record, model: LinearModel) -> list[Chart]:
 
 
 def responses(
-    found: Mapping[str, Sequence[Responses]], styles: Mapping[str, Method], bode: bool = True
+    by_model: Mapping[str, Sequence[Responses]], styles: Mapping[str, Method], bode: bool = True
 ) -> list[Chart]:
-    """Return plots of the step response from each input to each output, a curve for each model.
+    """Return plots of the step responses by input and output, one curve per model.
 
-    Those at its further operating points are faint. With `bode` also of gain and phase. The models
-    are of one record.
+    Curves at further operating points are faint. With `bode`, plots of gain and phase follow. The
+    models are of one record.
     """
-    first = next(iter(found.values()))[0]
+    first = next(iter(by_model.values()))[0]
     frequencies, _ = first.frequency_response()
-    every = [(n, each) for n, of in found.items() for each in of]
+    every = [(n, response) for n, of in by_model.items() for response in of]
     kinds = {None: 0, SHARE: 1, 1 - SHARE: 2}
     named = {None: "", SHARE: " (dashed)", 1 - SHARE: " (dotted)"}
     labels = [
-        (styles[n].label or n) + (f" at {each.place}" if each.share else "") + named[each.share]
-        for n, each in every
+        (styles[n].label or n) + (f" at {r.place}" if r.share else "") + named[r.share]
+        for n, r in every
     ]
-    looks = [(f"c{styles[n].color}", kinds[each.share]) for n, each in every]
-    gains = [each.frequency_response()[1] for _, each in every]
+    looks = [(f"c{styles[n].color}", kinds[response.share]) for n, response in every]
+    gains = [response.frequency_response()[1] for _, response in every]
     time, over = Axis.over(first.time, "time (s)"), Axis.over_frequency(frequencies, "Hz")
     plots = []
     for (i, u), (j, y) in product(enumerate(first.inputs), enumerate(first.columns)):
-        steps, of = [each.y[:, j, i] for _, each in every], [gain[:, j, i] for gain in gains]
+        steps, of = [r.y[:, j, i] for _, r in every], [gain[:, j, i] for gain in gains]
         sizes = [_decibels(np.abs(gain)) for gain in of]
         phases = [np.degrees(np.unwrap(np.angle(gain))) for gain in of]
         drawn = (
@@ -376,7 +377,7 @@ def responses(
 def _response(
     axis: Axis, curves: Mapping[str, tuple[Array, str, int]], label: str, caption: str
 ) -> Chart:
-    """Return a small plot of named curves, with colour and dash; a frequency also in rad/s."""
+    """Return a small plot of named curves, with colour and dash; frequencies also in rad/s."""
     chart = Chart(axis, label, limits([y for y, *_ in curves.values()]), caption, LOW, small=True)
     if axis.log:
         chart.add_angular_frequencies()
@@ -398,16 +399,16 @@ def _curve(axis: Axis, y: Array, label: str, title: str, log: bool = False) -> C
     return chart
 
 
-def correlation(output: str, found: Correlation) -> Chart:
+def correlation(output: str, test: Correlation) -> Chart:
     """Return a plot of the correlation of residuals by lag, with the band of no correlation."""
-    own = found.of == "residuals"
-    values, band = np.array(found.values), found.band
+    itself = test.of == "residuals"
+    values, band = np.array(test.values), test.band
     most = max(2 * band, 1.1 * float(abs(values).max()))
-    chance = f"p = {number(found.p)}" if found.p >= 0.001 else "p < 0.001"
+    chance = f"p = {number(test.p)}" if test.p >= 0.001 else "p < 0.001"
     outside = f"{int((abs(values) > band).sum())} of {len(values)} outside ± {number(band)}"
-    what = "its own past" if own else found.of
+    what = "its own past" if itself else test.of
     caption = f"{output} with {what}, all lags together: {chance}; one by one: {outside}"
-    axis = Axis.over(own + np.arange(len(values), dtype=float), "lag (samples)")
+    axis = Axis.over(itself + np.arange(len(values), dtype=float), "lag (samples)")
     chart = Chart(axis, "correlation", (-most, most), caption, SMALL, small=True)
     shaded = BoxAnnotation(bottom=-band, top=band, fill_alpha=0.2, tags=["c0"])
     chart.figure.add_layout(shaded)
