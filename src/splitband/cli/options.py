@@ -235,7 +235,7 @@ _SEEDS = "Trainings of each network (in a search: of the best one), for their me
 Seeds = Annotated[int | None, _TRAINING(_SEEDS, "N", "1 to 8", min=1)]
 Like = Annotated[
     Path | None,
-    _TRAINING("Train as the model of an earlier run was, with its settings alone.", "DIR"),
+    _TRAINING("Read the record and train as for the model of an earlier run.", "DIR"),
 ]
 Device = Annotated[str, _TRAINING("Train networks on cpu, cuda, cuda:1, ...", "NAME")]
 Budget = Annotated[str | None, _TIME("Wall time of the whole command: 90s, 10m, 1h.", "TIME", "2m")]

@@ -56,6 +56,9 @@ def simulate(
 ) -> None:
     """Simulate a saved model beyond a measured history, or a simulator beside a record.
 
+    The history and --future-inputs are read as they were measured, and are unwrapped, limited,
+    resampled and detrended as the training record was; the outputs are in its units.
+
     A model with a simulator also needs --simulator, which must reach --steps samples beyond the
     history. If training record and history have time stamps, the offset between them is known: a
     function or an FMU runs from the start of the training record, and periods, trends and a
