@@ -14,7 +14,7 @@ _KEPT = 2**30
 `python -m benchmarks.allocation`."""
 
 _USUAL = 2**22
-"""Bytes: M_MMAP_THRESHOLD after a training, so that arrays of long records are returned at once;
+"""Bytes: M_MMAP_THRESHOLD but in a training, so that arrays of long records are returned at once;
 glibc's own adjustment may raise it to 2**25. M_TRIM_THRESHOLD is twice that, as in glibc."""
 
 
@@ -37,13 +37,16 @@ def freed_memory_kept() -> Iterator[None]:
     try:
         yield
     finally:
-        libc.mallopt(_MMAP_THRESHOLD, _USUAL)
-        libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
         return_freed()
 
 
 def return_freed() -> None:
-    """Return the memory of freed arrays to the system, where the C library has kept it."""
+    """Return the memory of freed arrays to the system, where the C library has kept it.
+
+    From now on that of large ones is returned at once.
+    """
     libc = system.glibc()
     if libc is not None:
+        libc.mallopt(_MMAP_THRESHOLD, _USUAL)
+        libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
         libc.malloc_trim(0)
