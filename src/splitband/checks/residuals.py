@@ -288,10 +288,11 @@ class _NestedTest:
 
     def __init__(self, y: Array, past: Array, groups: Sequence[Array]) -> None:
         self._y, self._past, self._groups = y, past, groups
-        self._span = self._basis(range(len(groups)))
-        q, _ = np.linalg.qr(_outside(self._span, past))
+        span = self._basis(range(len(groups)))
+        self._rank = span.shape[1]  # of a long record, the basis itself takes much memory
+        q, _ = np.linalg.qr(_outside(span, past))
         explained = np.cumsum((q.T @ y) ** 2)
-        left = float(np.sum(_outside(self._span, y) ** 2)) - np.append(0.0, explained)
+        left = float(np.sum(_outside(span, y) ** 2)) - np.append(0.0, explained)
         least = EXPLAINED * float(y @ y) + np.finfo(float).tiny
         self.order = int(np.argmax(np.append(left[:-1] <= least, True)))
         self._left = max(float(left[self.order]), least)
@@ -299,8 +300,8 @@ class _NestedTest:
     def p(self, groups: Sequence[int]) -> float:
         """Return the p-value of the hypothesis that these groups alone are sufficient."""
         span = self._basis(groups)
-        fewer = self._span.shape[1] - span.shape[1]
-        freedom = len(self._y) - self._span.shape[1] - self.order
+        fewer = self._rank - span.shape[1]
+        freedom = len(self._y) - self._rank - self.order
         if fewer < 1 or freedom < 1:
             return 1.0
         q, _ = np.linalg.qr(_outside(span, self._past[:, : self.order]))

@@ -34,13 +34,16 @@ def freed_memory_kept() -> Iterator[None]:
     try:
         yield
     finally:
-        libc.mallopt(_MMAP_THRESHOLD, _USUAL)
-        libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
         return_freed()
 
 
 def return_freed() -> None:
-    """Return the memory of freed arrays from the C library to the system."""
+    """Return the memory of freed arrays to the system, where the C library has kept it.
+
+    From now on that of large ones is returned at once.
+    """
     libc = system.glibc()
     if libc is not None:
+        libc.mallopt(_MMAP_THRESHOLD, _USUAL)
+        libc.mallopt(_TRIM_THRESHOLD, 2 * _USUAL)
         libc.malloc_trim(0)
