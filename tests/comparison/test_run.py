@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -142,6 +143,12 @@ def test_ctrl_c_before_there_is_anything_is_an_interruption() -> None:
 def test_limits_are_checked_before_anything_runs(options: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         plan(PlanRequest(RECORD, TRAIN, METHODS, **options))  # type: ignore[arg-type]
+
+
+def test_a_plan_is_asked_for_whatever_compare_takes() -> None:
+    taken, asked = (inspect.signature(each).parameters for each in (compare, PlanRequest))
+    running = {"cores", "executor", "watch"}
+    assert {name: of for name, of in taken.items() if name not in running} == {**asked}
 
 
 def test_a_fit_searches_and_ends_with_one_training() -> None:
