@@ -79,7 +79,8 @@ def rebuilt(hint: Any, arrays: Arrays, name: str) -> Any:  # noqa: PLR0911  a li
         return None
     if is_dataclass(hints[0]):
         return _object(hints[0], arrays, name)
-    for step in hints[0].__subclasses__() if isinstance(hints[0], type) else ():
+    steps: list[Any] = hints[0].__subclasses__() if isinstance(hints[0], type) else []
+    for step in steps:
         if is_dataclass(step) and by_part(arrays).keys() <= {*_kept(step)}:
             return _object(step, arrays, name)  # of `Record.prepared`, by its parts
     if kind in (dict, Mapping):
