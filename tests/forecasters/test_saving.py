@@ -329,6 +329,7 @@ BIAS = "_weights.cell.transition.bias_hh"
         ("calibrated", "applied.speed", TWO, "applied is damaged: it has 'speed'"),
         ("gru", BIAS, TWO, "of the weights must be"),
         ("gru", BIAS, np.zeros(6, "f2"), "is torch.float16"),
+        ("gru", BIAS, np.zeros(6), "weights must be of one precision"),
         ("gru", "cell", 3, "a cell must have"),
         ("ensemble", "count", 3, "'2' is missing"),
     ],

@@ -26,8 +26,7 @@ _NUMBERS: dict[Any, Any] = {float: int | float, bool: bool, int: int, str: str}
 
 
 def array_of(value: Any) -> npt.NDArray[Any]:
-    """Return an array, a number, a text or a date as an array; raises ValueError for others."""
-    value = value.isoformat() if isinstance(value, pd.Timestamp) else value
+    """Return an array, a number or a text as an array; raises ValueError for others."""
     if type(value) is not np.ndarray and not isinstance(value, _SINGLE):
         raise InputError(f"{type(value).__name__} cannot be saved")
     array = np.asarray(value)
@@ -48,7 +47,7 @@ def taken_apart(value: Any) -> Arrays:
         if all(isinstance(each, _SINGLE) for each in value):
             return {"": array_of(np.array(value))} if value else {}
         return named({str(i): taken_apart(each) for i, each in enumerate(value)})
-    return {"": array_of(value)}
+    return {"": array_of(value.isoformat() if isinstance(value, pd.Timestamp) else value)}
 
 
 def named(parts: Mapping[str, Arrays]) -> Arrays:
