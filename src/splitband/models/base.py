@@ -284,7 +284,7 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
         dtype = expected[name].dtype
         if not (floating if dtype.is_floating_point else tensor.dtype == dtype):
             raise InputError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
-    kinds = {(expected[name].dtype, tensor.dtype) for name, tensor in found.items()}
+    kinds = {(expected[name].dtype, tensor.dtype) for name, tensor in tensors.items()}
     if len(kinds) > len({wanted for wanted, _ in kinds}):
         raise InputError(f"weights must be of one precision, got {sorted(map(str, kinds))}")
     model = build()
