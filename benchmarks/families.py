@@ -34,10 +34,10 @@ from benchmarks.kinds import DEVELOPMENT, REPORTED
 from benchmarks.page import spread
 from splitband import Record
 from splitband.cli.options import seconds
-from splitband.data.named import overhead_crane
 from splitband.filters import Band
 from splitband.forecasters.bands import Bands
 from splitband.metrics import rmse
+from splitband.records.named import overhead_crane
 
 Array = npt.NDArray[np.float64]
 Generator = np.random.Generator

@@ -77,13 +77,13 @@ from splitband.comparison.defaults import chosen_bands, high_bands
 from splitband.comparison.plan import plan
 from splitband.comparison.request import TRAINING_SHARE, PlanRequest
 from splitband.comparison.run import run
-from splitband.data.public import drill_string
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN
 from splitband.forecasters.network import Network
 from splitband.metrics import rmse
 from splitband.models.base import Signals
 from splitband.networks import rollout
+from splitband.records.public import drill_string
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import use_one_thread

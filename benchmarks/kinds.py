@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.data import Record
+from splitband.records import Record
 
 Array = npt.NDArray[Any]
 SAMPLES, TRAINING = 2000, 1200

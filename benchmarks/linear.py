@@ -32,8 +32,8 @@ import scipy
 
 from benchmarks.sets import SETS, load
 from splitband import Linear, Record
-from splitband.baselines.identification import identified
-from splitband.baselines.linear import LinearModel
+from splitband.linear.identification import identified
+from splitband.linear.model import LinearModel
 from splitband.metrics import fit_percent
 from splitband.runtime.threads import use_one_thread
 
@@ -333,7 +333,7 @@ def loop(seeds: int) -> None:
         model = identified([record], 1, integrators=0)
         taken += model.by == "prediction error"
         poles.append(model.poles()[0].real)
-        with patch("splitband.baselines.identification.feedback", return_value=False):
+        with patch("splitband.linear.identification.feedback", return_value=False):
             plain.append(identified([record], 1, integrators=0).poles()[0].real)
     for what, found in (("chosen", poles), ("output error alone", plain)):
         print(f"pole 0.9, {what}: {np.mean(found):.4f} +- {np.std(found):.4f}, {seeds} seeds")

@@ -35,10 +35,10 @@ from splitband import Comparison, compare
 from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import QUICK
 from splitband.comparison.recommendation import Trial
-from splitband.data import Record, double_torsion, drill_string
-from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.forecasters.intervals import Interval
 from splitband.metrics import rmse
+from splitband.records import Record, double_torsion, drill_string
+from splitband.records.named import double_mass_spring, van_der_pol
 from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, run_jobs
 

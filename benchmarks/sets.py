@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from splitband import Record
-from splitband.data.reading import read
+from splitband.records.reading import read
 
 
 @dataclass(frozen=True)

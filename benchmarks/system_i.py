@@ -13,8 +13,8 @@ from unittest import mock
 from benchmarks.timing import circumstances, threads, write
 from reproduction import published
 from reproduction.settings import LEARNING_BASED
-from splitband.data.named import double_mass_spring
 from splitband.networks import GRU
+from splitband.records.named import double_mass_spring
 
 
 def seconds(epochs: int) -> float:

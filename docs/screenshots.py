@@ -11,7 +11,7 @@ from playwright.sync_api import sync_playwright
 
 import splitband as sb
 from splitband.cli.demo import METHODS, RECIPE, SIZES, TRAIN
-from splitband.data.named import overhead_crane
+from splitband.records.named import overhead_crane
 
 ROOT = Path(__file__).parents[1]
 LEFT, WIDTH, HEIGHT = 28, 1344, 1280

@@ -11,9 +11,9 @@ from pathlib import Path
 from reproduction.settings import HYBRID, LEARNING_BASED, OURS, Hybrid, LearningBased, Setup, in_hz
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum, noisy_van_der_pol
 from splitband.comparison.methods import NAMES, QUICK
-from splitband.data import Record, double_torsion, drill_string, read
-from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.forecasters.base import Forecaster
+from splitband.records import Record, double_torsion, drill_string, read
+from splitband.records.named import double_mass_spring, van_der_pol
 
 ORACLE = "oracle"
 """Method on system (i): least squares on the true form."""

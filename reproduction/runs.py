@@ -19,13 +19,13 @@ from reproduction.jobs import Job
 from reproduction.settings import Setup
 from splitband.comparison.backtest import BacktestSpec, Fit, backtest, first_origin
 from splitband.comparison.methods import QUICK, named
-from splitband.data import Record
 from splitband.forecasters.held_out import Origin, beginning
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import rmse
 from splitband.models import SplitModel
 from splitband.models.base import Signals
+from splitband.records import Record
 from splitband.report.environment import environment
 from splitband.runtime.files import write_text
 from splitband.runtime.workers import run_jobs

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.data import Record
-from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import ForecastContext
+from splitband.records import Record
+from splitband.records.named import van_der_pol
 from splitband.simulators import Ode, run
 
 Array = npt.NDArray[np.float64]

@@ -22,7 +22,7 @@ from splitband.forecasters.loading import load
 from splitband.forecasters.network import Network
 from splitband.forecasters.saving import FILE
 from splitband.models import Model
-from tests.records import Setup
+from tests.signals import Setup
 
 Array = npt.NDArray[np.float64]
 

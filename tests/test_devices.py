@@ -13,7 +13,7 @@ from splitband.models import Signals, Task
 from splitband.networks import Backend, EulerMLP, rollout
 from splitband.training import fit
 from splitband.training.windows import targets
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import simulated, untrained
 
 SETTINGS = TrainingSettings.paper(30, 10, 2, 16)

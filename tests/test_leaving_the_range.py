@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from splitband.metrics import leaves_range
-from tests.records import (
+from tests.signals import (
     NAN,
     QUICK,
     SETUP,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from splitband.metrics import cumulative_rmse, fit_percent, nrmse, rmse, spread
-from tests.records import NAN, error_of
+from tests.signals import NAN, error_of
 
 Array = npt.NDArray[Any]
 

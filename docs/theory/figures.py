@@ -18,8 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import splitband as sb
-from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.metrics import cumulative_rmse
+from splitband.records.named import double_mass_spring, van_der_pol
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE.parent / "results"

@@ -5,7 +5,7 @@ from .checks.model import check as check
 from .checks.responses import step_responses as step_responses
 from .comparison.run import compare as compare
 from .comparison.result import Comparison as Comparison
-from .data import (
+from .records import (
     Record as Record,
     read as read,
 )

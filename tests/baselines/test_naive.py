@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from splitband.baselines.seasonal import LastPeriod, periodic
 from splitband.baselines.sinusoids import SinusoidRegression, harmonic
-from splitband.data.named import double_mass_spring
 from splitband.forecasters.baselines import ByTime, Persistence
 from splitband.forecasters.prediction import ForecastContext
+from splitband.records.named import double_mass_spring
 
 Array = npt.NDArray[Any]
 FITS: list[Callable[[Array], ByTime]] = [LastPeriod.fit, periodic, harmonic]

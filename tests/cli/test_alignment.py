@@ -17,7 +17,7 @@ from splitband.cli.records import load_further, simulator_of
 from splitband.metrics import rmse
 from splitband.simulators.open_simulator import simulated
 from tests.cli.support import QUICK, assert_fails, call
-from tests.data.support import SAMPLES, signal, times, write
+from tests.records.support import SAMPLES, signal, times, write
 from tests.support import edit
 from tests.support import load_model as load
 

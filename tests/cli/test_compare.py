@@ -24,7 +24,7 @@ from tests.cli.support import (
     results,
     written,
 )
-from tests.records import rms
+from tests.signals import rms
 
 pytestmark = pytest.mark.usefixtures("inside")
 

@@ -9,7 +9,7 @@ import pytest
 from splitband.cli import demo, main
 from splitband.comparison.methods import named
 from splitband.comparison.running import RunningComparison
-from splitband.data.named import overhead_crane
+from splitband.records.named import overhead_crane
 from tests.cli.support import call, results, watched
 
 pytestmark = pytest.mark.usefixtures("inside")

@@ -12,7 +12,7 @@ import splitband as sb
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import Plan
 from tests.cli.support import QUICK, SAMPLES, WARMUP, A, B, call, files, results
-from tests.records import rms
+from tests.signals import rms
 from tests.support import load_model as load
 from tests.support import simulated
 

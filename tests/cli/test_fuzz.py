@@ -5,7 +5,7 @@ import pytest
 from tests.cli import fuzzing
 
 
-@pytest.mark.filterwarnings("ignore::splitband.data.signals.ReadingWarning")
+@pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
 @pytest.mark.parametrize(
     ("target", "inputs"),
     [("readers", 50), ("models", 30), ("command_line", 15)],

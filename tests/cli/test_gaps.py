@@ -10,7 +10,7 @@ from splitband import TrainingSettings, read
 from splitband.comparison.methods import Sizes
 from splitband.forecasters.bands import Bands
 from tests.cli.support import QUICK, A, B, assert_fails, call, results, written
-from tests.records import DT, NAN, Setup, rms
+from tests.signals import DT, NAN, Setup, rms
 from tests.support import compare, simulated
 from tests.support import load_model as load
 

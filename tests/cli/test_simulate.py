@@ -10,7 +10,7 @@ from splitband import read
 from splitband.models import FilteredModel
 from splitband.simulators.calibration import Calibration
 from tests.cli.support import DT, FORCE, SAMPLES, SIMULATED, SLOW, WARMUP, A, call, results, written
-from tests.records import rms
+from tests.signals import rms
 from tests.support import load_model as load
 from tests.support import simulated
 

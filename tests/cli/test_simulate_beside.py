@@ -15,7 +15,7 @@ from splitband.cli import main
 from splitband.simulators.open_simulator import open_simulator, simulated
 from tests.simulators.fmus import COMPILES, built
 
-pytestmark = pytest.mark.filterwarnings("ignore::splitband.data.signals.ReadingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
 TIME = 0.1 * np.arange(120)
 STEPS = np.repeat([1.0, -0.5, 2.0, 0.0], 30)
 RIG = """

@@ -12,7 +12,7 @@ from splitband.cli.requests import Request, planned
 from splitband.comparison.plan import plan
 from splitband.comparison.request import PlanRequest
 from tests.cli.support import QUICK, SIMULATED, TRAIN, WARMUP, A, call, results
-from tests.records import rms
+from tests.signals import rms
 
 pytestmark = pytest.mark.usefixtures("inside")
 

@@ -11,7 +11,7 @@ import scipy.integrate
 import scipy.signal
 
 from tests.cli.support import DT, FAST, SAMPLES, SIMULATED, SLOW, A, call, results
-from tests.records import rms
+from tests.signals import rms
 
 pytestmark = pytest.mark.usefixtures("inside", "simulated_here")
 

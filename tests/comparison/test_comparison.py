@@ -17,7 +17,7 @@ from splitband.comparison.request import PlanRequest
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.held_out import Origin
 from splitband.forecasters.network import Network
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import compare
 
 DT, TRAIN, LENGTH, WARMUP = 0.1, 120, 200, 10

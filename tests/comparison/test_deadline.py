@@ -20,7 +20,7 @@ from splitband.comparison.run import compare, run
 from splitband.comparison.running import RunningComparison
 from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import current
-from tests.records import SETUP, TRAIN, record
+from tests.signals import SETUP, TRAIN, record
 from tests.support import slowed
 
 RECORD = record(nu=1)

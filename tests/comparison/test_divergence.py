@@ -21,7 +21,7 @@ from splitband.forecasters.simulation import Calibrated
 from splitband.models import ResidualModel
 from splitband.runtime.deadlines import DeadlineError
 from splitband.training import fit
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import compare
 
 DT, TRAIN, LENGTH = 0.1, 120, 200

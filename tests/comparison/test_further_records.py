@@ -9,10 +9,10 @@ import scipy.signal
 
 import splitband as sb
 from splitband import Bands, Record, TrainingSettings
-from splitband.baselines.identification import identified
 from splitband.comparison.candidates import candidates
+from splitband.linear.identification import identified
 from splitband.metrics import ExtrapolationWarning, rmse
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import compare, known_after
 
 SHORT = TrainingSettings.paper(40, 10, 1)

@@ -9,7 +9,7 @@ import pytest
 from splitband import Record
 from splitband.forecasters.held_out import Origin
 from splitband.training import fit
-from tests.records import (
+from tests.signals import (
     DT,
     LENGTH,
     QUICK,

@@ -18,7 +18,7 @@ from splitband.comparison.methods import Sizes
 from splitband.forecasters.prediction import ForecastContext, median_of
 from splitband.metrics import ExtrapolationWarning
 from splitband.runtime.workers import Workers
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import compare
 
 Array = npt.NDArray[np.float64]

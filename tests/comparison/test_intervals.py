@@ -11,10 +11,10 @@ import scipy
 
 from splitband import Forecaster
 from splitband.comparison.run import compare
-from splitband.data import Record
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.forecasters.prediction import ForecastContext
-from tests.records import LENGTH, SETUP, TRAIN, holed, with_gaps
+from splitband.records import Record
+from tests.signals import LENGTH, SETUP, TRAIN, holed, with_gaps
 
 Array = npt.NDArray[np.float64]
 RECORD = np.random.default_rng(0).standard_normal((2000, 1)) * 50

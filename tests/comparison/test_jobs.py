@@ -16,7 +16,7 @@ from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import Origin
 from splitband.forecasters.prediction import ForecastContext
 from splitband.runtime.deadlines import NEVER, Deadline
-from tests.records import LENGTH, SETUP, TRAIN, record
+from tests.signals import LENGTH, SETUP, TRAIN, record
 from tests.support import slowed
 
 

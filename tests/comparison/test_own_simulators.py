@@ -10,7 +10,7 @@ import pytest
 
 import splitband as sb
 from splitband import GRU, Bands, Record, TrainingSettings
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import compare
 
 DT, WARMUP = 0.1, 12

@@ -16,7 +16,7 @@ from splitband.comparison.request import PlanRequest
 from splitband.comparison.result import Comparison
 from splitband.comparison.run import compare, fit, run
 from splitband.comparison.running import RunningComparison
-from tests.records import QUICK, SETUP, TRAIN, record
+from tests.signals import QUICK, SETUP, TRAIN, record
 from tests.support import slowed
 
 METHODS = ["mean", "persistence", "gru", "state-space"]

@@ -19,7 +19,7 @@ from splitband.comparison.request import PlanRequest
 from splitband.comparison.search import SEEDS, Search
 from splitband.forecasters.fitted import FitReport, Fitted
 from splitband.forecasters.prediction import Prediction
-from tests.records import QUICK, TRAIN, record
+from tests.signals import QUICK, TRAIN, record
 
 RECORD = record(nu=1)
 Error = Callable[[Job, int], float]

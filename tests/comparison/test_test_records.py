@@ -14,7 +14,7 @@ from splitband import Bands, Record, TrainingSettings
 from splitband.comparison.plan import plan
 from splitband.comparison.request import PlanRequest
 from splitband.metrics import rmse
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import compare, known_after
 
 DT, TRAIN, WARMUP = 0.1, 160, 12

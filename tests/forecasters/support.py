@@ -11,7 +11,7 @@ import pandas as pd
 import splitband as sb
 from splitband import GRU, Bands, Forecaster, Record, Recorded, TrainingSettings
 from splitband.comparison.methods import QUICK, Sizes
-from tests.records import Setup
+from tests.signals import Setup
 from tests.support import known_after
 
 Array = npt.NDArray[np.float64]

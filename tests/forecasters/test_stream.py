@@ -27,7 +27,7 @@ def forecast(forecaster: sb.Forecaster, history: sb.Record, record: sb.Record, s
 @pytest.fixture
 def usual_prior(monkeypatch: pytest.MonkeyPatch) -> None:
     """A linear model then expects of an initial state what it was in training, in `predict` too."""
-    monkeypatch.setattr("splitband.baselines.kalman._SURPRISING", 1e9)
+    monkeypatch.setattr("splitband.linear.kalman._SURPRISING", 1e9)
 
 
 @pytest.mark.usefixtures("usual_prior")

@@ -17,7 +17,7 @@ from splitband.filters import butterworth
 from splitband.forecasters.held_out import Origin
 from splitband.models import FilteredModel, Model, Recurrent, ResidualModel, Signals, SplitModel
 from splitband.training import fit
-from tests.records import DT, LENGTH, SETUP, TRAIN, WARMUP, record
+from tests.signals import DT, LENGTH, SETUP, TRAIN, WARMUP, record
 from tests.support import Scripted, asked, simulated, untrained, with_other_samples
 
 

@@ -13,12 +13,12 @@ import scipy
 import torch
 
 import splitband as sb
-from splitband.data import Record
 from splitband.models import SplitModel
 from splitband.models.base import Signals
+from splitband.records import Record
 from splitband.training import fit
 from splitband.training.windows import joined, windows, windows_in
-from tests.records import DT, NAN
+from tests.signals import DT, NAN
 
 Array = npt.NDArray[np.float64]
 WINDOW, R, K, ORDER, CUTOFF = 40, 12, 3, 2, 0.6

@@ -24,11 +24,11 @@ from reproduction.specs import SPECS, lines
 from reproduction.systems import MassSpringOracle, double_torsion_pendulum
 from reproduction.tables import table
 from splitband import Record
-from splitband.data.named import double_mass_spring, van_der_pol
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
 from splitband.models import Signals, SplitModel
+from splitband.records.named import double_mass_spring, van_der_pol
 
 Array = npt.NDArray[np.float64]
 

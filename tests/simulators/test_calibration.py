@@ -11,12 +11,12 @@ from splitband import Record
 from splitband.comparison.methods import named
 from splitband.comparison.plan import plan
 from splitband.comparison.request import PlanRequest
-from splitband.data import drill_string
-from splitband.data.named import van_der_pol
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.hybrid import Filtered, Residual
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import ExtrapolationWarning, rmse
+from splitband.records import drill_string
+from splitband.records.named import van_der_pol
 from splitband.simulators import Recorded
 from splitband.simulators.calibration import (
     TERMS,
@@ -26,7 +26,7 @@ from splitband.simulators.calibration import (
     calibrate,
     samples_needed,
 )
-from tests.records import holed
+from tests.signals import holed
 
 Array = npt.NDArray[np.float64]
 SAMPLES, TRAIN, DT = 800, 400, 0.05

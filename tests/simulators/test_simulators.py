@@ -10,8 +10,8 @@ import scipy.integrate
 
 import splitband as sb
 from splitband import Record
-from splitband.data.named import van_der_pol
 from splitband.metrics import rmse
+from splitband.records.named import van_der_pol
 from splitband.simulators import Function, Ode, Recorded, run
 from splitband.simulators.named import SIMULATORS
 

@@ -15,7 +15,7 @@ from splitband import GRU, Record, TrainingSettings
 from splitband.models import Model, Recurrent, Signals, Task
 from splitband.training import History, fit
 from splitband.training.optimizers import Adam
-from tests.records import QUICK, SETUP, TRAIN, record
+from tests.signals import QUICK, SETUP, TRAIN, record
 from tests.support import untrained
 
 Array = npt.NDArray[np.float64]

@@ -12,7 +12,7 @@ from splitband.models import Model
 from splitband.runtime.deadlines import Deadline, within
 from splitband.training import History, fit
 from splitband.training.network import MOST_RESTARTS, NetworkTraining
-from tests.records import QUICK, SETUP, TRAIN, record
+from tests.signals import QUICK, SETUP, TRAIN, record
 from tests.support import slowed, untrained
 from tests.training.support import RECIPE, trained
 

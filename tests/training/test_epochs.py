@@ -10,7 +10,7 @@ from splitband import GRU, Record, TrainingSettings
 from splitband.models import Recurrent
 from splitband.training import fit
 from splitband.training.settings import MAX_BATCHES, STEPS
-from tests.records import (
+from tests.signals import (
     DT,
     TRAIN,
     record,

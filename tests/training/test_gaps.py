@@ -9,7 +9,7 @@ import torch
 from splitband import GRU, Record, TrainingSettings
 from splitband.models import Recurrent
 from splitband.training import fit
-from tests.records import DT, LENGTH, TRAIN, holed, record, standing_in, with_gaps
+from tests.signals import DT, LENGTH, TRAIN, holed, record, standing_in, with_gaps
 from tests.training.support import GAPS, fitted, parameters, starts_of
 
 

@@ -12,7 +12,7 @@ from splitband import Record, Single, StateSpace, TrainingSettings
 from splitband.runtime.deadlines import Deadline
 from splitband.training import fit, lbfgs
 from splitband.training.lbfgs import Lbfgs, end_to_end
-from tests.records import SETUP, TRAIN, holed, record, standing_in
+from tests.signals import SETUP, TRAIN, holed, record, standing_in
 from tests.streams import Leaky
 from tests.support import slowed, untrained
 from tests.training.support import RECIPE, parameters, trained

@@ -12,7 +12,7 @@ from splitband.comparison.request import PlanRequest
 from splitband.forecasters.held_out import Origin
 from splitband.models import Recurrent
 from splitband.training.windows import joined, select, windows, windows_in
-from tests.records import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
+from tests.signals import DT, LENGTH, QUICK, SETUP, TRAIN, holed, record, with_gaps
 from tests.support import asked, compare, untrained
 from tests.training.support import GAPS, fitted, parameters
 

@@ -9,7 +9,7 @@ import torch
 from splitband import GRU, Record, TrainingSettings
 from splitband.models import Model, Recurrent
 from splitband.training import History, Progress, fit
-from tests.records import LENGTH, QUICK, SETUP, TRAIN, record
+from tests.signals import LENGTH, QUICK, SETUP, TRAIN, record
 from tests.support import Scripted, simulated, untrained
 from tests.training.support import Watched, parameters, seen_by_adam
 

@@ -1,1 +1,1 @@
-"""Fit baselines without networks: seasonal, trend, harmonic, periodic and linear."""
+"""Fit functions of time: seasonal, sinusoids and periodic waveforms."""

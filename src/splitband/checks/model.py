@@ -16,8 +16,6 @@ from splitband.checks.residuals import (
     ResidualTests,
     residual_tests,
 )
-from splitband.data import Record, check_alike, require_records
-from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import after
 from splitband.forecasters.prediction import Prediction
@@ -28,6 +26,8 @@ from splitband.metrics import (
     leaves_range,
     tenths,
 )
+from splitband.records import Record, check_alike, require_records
+from splitband.records.signals import first_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings

@@ -8,8 +8,8 @@ import typer
 from rich.table import Column, Table
 
 from splitband.cli import printing
-from splitband.data import PUBLIC, fetch
-from splitband.data.named import RECORDS
+from splitband.records import PUBLIC, fetch
+from splitband.records.named import RECORDS
 
 
 def data(

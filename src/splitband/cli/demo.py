@@ -14,7 +14,7 @@ from splitband.comparison.methods import Sizes
 from splitband.comparison.plan import plan
 from splitband.comparison.request import PlanRequest
 from splitband.comparison.result import Comparison
-from splitband.data.named import overhead_crane
+from splitband.records.named import overhead_crane
 from splitband.report.predictions import run_of
 from splitband.report.tables import labels_of
 

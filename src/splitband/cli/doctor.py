@@ -10,8 +10,8 @@ from rich.table import Table
 
 from splitband.cli import printing
 from splitband.comparison.jobs import every_kernel
-from splitband.data import PUBLIC, fetch
-from splitband.data.public import data_folder
+from splitband.records import PUBLIC, fetch
+from splitband.records.public import data_folder
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.system import available_cores

@@ -19,11 +19,11 @@ from splitband.cli.display import running, workers
 from splitband.cli.requests import Request, planned
 from splitband.comparison.backtest import first_origin
 from splitband.comparison.run import fit as fit_planned
-from splitband.data.timing import as_json
 from splitband.forecasters import saving
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.held_out import after, held_out_of
 from splitband.metrics import rmse
+from splitband.records.timing import as_json
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import staged, write_facts

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from splitband.data.named import RECORDS
-from splitband.data.signals import Gaps
-from splitband.data.stamps import TIME_NAMES
+from splitband.records.named import RECORDS
+from splitband.records.signals import Gaps
+from splitband.records.stamps import TIME_NAMES
 from splitband.runtime.arguments import LARGEST_SIZE, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Hold

@@ -14,9 +14,9 @@ from typing import Any, TextIO
 
 from rich.console import Console
 
-from splitband.data.alignment import log
-from splitband.data.signals import ReadingWarning
 from splitband.metrics import ExtrapolationWarning
+from splitband.records.alignment import log
+from splitband.records.signals import ReadingWarning
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.table import Table

@@ -13,15 +13,15 @@ import numpy as np
 from splitband.cli import printing
 from splitband.cli.options import FileOptions, RecordOptions, SimulatorOptions, names, periods
 from splitband.comparison.methods import BASES
-from splitband.data import Record, read
-from splitband.data.alignment import sampled_like
-from splitband.data.named import RECORDS
-from splitband.data.reading import ColumnError
-from splitband.data.signals import described, row_ranges, same_names
-from splitband.data.timing import near_sampling
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
+from splitband.records import Record, read
+from splitband.records.alignment import sampled_like
+from splitband.records.named import RECORDS
+from splitband.records.reading import ColumnError
+from splitband.records.signals import described, row_ranges, same_names
+from splitband.records.timing import near_sampling
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.open_simulator import (

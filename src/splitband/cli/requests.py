@@ -11,9 +11,9 @@ from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import TRAINED, Sizes, forecasters
 from splitband.comparison.plan import Plan, plan
 from splitband.comparison.request import PlanRequest
-from splitband.data.named import RECORDS
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.records.named import RECORDS
 from splitband.runtime.errors import InputError
 from splitband.simulators.open_simulator import is_fitted
 from splitband.training import TrainingSettings

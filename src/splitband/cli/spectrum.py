@@ -15,13 +15,13 @@ from splitband.comparison.checks import check_train
 from splitband.comparison.defaults import chosen_bands
 from splitband.comparison.methods import forecasters
 from splitband.comparison.request import TRAINING_SHARE
-from splitband.data import Record
-from splitband.data.named import RECORDS
 from splitband.filters.spectrum import coherence, oracle, oracle_cutoffs, periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.held_out import beginning
 from splitband.forecasters.simulation import Calibrated
 from splitband.metrics import rmse
+from splitband.records import Record
+from splitband.records.named import RECORDS
 from splitband.report import results
 from splitband.report.numbers import number, percent
 from splitband.report.table import Column, Table

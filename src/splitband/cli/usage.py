@@ -19,8 +19,8 @@ from splitband.cli.options import (
 )
 from splitband.comparison.methods import NAMES, TRAINED
 from splitband.comparison.plan import Plan
-from splitband.data.named import RECORDS
 from splitband.forecasters.base import Forecaster
+from splitband.records.named import RECORDS
 from splitband.report.page.parts import Usage
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.system import over_lines, quoted

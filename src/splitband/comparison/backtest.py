@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from splitband.data import Record
-from splitband.data.signals import first_after
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.held_out import (
@@ -26,6 +24,8 @@ from splitband.forecasters.held_out import (
 from splitband.forecasters.network import Network
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import ExtrapolationWarning, spread
+from splitband.records import Record
+from splitband.records.signals import first_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import now
 from splitband.runtime.errors import InputError

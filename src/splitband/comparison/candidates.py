@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from splitband.comparison.backtest import Fit
-from splitband.data import Record
 from splitband.forecasters.base import cells_of
 from splitband.forecasters.held_out import HELD_OUT_SHARE
 from splitband.forecasters.initialisation import LinearPart
 from splitband.forecasters.network import Network
+from splitband.records import Record
 from splitband.training import TrainingSettings
 from splitband.training.settings import ROUND
 

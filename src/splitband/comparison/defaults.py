@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 
 from splitband.comparison.methods import HYBRIDS, Sizes, forecasters
-from splitband.data import Record
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, all_parts, parts_of
 from splitband.forecasters.network import Network
+from splitband.records import Record
 from splitband.runtime.errors import InputError
 from splitband.training import TrainingSettings
 from splitband.training.settings import recipe_settings

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from splitband.comparison.backtest import BacktestSpec, Fit, as_it_is, backtest
 from splitband.comparison.methods import NAMES, TRAINED
-from splitband.data import Record
 from splitband.forecasters.base import Forecaster, all_parts, cells_of, fitted_like, same
 from splitband.networks.cell import label_of
+from splitband.records import Record
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
 from splitband.runtime.workers import Queue, Workers, ended_from_outside
 

@@ -15,14 +15,14 @@ from splitband.comparison.checks import check_needs, check_train
 from splitband.comparison.defaults import bands_of, default_names, usual_methods
 from splitband.comparison.methods import BASES, GREY_BOX, Sizes, built, forecasters, is_built
 from splitband.comparison.request import PlanRequest
-from splitband.data import Record, check_alike
-from splitband.data.signals import first_after
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.held_out import Origin, beginning, first_held_out, held_out_origins
 from splitband.forecasters.network import Network, with_defaults
+from splitband.records import Record, check_alike
+from splitband.records.signals import first_after
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator

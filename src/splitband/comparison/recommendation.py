@@ -12,11 +12,11 @@ from statistics import median_low
 import numpy as np
 
 from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score, median_forecasts
-from splitband.data import Record
 from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import held_out_errors, interval_errors
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import channel_rmse, rmse, spread
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 
 COVERAGE = 0.9

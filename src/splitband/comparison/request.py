@@ -7,9 +7,9 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from splitband.comparison.methods import Sizes
-from splitband.data import Record, require_records
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.records import Record, require_records
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator

@@ -18,12 +18,12 @@ from splitband.comparison.backtest import Fit
 from splitband.comparison.clock import Clock
 from splitband.comparison.plan import Plan
 from splitband.comparison.recommendation import Trial
-from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
 from splitband.forecasters.intervals import Misfit
 from splitband.forecasters.prediction import Prediction, median_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 

@@ -15,9 +15,9 @@ from splitband.comparison.recommendation import judged
 from splitband.comparison.request import PlanRequest
 from splitband.comparison.result import Comparison
 from splitband.comparison.running import RunningComparison, Watch
-from splitband.data import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.records import Record
 from splitband.runtime.deadlines import within
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator

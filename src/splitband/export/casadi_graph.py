@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record
 from splitband.export.graph import Block, Node, Symbol, table, trace
 from splitband.export.program import begun, prune, size, used_for
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.steps import State
 from splitband.forecasters.stream import Stream
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError, missing
 from splitband.runtime.tracing import leaves, named_leaves

@@ -18,10 +18,10 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 import numpy as np
 
 from splitband import __version__
-from splitband.data.signals import unit_of
 from splitband.export import c
 from splitband.export.compiling import libraries
 from splitband.export.program import Program
+from splitband.records.signals import unit_of
 from splitband.runtime.errors import missing
 from splitband.simulators.fmu_unit import SIGNALS
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from splitband.data import Record
 from splitband.export.graph import Block, Node, Symbol, trace
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import known_of
 from splitband.forecasters.steps import State, Steps, tick
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import named_leaves

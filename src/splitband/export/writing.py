@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splitband.data import Record
 from splitband.export import fmu
 from splitband.export.c import render
 from splitband.export.c_statements import Precision
 from splitband.export.program import identifier, program
 from splitband.forecasters.base import Forecaster
+from splitband.records import Record
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import replacing
 

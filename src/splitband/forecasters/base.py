@@ -16,9 +16,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, TypeV
 import numpy as np
 import numpy.typing as npt
 
-from splitband.baselines.delays import check_delays
-from splitband.data import Record, check_alike, require_records
-from splitband.data.signals import last_before
 from splitband.forecasters.fitted import Fitted
 from splitband.forecasters.held_out import held_out_of
 from splitband.forecasters.intervals import HeldOut
@@ -32,8 +29,11 @@ from splitband.forecasters.prediction import (
 from splitband.forecasters.saving import attributes_of, listed, save, state_of
 from splitband.forecasters.steps import NotSteppedError, Steps
 from splitband.forecasters.stream import Stream, stream_of
+from splitband.linear.delays import check_delays
 from splitband.metrics import ExtrapolationWarning
 from splitband.networks.cell import Template
+from splitband.records import Record, check_alike, require_records
+from splitband.records.signals import last_before
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError

@@ -10,12 +10,12 @@ import numpy as np
 
 from splitband.baselines.seasonal import LastPeriod, nearest, periodic
 from splitband.baselines.sinusoids import SinusoidRegression, harmonic
-from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import State, Steps
 from splitband.metrics import channel_rmse
+from splitband.records import Record
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack, final
 
-from splitband.data import Record, check_alike
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.intervals import HeldOut
@@ -17,6 +16,7 @@ from splitband.forecasters.prediction import (
     median_components,
 )
 from splitband.forecasters.steps import State, Steps
+from splitband.records import Record, check_alike
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError

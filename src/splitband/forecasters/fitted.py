@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from splitband.data import Record
-from splitband.data.timing import Stamp, as_stamp, in_words, seconds_between
 from splitband.metrics import Extrapolation, extrapolations, input_range
+from splitband.records import Record
+from splitband.records.timing import Stamp, as_stamp, in_words, seconds_between
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.simulators.base import Absent

@@ -9,12 +9,12 @@ from typing import Any, ClassVar, Unpack, final
 
 import numpy as np
 
-from splitband.data import Record
-from splitband.data.preparation import check_level
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, State, Steps
 from splitband.metrics import rmse
+from splitband.records import Record
+from splitband.records.preparation import check_level
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import Absent, matched, origin

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from splitband.data import Record
 from splitband.forecasters.intervals import HeldOut
 from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, DeadlineError, current, within
 from splitband.runtime.errors import InputError

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, final, get_args
 
 from splitband import models
-from splitband.data import Record
 from splitband.filters import Band
 from splitband.filters.resampling import Alignment
 from splitband.filters.spectrum import oracle
@@ -15,6 +14,7 @@ from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.network import CONDITIONED, Network
 from splitband.forecasters.simulation import Calibrated, Simulation, SimulatorForecaster
 from splitband.networks.cell import Template, as_template, label_of, words_of
+from splitband.records import Record
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator
 from splitband.simulators.base import as_known

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from splitband import models
-from splitband.baselines.identification import identified
-from splitband.baselines.linear import Realisation, realised
-from splitband.data import Record
+from splitband.linear.identification import identified
+from splitband.linear.model import Realisation, realised
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.threads import one_thread
 
@@ -47,7 +47,7 @@ class LinearPart(Protocol):
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
     """Set the linear parts of a model's networks to linear models, in place.
 
-    They then simulate like `baselines.linear`, with at most as many poles as they have states; the
+    They then simulate like `linear.model`, with at most as many poles as they have states; the
     `seed` is for states beyond these. Networks without a linear part, of a down-sampled band, or of
     records without inputs do not change. `records` have delayed inputs and the base's output.
     """

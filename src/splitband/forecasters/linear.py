@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from splitband.baselines.delays import FEWEST_MOVES, LONGEST_DELAY, moves
-from splitband.baselines.identification import identified
-from splitband.baselines.linear import LinearModel
-from splitband.baselines.uncertainty import Uncertainty
-from splitband.data import Record
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.fitted import UNSTABLE, unmoved
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import DelayLine, State, Steps
+from splitband.linear.delays import FEWEST_MOVES, LONGEST_DELAY, moves
+from splitband.linear.identification import identified
+from splitband.linear.model import LinearModel
+from splitband.linear.uncertainty import Uncertainty
+from splitband.records import Record
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.deadlines import current
@@ -33,7 +33,7 @@ SMALLEST_COEFFICIENT = 1e-9
 
 @final
 class Linear(Forecaster):
-    """Fit a linear state-space model with a Kalman filter (`baselines.identification`).
+    """Fit a linear state-space model with a Kalman filter (`linear.identification`).
 
     x' = A x + B u + K e, y = C x + D u + offset + e. Poles and delays come from a subspace method,
     refined to the least simulation error, or to the least prediction error where a controller acts

@@ -24,9 +24,6 @@ import safetensors.numpy
 
 import splitband
 from splitband import networks
-from splitband.data import Record
-from splitband.data.alignment import log
-from splitband.data.preparation import check_level
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.saving import (
@@ -40,6 +37,9 @@ from splitband.forecasters.saving import (
 )
 from splitband.forecasters.simulation import description_of, simulations
 from splitband.networks.cell import Template
+from splitband.records import Record
+from splitband.records.alignment import log
+from splitband.records.preparation import check_level
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.states import Arrays, array_of

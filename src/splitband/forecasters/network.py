@@ -17,9 +17,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 import numpy as np
 
 from splitband import models, training
-from splitband.baselines.delays import delayed, input_delays
-from splitband.data import Record, check_alike
-from splitband.data.signals import first_after, last_before, refilled
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import (
@@ -37,8 +34,11 @@ from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
 from splitband.forecasters.saving import state_of
 from splitband.forecasters.steps import NotSteppedError, Steps
+from splitband.linear.delays import delayed, input_delays
 from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template, WithSize
+from splitband.records import Record, check_alike
+from splitband.records.signals import first_after, last_before, refilled
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError

@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from splitband.data import Grid, Record, aligned, check_alike
-from splitband.data.alignment import log, reach
-from splitband.data.preparation import in_turn
-from splitband.data.signals import same_names, signal_of
-from splitband.data.timing import same_sampling, seconds_between, stamps_at, zones_differ
 from splitband.metrics import leaves_range, leaving
+from splitband.records import Grid, Record, aligned, check_alike
+from splitband.records.alignment import log, reach
+from splitband.records.preparation import in_turn
+from splitband.records.signals import same_names, signal_of
+from splitband.records.timing import same_sampling, seconds_between, stamps_at, zones_differ
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.training.settings import default_warmup

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from splitband import models
-from splitband.data import Record
+from splitband.records import Record
 from splitband.runtime.arrays import Array, check_shape
 from splitband.training.settings import window_starts
 

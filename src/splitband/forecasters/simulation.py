@@ -9,15 +9,15 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from splitband.data import Grid, Record, check_alike
-from splitband.data.preparation import check_level
-from splitband.data.timing import stamp_after
 from splitband.filters import ComplementaryPair
 from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import NEAR_ROW, first_only
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, Steps
 from splitband.models.labels import SIMULATOR
+from splitband.records import Grid, Record, check_alike
+from splitband.records.preparation import check_level
+from splitband.records.timing import stamp_after
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.simulators import Simulator

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record, require_records
 from splitband.forecasters.prediction import known_of
 from splitband.forecasters.steps import State, Steps, tick
+from splitband.records import Record, require_records
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from splitband.data import Record
 from splitband.metrics import spread
 from splitband.models.stepping import Stepped
 from splitband.networks import Cell
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 

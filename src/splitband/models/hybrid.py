@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splitband.data import Record
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import check_downsampling
 from splitband.models.base import (
@@ -36,6 +35,7 @@ from splitband.models.stepping import (
     steady,
 )
 from splitband.networks import Cell, rollout
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 

@@ -18,7 +18,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 
 if TYPE_CHECKING:
-    from splitband.baselines.linear import Realisation
+    from splitband.linear.model import Realisation
 
 _RADIUS = 0.95
 """Absolute value of the poles of a cell with random weights. Checked by halving and doubling.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from splitband.data import Record
+from splitband.records import Record
 
 _MISSING = "–"  # noqa: RUF001
 _SMALLEST, _LARGEST = 1e-3, 1e5

@@ -12,9 +12,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from splitband.comparison.result import Comparison
-from splitband.data import Record
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import fit_percent, rmse, tenths
+from splitband.records import Record
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import in_one_offset, number
 from splitband.report.predictions import Predicted, predicted

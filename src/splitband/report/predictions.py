@@ -9,8 +9,8 @@ from typing import Literal
 
 from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
-from splitband.data import Record
 from splitband.forecasters.prediction import Prediction
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 
 Protocol = Literal["test", "forecast", "start"]

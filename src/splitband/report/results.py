@@ -18,12 +18,12 @@ from splitband.checks.responses import Responses
 from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
 from splitband.comparison.running import RunningComparison
-from splitband.data import Record
-from splitband.data.timing import as_json
 from splitband.forecasters import saving
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import time_header
+from splitband.records import Record
+from splitband.records.timing import as_json
 from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage

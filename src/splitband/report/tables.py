@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from splitband.baselines.uncertainty import NORMAL
 from splitband.checks.responses import Responses
 from splitband.comparison.methods import NAMES
 from splitband.comparison.recommendation import COVERAGE, RULE, Trial
 from splitband.comparison.result import Comparison
 from splitband.comparison.search import Attempt
-from splitband.data import Record
 from splitband.forecasters.base import Forecaster, titled
 from splitband.forecasters.linear import Linear
+from splitband.linear.uncertainty import NORMAL
 from splitband.metrics import channel_rmse, fit_percent, leaving
+from splitband.records import Record
 from splitband.report.numbers import complex_in_words, percent
 from splitband.report.predictions import Protocol, predicted, run_of, what_was_known
 from splitband.report.table import Column, Table, Unit

@@ -12,7 +12,6 @@ from splitband.comparison.checks import repeats_training
 from splitband.comparison.methods import HYBRIDS
 from splitband.comparison.recommendation import Trial, by_reason
 from splitband.comparison.result import Comparison
-from splitband.data import Record
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
@@ -20,6 +19,7 @@ from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
 from splitband.metrics import Extrapolation
+from splitband.records import Record
 from splitband.report.numbers import number, percent
 from splitband.report.predictions import run_of
 from splitband.report.tables import columns, labels_of, leaving_range

@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 import splitband
-from splitband.data import Aligned, Grid, Record, Stamp, aligned
-from splitband.data.alignment import reach
-from splitband.data.signals import as_float
-from splitband.data.timing import in_words, seconds_of
+from splitband.records import Aligned, Grid, Record, Stamp, aligned
+from splitband.records.alignment import reach
+from splitband.records.signals import as_float
+from splitband.records.timing import in_words, seconds_of
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import sha256_of

@@ -13,7 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 from zipfile import ZipFile
 
-from splitband.data.signals import bare_name
+from splitband.records.signals import bare_name
 from splitband.runtime.errors import InputError, missing
 
 EXCHANGE, COSIMULATION = "ModelExchange", "CoSimulation"

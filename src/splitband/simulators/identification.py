@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import scipy
 
-from splitband.data import Record, require_records
 from splitband.metrics import spread
+from splitband.records import Record, require_records
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from splitband.data.named import RECORDS, UNFORCED_START, unforced_van_der_pol
+from splitband.records.named import RECORDS, UNFORCED_START, unforced_van_der_pol
 from splitband.simulators.base import Recorded, Simulator
 from splitband.simulators.functions import Ode
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from splitband.data import Grid, Record, read
-from splitband.data.alignment import log
-from splitband.data.preparation import check_level, going_on, in_turn
-from splitband.data.reading import ColumnError
-from splitband.data.timing import in_words
+from splitband.records import Grid, Record, read
+from splitband.records.alignment import log
+from splitband.records.preparation import check_level, going_on, in_turn
+from splitband.records.reading import ColumnError
+from splitband.records.timing import in_words
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import (

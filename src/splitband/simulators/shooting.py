@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import scipy
 
-from splitband.data import Record
+from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, check
 from splitband.runtime.errors import InputError

@@ -12,7 +12,7 @@ from sysconfig import get_path
 from traceback import extract_tb
 from typing import Any
 
-from splitband.data.signals import bare_name
+from splitband.records.signals import bare_name
 from splitband.runtime.errors import InputError
 
 _INSTALLED = {"site-packages", "dist-packages"}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from splitband.data import Record
 from splitband.models import Model
+from splitband.records import Record
 from splitband.runtime.deadlines import Deadline, current
 from splitband.runtime.errors import InputError
 from splitband.runtime.memory import freed_memory_kept

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from splitband.data import Record
+from splitband.records import Record
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splitband.data import Record
 from splitband.models import Signals, Task
+from splitband.records import Record
 from splitband.training.settings import checked_starts
 
 

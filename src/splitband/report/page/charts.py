@@ -27,8 +27,8 @@ from bokeh.models.annotations import Span
 from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
-from splitband.data import Record
-from splitband.data.timing import stamps_at
+from splitband.records import Record
+from splitband.records.timing import stamps_at
 from splitband.report.numbers import in_one_offset, number
 from splitband.report.page.parts import Method
 from splitband.runtime.arrays import Array

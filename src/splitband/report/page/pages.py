@@ -14,13 +14,13 @@ from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
 from splitband.checks.responses import SHARE, Responses, respond_over_range
 from splitband.comparison.result import Comparison
-from splitband.data import Record
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
+from splitband.records import Record
 from splitband.report import tables, words
 from splitband.report.environment import environment
 from splitband.report.numbers import complex_in_words, number, percent

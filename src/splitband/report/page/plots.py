@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from bokeh.models.annotations import BoxAnnotation
 
-from splitband.baselines.linear import LinearModel
-from splitband.baselines.uncertainty import NORMAL
 from splitband.checks.residuals import Correlation
 from splitband.checks.responses import SHARE, Responses
 from splitband.comparison.backtest import Fit
-from splitband.data import Record
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.forecasters.prediction import Prediction
+from splitband.linear.model import LinearModel
+from splitband.linear.uncertainty import NORMAL
 from splitband.metrics import DIVERGED, cumulative_rmse, fit_percent, tenths
+from splitband.records import Record
 from splitband.report.colors import PALETTE
 from splitband.report.numbers import number, percent, squared
 from splitband.report.page.charts import (

@@ -1,0 +1,1 @@
+"""Identify linear state-space models: subspace first, then refined to the least error."""

@@ -1,0 +1,327 @@
+"""Define time stamps and even grids of them, and find the grid that measured stamps lie on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import partial
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+import scipy
+from numpy.typing import NDArray
+
+from splitband.records.remedies import IGNORE, Table, remedy
+from splitband.records.signals import Column, Gaps, as_float, in_file, stretches
+from splitband.records.stamps import last_place, readings
+from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
+
+MOST_MISSING = 0.9
+"""Share of a record's rows that may be missing between its time stamps. By eye."""
+FEWEST_SPREAD = 3
+"""Fewest rows missing at even distances that may be no missing rows, but rounded stamps.
+
+Rows that are lost at random lie like this with a chance of 1 for one row, 0.35 for two, and 0.05
+(15 rows) to 0.002 (1000 rows) for three.
+"""
+_RESOLUTIONS = (60.0, 3600.0, 86400.0)
+"""Of stamps that show no seconds, no minutes or no time of the day, in s."""
+
+Stamp: TypeAlias = float | pd.Timestamp
+"""Seconds on the clock of a record, or a date, with a time zone or without."""
+
+
+def as_stamp(value: Any) -> Stamp:
+    """Check a time stamp; raises ValueError unless it is a finite number or a date."""
+    if isinstance(value, datetime | np.datetime64) and not pd.isna(value):
+        return pd.Timestamp(value).as_unit("ns")
+    if math.isnan(seconds := as_float(value)):
+        raise InputError(f"a time stamp must be a finite number of seconds or a date: got {value}")
+    return seconds
+
+
+def as_json(stamp: Stamp | None) -> float | str | None:
+    """Return the time stamp for JSON: a date in ISO 8601."""
+    return stamp.isoformat() if isinstance(stamp, pd.Timestamp) else stamp
+
+
+def stamp_after(stamp: Stamp, seconds: float) -> Stamp:
+    """Return the time stamp this many seconds later."""
+    if isinstance(stamp, pd.Timestamp):
+        return stamp + pd.Timedelta(round(1e9 * seconds), unit="ns")
+    return stamp + seconds
+
+
+def seconds_between(first: Stamp, second: Stamp) -> float:
+    """Return how much later the second time stamp is, in s.
+
+    Raises ValueError if only one of them is a date, or only one has a time zone.
+    """
+    one: Any = first
+    try:
+        later = second - one
+    except TypeError:
+        rule = "time stamps that are put together must all be dates or all be in seconds"
+        if zones_differ(first, second):
+            rule = "dates that are put together must all have a time zone, or none"
+        raise InputError(f"{rule}: got {in_words(first)} and {in_words(second)}") from None
+    return float(later / pd.Timedelta(1, unit="s") if isinstance(later, pd.Timedelta) else later)
+
+
+def zones_differ(first: Stamp | None, second: Stamp | None) -> bool:
+    """Return whether both are dates and only one of them has a time zone."""
+    dates = isinstance(first, pd.Timestamp) and isinstance(second, pd.Timestamp)
+    return dates and (first.tzinfo is None) != (second.tzinfo is None)  # type: ignore[union-attr]
+
+
+def seconds_of(stamp: Stamp | None) -> float:
+    """Return the time stamp in s for a simulator; 0 for a date or None."""
+    return stamp if isinstance(stamp, float) else 0.0
+
+
+def in_words(stamp: Stamp) -> str:
+    """Format the time stamp for a message."""
+    return str(stamp) if isinstance(stamp, pd.Timestamp) else f"{stamp:.10g} s"
+
+
+def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> Array | pd.DatetimeIndex:
+    """Return the time stamps of rows, counted from `start`, for tables and pictures.
+
+    Seconds are rounded to a millionth of the step: 0.3, not 0.30000000000000004.
+    """
+    if isinstance(start, pd.Timestamp):
+        return start + pd.to_timedelta(np.rint(1e9 * step * rows).astype(np.int64), unit="ns")
+    return np.round(start + step * rows, max(0, 6 - math.floor(math.log10(step))))
+
+
+def near_sampling(step: float, other: float) -> bool:
+    """Return whether two steps differ by 1 % at most, as records of one system may."""
+    return abs(step - other) <= 0.01 * other
+
+
+def same_sampling(step: float, other: float, samples: int) -> bool:
+    """Return whether two grids with the same start and length end within half a step."""
+    return abs(step - other) * samples < 0.5 * min(step, other)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Represent a grid of evenly spaced times.
+
+    Attributes
+    ----------
+    start : Time stamp of the first sample; None if unknown.
+    step : Sampling time in s.
+    samples : Number of samples.
+    """
+
+    start: Stamp | None
+    step: float
+    samples: int
+
+    def after(self, samples: int) -> Grid:
+        """Return the grid of so many samples that continues this one."""
+        start = None if self.start is None else stamp_after(self.start, self.samples * self.step)
+        return Grid(start, self.step, samples)
+
+    def __str__(self) -> str:
+        """Return the first and the last time stamp in words."""
+        if self.start is None:
+            return f"{self.samples} samples every {self.step:.7g} s"
+        end = stamp_after(self.start, (self.samples - 1) * self.step)
+        return f"{in_words(self.start)} to {in_words(end)}"
+
+
+# ---------------------------------------------------------------- measured time stamps
+
+
+@dataclass(frozen=True, eq=False)
+class Spacing:
+    """Describe the even grid that the rows of a file lie on: its step in s and its start, if known.
+
+    `grid_rows`: grid index of each row of the file, `(time,)`, None if no rows are missing;
+    `newest_first`: whether its rows are to be reversed; `note`: how the stamps were interpreted, if
+    that is not certain.
+    """
+
+    step: float
+    start: Stamp | None = None
+    grid_rows: NDArray[np.int_] | None = None
+    newest_first: bool = False
+    note: str = ""
+
+
+def spacing(
+    what: str, column: Column, gaps: Gaps, expected: float | None, table: Table, names: list[str]
+) -> Spacing:
+    """Return the even grid of time stamps; `expected` is the sampling time that a user gave.
+
+    They are in the columns `names` of a `table`, whose others may tell what is wrong with them.
+
+    Raises ValueError for cells that are not stamps, for stamps that do not increase evenly
+    (`reading.read` states the tolerance), and for stamps with several readings of different steps,
+    none of which is the expected one.
+    """
+    found = readings(what, names[0], column)
+    newest_first = found[0].step < 0
+    if newest_first:
+        column = column.iloc[::-1]
+        found = readings(what, names[0], column)
+    found = [each for each in found if (np.diff(each.seconds) > 0).all()] or found[:1]
+    if expected:  # readings differ by more than jitter does
+        found.sort(key=lambda each: abs(math.log(max(each.step, 1e-300) / expected)))
+        found = found[: 1 if 0.7 * expected < found[0].step < 1.4 * expected else None]
+    if len(found) > 1:
+        ways = [f"{each.words} ({each.step:.6g} s)" for each in found]
+        raise InputError(
+            f"{what} can be read as {' or as '.join(ways)}: sampling_time (--sampling-time) in "
+            f"seconds decides; it holds {column.iloc[0]}, {column.iloc[1]}, ..."
+        )
+    read = found[0]
+    raw = replace(read, seconds=read.seconds[::-1] if newest_first else read.seconds)
+    todo = partial(remedy, table, names, raw)
+    rows, stamps = np.arange(len(column)), read.seconds
+    in_order = column if gaps == "refuse" else None
+    if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
+            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
+            + todo("")
+        )
+    cut = _cut_to_units(what, stamps, expected)
+    if gaps == "mask":
+        rows, stamps = _on_grid(what, stamps, cut)
+    unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
+    if not cut and unit > 0.99 * np.median(np.diff(stamps)):
+        unit = 0.0  # rounding this coarse could hide a missing row
+    _check_steps(what, stamps, unit, in_order, todo)
+    step, start = _line(what, stamps, unit, read.grain)
+    return Spacing(
+        step,
+        start if read.date is None else stamp_after(read.date, start),
+        rows if len(rows) <= rows[-1] else None,
+        newest_first,
+        read.note and f"{what} {read.note}",
+    )
+
+
+def _check_steps(
+    what: str, stamps: Array, unit: float, column: Column | None, todo: Callable[[str], str]
+) -> None:
+    """Raise ValueError for steps that differ by more than 1 % and the `unit` of the last place."""
+    steps = np.diff(stamps)
+    median, mean = float(np.median(steps)), float(steps.mean())
+    line_off = np.abs(stamps - stamps[0] - mean * np.arange(len(stamps)))[1:]
+    most = (1.001 + 1 / len(steps)) * unit  # the mean is that of rounded stamps, too
+    rounded = np.maximum(np.abs(steps - mean), line_off) < most
+    off = np.abs(steps - median)
+    exact = 0.01 * median + 4 * float(np.spacing(np.abs(stamps).max()))
+    if not (bad := np.flatnonzero((off > exact) & ~rounded)).size:
+        return
+    gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
+    row = int((gaps if gaps.size else bad)[0]) + 1
+    mask = "gaps='mask' (--gaps mask) excludes missing rows; "
+    raise InputError(
+        f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
+        f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}; "
+        + todo((mask if column is not None else "") + IGNORE)
+    )
+
+
+def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, float]:
+    """Return step and begin in s of the line through stamps, which averages out their rounding."""
+    index = np.arange(len(stamps))
+    centred = index - 0.5 * (len(stamps) - 1)
+    slope = centred @ (stamps - stamps[0]) / (centred @ centred)
+    plain = float(f"{slope:.3g}")  # taken where the stamps cannot tell it from the slope
+    drift = abs(plain - slope) * len(stamps)
+    step = plain if drift < max(0.1 * unit, grain) else float(f"{slope:.12g}")
+    beside = stamps - stamps[0] - step * index
+    first = float(beside.mean())  # where the grid begins, after the first stamp
+    wander = np.abs(beside - first)
+    if wander.max() > 0.5 * (step + unit):
+        raise InputError(
+            f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
+            f"even step of {step:.6g} s, at row {int(wander.argmax())}; {IGNORE}"
+        )
+    if abs(first) < 1e-6 * step:
+        return step, float(stamps[0])
+    # Rounded to a tenth of the last printed place, the resolution of the stamps.
+    digits = 0.1 * unit or 1e-6 * step
+    return step, float(np.rint((stamps[0] + first) / digits) * digits)
+
+
+def _cut_to_units(what: str, stamps: Array, expected: float | None) -> tuple[float, float] | None:
+    """Return the step and the unit of stamps that are cut to units almost as long: 0, 1, 3, 4, 6 s.
+
+    Raises ValueError where few steps are of two units, and so may be missing rows.
+    """
+    steps = np.diff(stamps)
+    unit = float(steps.min())
+    if not (unit < 1.001 * last_place(stamps) or unit in _RESOLUTIONS):
+        return None
+    begin, end = max(stretches(steps < 2.001 * unit), key=lambda part: part[1] - part[0])
+    part = stamps[begin : end + 2]
+    lost = round((part[-1] - part[0]) / unit) - (len(part) - 1)
+    if lost < FEWEST_SPREAD:
+        return None
+    index = np.arange(len(part))
+
+    def spread(step: float) -> float:
+        return float(np.ptp(part - step * index))
+
+    def explained(step: float) -> bool:
+        return spread(step) < 1.001 * unit
+
+    step = float(f"{np.polyfit(index, part, 1)[0]:.3g}")  # a plain one, if it explains the stamps
+    if not explained(step):
+        bounds, exact = (unit, 2 * unit), 1e-3 * unit / len(part)
+        step = scipy.optimize.fminbound(spread, *bounds, xtol=exact)
+    if not explained(step):
+        return None
+    if expected is not None:
+        return (expected, unit) if explained(expected) else None
+    if 2 * lost >= len(part) - 2:
+        return float(step), unit
+    raise InputError(
+        f"{what} can be read as every {unit:.6g} s with rows missing, {lost} of them at even "
+        f"distances, or as every {step:.3g} s, cut to {unit:.6g} s: sampling_time "
+        "(--sampling-time) in seconds decides, with gaps='mask' (--gaps mask) for missing rows"
+    )
+
+
+def _on_grid(
+    what: str, stamps: Array, cut: tuple[float, float] | None
+) -> tuple[NDArray[np.int_], Array]:
+    """Return each stamp's row on the grid without gaps, `(time,)`, and the stamps of all rows.
+
+    A logger may restart at any time after a gap: its stamps are then moved to the closest rows of
+    the grid that begins at the first stamp, so that rows do not drift away over many gaps.
+    """
+    steps, index = np.diff(stamps), np.arange(len(stamps))
+    usual, unit = cut or (float(np.quantile(steps, 0.1)), 0.0)  # the smallest steps may be jitter
+    if not cut:
+        usual = float(steps[steps < 1.75 * usual].mean())  # stamps may be rounded to few units
+    gap = steps > 2.001 * unit if cut else np.rint(steps / usual) > 1
+    missing = float(np.maximum(np.rint(steps / usual) - 1, 0).sum())
+    if missing > MOST_MISSING * (missing + len(stamps)):
+        raise InputError(
+            f"{what} must have a stamp for one row in ten at least: {missing:.0f} rows of "
+            f"{usual:.6g} s are missing, most of them after row {int(np.argmax(steps))}"
+        )
+    if not gap.any():
+        return index, stamps
+    begins = np.concatenate([[0], np.flatnonzero(gap) + 1])  # first rows of the stretches
+    stretch = np.concatenate([[0], np.cumsum(gap)])
+    closest = np.rint((stamps[begins] - stamps[0]) / usual).astype(int)
+    rows = closest[stretch] + index - begins[stretch]
+    rows = np.maximum.accumulate(rows - index) + index  # so that no two samples share a row
+    whole = usual * np.diff(rows)
+    even = np.where(gap & (np.abs(steps - whole) > unit), whole, steps)
+    joined = stamps[0] + np.concatenate([[0.0], np.cumsum(even)])
+    return rows, np.asarray(np.interp(np.arange(rows[-1] + 1), rows, joined))

@@ -1,0 +1,334 @@
+"""What a message names as a way out leads to the right record."""
+
+import bz2
+import gzip
+import lzma
+import re
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy
+
+import splitband as sb
+from splitband.records.signals import ReadingWarning
+from tests.records.support import message, stamped, text_file
+
+CSV = "time,u,y\n" + "".join(f"{i / 10},{i % 3},{i * i}\n" for i in range(30))
+
+
+def told(said: str, **names: Any) -> Any:
+    """Run the line of pandas that a message names."""
+    parts = re.split(r"in pandas | gives |; |, or| leaves| adds", said)
+    line = next(part for part in parts if part.startswith(("table", "[run")))
+    scope = {"pd": pd, **names}
+    if re.match(r"table\[.*\] = ", line):
+        exec(line, scope)
+        return scope["table"]
+    return eval(line, scope)
+
+
+@pytest.mark.parametrize("by_tag", [False, True])
+@pytest.mark.parametrize("tags", [("F.PV", "F.OP", "T.PV"), (11, 12, 13)])
+def test_a_long_table_is_made_wide(tmp_path: Path, by_tag: bool, tags: Sequence[object]) -> None:
+    dates = pd.date_range("2024-05-01", periods=40, freq="min")
+    cells = [(k, i) for k in range(40) for i in range(3)]
+    cells = sorted(cells, key=lambda each: each[1]) if by_tag and tags[0] == "F.PV" else cells
+    rows = "".join(f"{dates[k]},{tags[i]},{100 * i + k / 10}\n" for k, i in cells)
+    path = text_file(tmp_path, f"time,tag,value\n{rows}")
+    said = message(path)
+    assert "column 'tag' names several signals, one measurement a row" in said
+    assert "ignores" not in said
+    found = sb.read(told(said, table=pd.read_csv(path)))
+    assert (len(found), found.sampling_time) == (40, 60)
+    order = [found.columns.index(str(tag)) for tag in tags]
+    np.testing.assert_allclose(
+        found.y[:, order], np.arange(40)[:, None] / 10 + [0, 100, 200], rtol=1e-12
+    )
+
+
+def test_signals_that_are_logged_when_they_change(tmp_path: Path) -> None:
+    """Stamps that increase unevenly are not to be ignored where a row has one of two signals."""
+    gaps = np.cumsum(np.random.default_rng(0).integers(1, 9, 60))
+    rows = "".join(f"{t},{'ab'[i % 2]},{i}\n" for i, t in enumerate(gaps))
+    said = message(text_file(tmp_path, f"time,tag,value\n{rows}"))
+    assert "column 'tag' names several signals" in said
+    assert "ignores" not in said
+
+
+@pytest.mark.parametrize("column", ["run", "day", None])
+def test_several_runs_are_given_as_files_of_their_own(
+    tmp_path: Path, column: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    g, parts = np.random.default_rng(1), []
+    for i in range(8):
+        u = np.repeat(g.uniform(-1, 1, 3), 20)
+        x = scipy.signal.lfilter([0, 0.05], [1, -0.95], u, zi=[g.normal(0, 3)])[0]
+        part = pd.DataFrame({"time": np.arange(60) / 10, "u": u, "x": x})
+        words: dict[str, Any] = {"run": i, "day": f"d{i}"}
+        parts.append(part if column is None else part.assign(**{column: words[column]}))
+    table = pd.concat(parts)
+    table.to_csv(tmp_path / "runs.csv", index=False)
+    said = message(tmp_path / "runs.csv", columns="x", inputs="u")
+    assert "the clock begins again (7 times), so the file holds several runs" in said
+    assert ("which column" in said) == (column is not None)
+    assert ("if it names signals" in said) == (column == "day")
+    assert "--more" in said
+    assert "ignores" not in said
+    monkeypatch.chdir(tmp_path)
+    line = re.search(r"\[run.*?\)\]", said)
+    assert line is not None
+    eval(line[0], {"table": pd.read_csv("runs.csv")})
+    files = sorted(path for path in tmp_path.glob("run*.csv") if path.stem != "runs")
+    records = [sb.read(file, columns="x", inputs="u") for file in files]
+    assert [len(record) for record in records] == [60] * 8
+    model = sb.Linear().fit(*records[1:])
+    test = records[0]
+    found = model.predict(40, test[:20], u=test.u[20:], other_record=True)  # type: ignore[index]
+    assert sb.fit_percent(test.y[20:], found.y)[0] > 99
+
+
+@pytest.mark.parametrize("begin", ["2024-10-27 00:00", "2024-03-31 00:00"])
+@pytest.mark.parametrize("step", [15, 60])
+def test_stamps_of_a_clock_that_is_changed(tmp_path: Path, begin: str, step: int) -> None:
+    times = pd.date_range(begin, periods=40, freq=f"{step}min", tz="Europe/Berlin")
+    path = stamped(tmp_path, [f"{time:%Y-%m-%d %H:%M}" for time in times], "time")
+    said = message(path)
+    assert "if summer time began or ended there, name the zone" in said
+    found = sb.read(told(said, table=pd.read_csv(path)))
+    assert (len(found), found.sampling_time, found.start) == (40, 60 * step, times[0])
+
+
+def test_rows_that_stand_twice_and_rows_out_of_order(tmp_path: Path) -> None:
+    for rows in ([0, 1, 2, 2, 3, 4, 5, 6], [0, 1, 3, 2, 4, 5, 6]):
+        path = text_file(tmp_path, "t,y\n" + "".join(f"{row},{row**2}\n" for row in rows))
+        found = sb.read(told(message(path), table=pd.read_csv(path)))
+        np.testing.assert_array_equal(found.y[:, 0], np.arange(7.0) ** 2)
+
+
+def test_serial_days_beside_fractions_are_added(tmp_path: Path) -> None:
+    rows = "".join(f"{45292 + i // 24},{i % 24 / 24:.9f},{i}\n" for i in range(48))
+    path = text_file(tmp_path, f"Date,Time,y\n{rows}")
+    said = message(path)
+    assert "it begins again with each 'Date'" in said
+    with pytest.warns(ReadingWarning, match="Excel's serial days"):
+        found = sb.read(told(said, table=pd.read_csv(path)))
+    assert found.sampling_time == pytest.approx(3600, rel=1e-6)
+    assert found.columns == ("y",)
+
+
+@pytest.mark.parametrize(
+    ("cell", "said", "old", "new", "step"),
+    [
+        ("2024-03-01,{h}00", "write times of the day as 09:30", "00,", ":00,", 3600),
+        ("2024-03-01,{h}:00 UTC+1", "+01:00 for an hour east", " UTC+1", "+01:00", 3600),
+    ],
+)
+def test_stamps_that_are_to_be_written_otherwise(
+    tmp_path: Path, cell: str, said: str, old: str, new: str, step: float
+) -> None:
+    text = "Date,Time,y\n" + "".join(f"{cell.format(h=h)},{h}\n" for h in range(10, 24))
+    assert said in message(text_file(tmp_path, text))
+    found = sb.read(text_file(tmp_path, text.replace(old, new)))
+    assert (found.sampling_time, len(found), found.columns) == (step, 14, ("y",))
+
+
+def test_jitter_is_ignored_where_nothing_else_is_wrong(tmp_path: Path) -> None:
+    jitter = np.random.default_rng(3).integers(-40, 40, 50)
+    path = stamped(tmp_path, [5020 + 1020 * i + jitter[i] for i in range(50)], "timestamp")
+    assert "milliseconds (1.0" in message(path)
+    said = message(path, sampling_time=1.0)
+    assert "must be even" in said
+    assert "--time-column ''" in said
+    found = sb.read(path, sampling_time=1.0, time_column="")
+    np.testing.assert_array_equal(found.y[:, 0], np.arange(50))
+
+
+# ---------------------------------------------------------------- other readings
+
+
+@pytest.mark.parametrize(
+    ("stamp", "start"),
+    [
+        (lambda d, h: f" {d:%m/%d}  {h:02d}:00:00", 3600.0),
+        (lambda d, h: f"{d:%Y-%m-%d} {h:02d}:00", pd.Timestamp("2023-01-01 01:00")),
+        (lambda d, h: f"{d:%Y-%m-%d}T{h:02d}:00:00Z", pd.Timestamp("2023-01-01 01:00Z")),
+        (lambda d, h: f"{h:02d}:00", None),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*has no year")
+def test_days_may_end_at_24(tmp_path: Path, stamp: Callable[..., str], start: Any) -> None:
+    days = pd.date_range("2023-01-01", periods=400)  # past the end of a year
+    stamps = [stamp(day, hour) for day in days for hour in range(1, 25)]
+    options: dict[str, Any] = {} if start else {"sampling_time": 3600}
+    found = sb.read(stamped(tmp_path, stamps, "time"), **options)
+    assert (len(found), found.sampling_time) == (9600, 3600)
+    assert start is None or found.start == start
+
+
+def test_dates_without_a_year_are_said(tmp_path: Path) -> None:
+    stamps = [f"02/03 {hour:02d}:00" for hour in range(1, 25)]
+    with pytest.warns(ReadingWarning, match="has no year: .* seconds since 1 January, from 03 Feb"):
+        assert sb.read(stamped(tmp_path, stamps, "time")).start == 33 * 86400 + 3600
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "step"),
+    [("Time_ms", lambda d: f"{1e6 * d:.2f}", 2), ("time", lambda d: f"{1e7 * (d - 45418):.2f}", 0)],
+)
+def test_dates_beside_serial_numbers_are_compared(
+    tmp_path: Path, name: str, number: Callable[[float], str], step: float
+) -> None:
+    """WinCC's millionths of a day, and ticks of nobody's."""
+    dates = pd.date_range("2024-05-06 08:00", periods=60, freq="2s")
+    days = (dates - pd.Timestamp("1899-12-30")) / pd.Timedelta(1, "D")
+    both = enumerate(zip(dates, days, strict=True))
+    rows = "".join(f"{d:%d.%m.%Y %H:%M:%S},{number(n)},{i}\n" for i, (d, n) in both)
+    path = text_file(tmp_path, f"TimeString,{name},y\n{rows}")
+    if step:
+        with pytest.warns(ReadingWarning, match="millionths of Excel's serial days, read as dates"):
+            found = sb.read(path, columns="y")
+        assert isinstance(found.start, pd.Timestamp)
+        assert abs(found.start - dates[0]) < pd.Timedelta("1ms")
+    else:
+        assert "time_column='time' or 'TimeString' (--time-column)" in message(path, columns="y")
+        found = sb.read(path, columns="y", time_column="TimeString")
+        assert sb.read(path, columns="y", time_column="time").sampling_time > 200
+    assert found.sampling_time == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t\tcode\tq\n" + "".join(f"2024-03-01 00:00:{i:02d}\tP\t{i}\n" for i in range(40)),
+        "t|mode|q\n" + "".join(f"2024-03-01 00:00:{i:02d}|mode {i % 3}|{i}\n" for i in range(40)),
+        "t, z, q, c, h, d\n"
+        + "".join(f"2024-03-01 00:00:{i:02d}, EST, {i}, P, 1, P\n" for i in range(40)),
+    ],
+)
+@pytest.mark.parametrize("name", ["log.txt", "log.csv"])
+def test_words_and_dates_with_blanks_between_other_separators(
+    tmp_path: Path, text: str, name: str
+) -> None:
+    found = sb.read(text_file(tmp_path, text, name), columns="q", time_column="t")
+    assert found.sampling_time == 1
+    np.testing.assert_array_equal(found.y[:, 0], np.arange(40))
+
+
+@pytest.mark.parametrize(
+    ("on", "off"),
+    [("ON", "OFF"), ("True", "False"), ("Active", "inactive")],
+)
+def test_switches_are_read_as_1_and_0(tmp_path: Path, on: str, off: str) -> None:
+    states = np.arange(40) % 3 == 0
+    rows = "".join(f"{i},{on if state else off},{i}\n" for i, state in enumerate(states))
+    path = text_file(tmp_path, f"time,valve,y\n{rows}".replace(f"5,{off},5", "5,,5"))
+    with pytest.warns(ReadingWarning) as caught:
+        found = sb.read(path, inputs="valve", gaps="mask")
+    assert found.u is not None
+    np.testing.assert_array_equal(np.delete(found.u[:, 0], 5), np.delete(states, 5))
+    said = f"words of column 'valve' are read as {{'{on}': 1.0, '{off}': 0.0}}"
+    assert any(said in str(each.message) for each in caught) or on == "True"  # which pandas reads
+
+
+def test_other_words_need_numbers(tmp_path: Path) -> None:
+    rows = "".join(f"{i},{'AUTO' if i % 2 else 'MAN'},{i}\n" for i in range(9))
+    path = text_file(tmp_path, f"time,mode,y\n{rows}")
+    said = message(path, inputs="mode")
+    assert "--missing" not in said
+    table = pd.read_csv(path)
+    table["mode"] = told(said, table=table)
+    found = sb.read(table, inputs="mode")
+    assert found.u is not None
+    np.testing.assert_array_equal(found.u[:, 0], np.arange(9) % 2)
+
+
+# ---------------------------------------------------------------- packed files, tables of pandas
+
+
+def zipped(path: Path, text: bytes) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("record.csv", text)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("record.csv.gz", lambda path, text: path.write_bytes(gzip.compress(text))),
+        ("record.csv.bz2", lambda path, text: path.write_bytes(bz2.compress(text))),
+        ("record.csv.xz", lambda path, text: path.write_bytes(lzma.compress(text))),
+        ("record.zip", zipped),
+    ],
+)
+def test_packed_text(tmp_path: Path, name: str, write: Callable[[Path, bytes], object]) -> None:
+    write(tmp_path / name, CSV.encode())
+    found = sb.read(tmp_path / name, inputs="u")
+    assert (found.name, found.columns, found.sampling_time) == ("record", ("y",), 0.1)
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:40])
+    assert "cannot be read as" in message(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        pd.date_range("2024", periods=40, freq="s"),
+        pd.to_timedelta(np.arange(40), "s"),
+        pd.period_range("2024", periods=40, freq="s"),
+        pd.Index(np.arange(40.0)),
+        pd.Index(np.arange(40), name="time"),
+    ],
+    ids=["dates", "durations", "periods", "numbers", "named"],
+)
+def test_a_series_and_its_index(index: pd.Index) -> None:
+    for name in ("x", None):
+        found = sb.read(pd.Series(np.arange(40.0) ** 2, index, name=name))
+        assert (found.columns, found.sampling_time) == ((name or "y",), 1)
+        np.testing.assert_array_equal(found.y[:, 0], np.arange(40.0) ** 2)
+    table = pd.DataFrame({"time": np.arange(40), "y": 1.0 * np.arange(40)}, index)
+    if index.name is None:
+        assert sb.read(table, time_column="time", columns="y").sampling_time == 1
+
+
+def test_an_index_of_several_levels_is_refused() -> None:
+    index = pd.MultiIndex.from_product([["a", "b"], np.arange(30) / 10], names=["run", "time"])
+    table = pd.DataFrame({"y": np.arange(60.0)}, index)
+    with pytest.raises(sb.InputError, match=r"not 'run', 'time': table.xs\(..., level='run'\)"):
+        sb.read(table, sampling_time=0.1)
+    assert len(sb.read(table.xs("a", level="run"))) == 30
+    whole = table.reset_index()
+    found = sb.read(whole[whole["run"] == "b"], columns="y")
+    np.testing.assert_array_equal(found.y[:, 0], np.arange(30, 60.0))
+
+
+# ---------------------------------------------------------------- several rates
+
+
+def test_measured_values_survive_a_longer_step() -> None:
+    g, n = np.random.default_rng(1), 6000
+    u = np.repeat(g.uniform(-1, 1, n // 40), 40)
+    y = scipy.signal.lfilter([0, 0.02], [1, -0.98], u)
+    holed = np.where((np.arange(n) % 10 == 0) & (np.arange(n) // 10 != 7), y, np.nan)
+    record = sb.Record.with_gaps(holed, 0.01, u=u).resample(0.1)
+    expected = pd.Series(holed).groupby(np.arange(n) // 10).mean()
+    np.testing.assert_allclose(record.y_with_gaps[:, 0], expected, rtol=1e-12)
+    assert np.isnan(record.y_with_gaps).sum() == 1
+    assert record.u is not None
+    model = sb.Linear().fit(record[:450])
+    assert sb.fit_percent(y[4500::10], model.predict(150, u=record.u[450:]).y[:, 0]) > 95
+
+
+def test_a_record_without_a_measured_sample_is_refused() -> None:
+    empty = sb.Record(np.arange(50.0), 0.1, measured=np.zeros(50, bool))
+    for model in (sb.Linear(), sb.Mean()):
+        with pytest.raises(sb.InputError, match="records must have a measured sample of 'y'"):
+            model.fit(empty)
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 40), 20)
+    y = np.column_stack([scipy.signal.lfilter([0, 1 - a], [1, -a], u) for a in (0.9, 0.95)])
+    noisy = y + 0.01 * np.random.default_rng(1).standard_normal(y.shape)
+    turns = np.where(np.arange(800)[:, None] % 2 == [0, 1], noisy, np.nan)  # never at one time
+    found = sb.Linear().fit(sb.Record.with_gaps(turns, 0.1, u=u)[:600]).predict(200, u=u[600:])
+    assert sb.fit_percent(y[600:], found.y).min() > 95
