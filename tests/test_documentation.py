@@ -15,6 +15,7 @@ from html.parser import HTMLParser
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ import pytest
 import splitband
 from splitband.cli import COMMANDS
 from splitband.comparison.methods import NAMES
+from splitband.export.writing import FORMATS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = [
@@ -50,6 +52,25 @@ def test_the_examples_of_a_docstring_run(
         failed, tried = doctest.DocTestRunner().run(found)
     assert tried
     assert not failed, said.getvalue()
+
+
+def test_parts_of_ones_own_are_one_class_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The example of CONTRIBUTING runs, and what it shows is there."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("splitband.export.writing.FORMATS", {**FORMATS})
+    text = (DOCS.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names: dict[str, Any] = {"__name__": __name__}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", splitband.ExtrapolationWarning)
+        exec(compile(code, "CONTRIBUTING.md", "exec"), names)
+    assert {*names["result"].table.index} == {"leaky", "slope", "residual-leaky"}
+    assert (tmp_path / "slope.c").is_file()
+    assert (tmp_path / "slope.txt").read_text(encoding="utf-8").startswith("slope")
+    model = names["model"]
+    np.testing.assert_allclose(model.stream().step(), model.predict(1).y[0])
 
 
 class Loaded(HTMLParser):
