@@ -219,10 +219,13 @@ class MedianSteps(Steps):
             member.run(own, u, y_sim[: 1 + member.ahead]) for member, own in self._each(state)
         )
 
-    def advance(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+    def advance(
+        self, state: State, u: Array, y_sim: Array, needed: Any = True
+    ) -> tuple[State, Array]:
         """Return the states one sample later, and the median."""
         return self._median(
-            member.advance(own, u, y_sim[: 1 + member.ahead]) for member, own in self._each(state)
+            member.advance(own, u, y_sim[: 1 + member.ahead], needed)
+            for member, own in self._each(state)
         )
 
     def correct(self, state: State, y: Array) -> State:

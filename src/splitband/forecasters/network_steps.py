@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, final
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from splitband.runtime.tracing import cond
 if TYPE_CHECKING:
     from splitband.forecasters.network import Network
     from splitband.models.stepping import Stepped
+
+Prediction = Callable[[State, Array, Array], Sequence[Any]]
+"""Returns the next run and the prediction: of a state, the last two inputs, and rows of a base."""
 
 
 @final
@@ -36,6 +40,7 @@ class NetworkSteps(Steps):
         self.ahead = model.ahead if base is not None else 0
         self.simulated = base is not None and base.simulated
         self.note = "" if base is None else base.note
+        self.ny = len(model.y_mean)
 
     def begin(self, history: ForecastContext | None) -> State:
         """Return the state after a history; without one it holds the means of the training."""
@@ -61,9 +66,9 @@ class NetworkSteps(Steps):
         if self.base is not None:
             state |= {"base": self.base.begin(history), "slow": first}
         for n in range(length, length + free):
-            state, _ = self._moved(state, u[n], slow[n : n + 1 + self.ahead])
+            state, _ = self._moved(state, u[n], slow[n : n + 1 + self.ahead], self._predicted)
         if unknown:
-            nothing = np.full((unknown, len(y[0])), np.nan)
+            nothing = np.full((unknown, self.ny), np.nan)
             state["slow"] = np.concatenate([state["slow"][:-unknown], nothing])
         return state
 
@@ -79,24 +84,24 @@ class NetworkSteps(Steps):
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
         """Return the state one sample later, and the prediction."""
-        line, inputs = self.line.move(state["line"], u)
-        if self.base is None:
-            state, y = self._moved(state, inputs, np.zeros((1, len(self.model.y_mean))))
-            return state | {"line": line}, y
-        following, slow = self.base.advance(state["base"], u, y_sim[:1])
-        rows, later = [slow], following
-        for n in range(self.ahead):  # there are no inputs then
-            later, slow = self.base.advance(later, u, y_sim[n + 1 :])
-            rows.append(slow)
-        state, y = self._moved(state, inputs, np.stack(rows))
-        return state | {"line": line, "base": following}, y
+        return self._later(state, u, y_sim, self._predicted)
 
-    def advance(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+    def advance(
+        self, state: State, u: Array, y_sim: Array, needed: Any = True
+    ) -> tuple[State, Array]:
         """Return the state one sample later, and the prediction; NaN until it is warmed up."""
-        if self.base is not None and self.ahead:
-            _, slow = self.base.advance(state["base"], u, y_sim[:1])
-            state = state | {"slow": np.concatenate([state["slow"][:-1], slow[None]])}
-        following, y = super().advance(state, u, y_sim)
+
+        def predicted(state: State, u: Array, slow: Array) -> list[Any]:
+            if self.ahead:  # it is known now, if it was not when the history ended
+                state = state | {"slow": np.concatenate([state["slow"][:-1], slow[1:2]])}
+            return cond(
+                needed,
+                lambda: self._predicted(self.warmed_up(state), u, slow),
+                lambda: [state["run"], state["y"][-1]],
+            )
+
+        following, y = self._later(state, u, y_sim, predicted)
+        following["fresh"] = np.where(needed, 0.0, state["fresh"])
         return following, np.where(state["count"] >= self.warmup, y, np.nan)
 
     def correct(self, state: State, y: Array) -> State:
@@ -111,17 +116,37 @@ class NetworkSteps(Steps):
             new["base"] = self.base.correct(state["base"], y)
         return state | new
 
-    def _moved(self, state: State, u: Array, slow: Array) -> tuple[State, Array]:
+    def _later(
+        self, state: State, u: Array, y_sim: Array, predicted: Prediction
+    ) -> tuple[State, Array]:
+        """Return the state one sample later, and the prediction by this function."""
+        line, inputs = self.line.move(state["line"], u)
+        if self.base is None:
+            following, y = self._moved(state, inputs, np.zeros((1, self.ny)), predicted)
+            return following | {"line": line}, y
+        base, slow = self.base.advance(state["base"], u, y_sim[:1])
+        rows, later = [slow], base
+        for n in range(self.ahead):  # there are no inputs then
+            later, slow = self.base.advance(later, u, y_sim[n + 1 :])
+            rows.append(slow)
+        following, y = self._moved(state, inputs, np.stack(rows), predicted)
+        return following | {"line": line, "base": base}, y
+
+    def _moved(
+        self, state: State, u: Array, slow: Array, predicted: Prediction
+    ) -> tuple[State, Array]:
         """Return the state one sample later, and the prediction; `slow` are rows of the base."""
         last = self.warmup - 1
-        both = np.concatenate([state["slow"][last : last + 1], slow]) if "slow" in state else slow
-        inputs = np.stack([state["u"][-1], u])
-        run, y = self.model.advance(state["run"], inputs, both)
+        known = slow[:0] if self.base is None else state["slow"][last : last + 1]
+        run, y = predicted(state, np.stack([state["u"][-1], u]), np.concatenate([known, slow]))
         new = {
             "y": np.concatenate([state["y"][1:], y[None]]),
             "u": np.concatenate([state["u"][1:], u[None]]),
             "run": run,
         }
-        if "slow" in state:
+        if self.base is not None:
             new["slow"] = np.concatenate([state["slow"][1 : last + 1], slow])
         return state | new, y
+
+    def _predicted(self, state: State, u: Array, slow: Array) -> list[Any]:
+        return [*self.model.advance(state["run"], u, slow)]

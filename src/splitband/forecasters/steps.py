@@ -62,7 +62,9 @@ class Steps(ABC):
         """Return the state with the warm-up done for which measured samples have come in."""
         return state
 
-    def advance(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
+    def advance(
+        self, state: State, u: Array, y_sim: Array, needed: Any = True
+    ) -> tuple[State, Array]:
         """Return the state one sample later, and its prediction `(ny,)`.
 
         The prediction is NaN where too few samples have been observed.
@@ -73,6 +75,8 @@ class Steps(ABC):
         u : Inputs of this sample, `(nu,)`.
         y_sim : A simulator's output at this sample and `ahead` more, `(1 + ahead, ny)`; without
             columns for a model that needs none.
+        needed : Whether the prediction is used; not where all channels are measured and `correct`
+            takes none of it, so that a network may leave it out.
         """
         return self.run(self.warmed_up(state), u, y_sim)
 
@@ -83,8 +87,9 @@ class Steps(ABC):
 
 def tick(steps: Steps, state: State, y: Array, u: Array, y_sim: Array) -> tuple[State, Array]:
     """Return the state after a sample, measured or not, and what was predicted for it."""
-    state, predicted = steps.advance(state, u, y_sim)
-    measured = np.logical_not(np.isnan(y)).any()
+    gaps = np.isnan(y)
+    state, predicted = steps.advance(state, u, y_sim, needed=gaps.any())
+    measured = np.logical_not(gaps).any()
     return cond(measured, lambda: steps.correct(state, y), lambda: state), predicted
 
 
