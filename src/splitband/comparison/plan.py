@@ -113,13 +113,9 @@ class Plan:
         return BacktestSpec(self.record, origins, self.others, self.tests, warmup, self.initial)
 
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
-        """Return the forecasts of the training part's last quarter, by a fit to the rest of it.
-
-        Those of a method that is fitted once go on to the end of the record; see `judged`.
-        """
+        """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
         origins = held_out_origins(forecaster, self.held_out)
-        record = self.training if forecaster.refits else self.record
-        return BacktestSpec(record, origins, self.others, components=False)
+        return BacktestSpec(self.record, origins, self.others, components=False)
 
     def on_baseline(self, base: str) -> Plan:
         """Return the plan with a network on this baseline, which learns what that leaves.
