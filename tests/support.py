@@ -144,3 +144,12 @@ def edit(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
     description = json.loads(path.read_text())
     change(description)
     path.write_text(json.dumps(description))
+
+
+def with_own_predictions(model: Any, y: Any, warmup: int) -> Any:
+    """Samples whose missing channels are a network's predictions from the samples before each."""
+    y = np.array(y)
+    for n in range(warmup, len(y)):
+        if np.isnan(y[n]).any() and np.isfinite(y[n - warmup : n]).all():
+            y[n] = np.where(np.isnan(y[n]), simulated(model, y[n - warmup : n], 1)[0], y[n])
+    return y

@@ -111,7 +111,7 @@ def test_an_export_says_how_to_begin_elsewhere(
 def test_the_doctor_finds_a_record_that_is_not_the_published_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    damaged = tmp_path / sb.data.public.PUBLIC["drill_string_sim"].path
+    damaged = tmp_path / sb.records.public.PUBLIC["drill_string_sim"].path
     damaged.parent.mkdir(parents=True)
     damaged.write_text("1\n2\n")
     monkeypatch.setenv("SPLITBAND_DATA_DIR", str(tmp_path))

@@ -21,7 +21,7 @@ from tests.signals import (
     record,
     with_gaps,
 )
-from tests.support import asked, compare, simulated, untrained
+from tests.support import asked, compare, simulated, untrained, with_own_predictions
 
 Array = npt.NDArray[np.float64]
 
@@ -62,27 +62,17 @@ def test_held_out_errors_count_what_was_measured() -> None:
     assert trial.errors["persistence"] == pytest.approx((np.sqrt(np.nanmean(left**2)),))
 
 
-def test_simulations_warm_up_before_a_gap_or_after_it() -> None:
+def test_simulations_warm_up_on_their_own_predictions_in_gaps() -> None:
     y = holed(record().y, 4, TRAIN - 3, TRAIN + 20)
     r = with_gaps(y)
     model = untrained("gru", r, SETUP, 0)
     fit(model, r[:TRAIN], QUICK, seed=0)
     later = [TRAIN + 2, TRAIN + 20, TRAIN + 25]
     found = asked("gru", r, SETUP, later=later).forecasts
-
-    def ahead(start: int) -> Array:
-        assert np.isfinite(y[start - WARMUP : start]).all()
-        return simulated(model, y[start - WARMUP : start], LENGTH - start)
-
-    for start, at in (
-        (5 + WARMUP, 5 + WARMUP),
-        (TRAIN - 3, TRAIN),
-        (TRAIN - 3, TRAIN + 2),
-        (TRAIN + 20, TRAIN + 20),
-        (TRAIN + 20, TRAIN + 25),
-    ):
-        prediction = found[Origin(TRAIN, at)].y
-        np.testing.assert_allclose(prediction, ahead(start)[at - start :], rtol=1e-6, atol=1e-7)
+    filled = with_own_predictions(model, y, WARMUP)
+    for at in (5 + WARMUP, TRAIN, *later):
+        expected = simulated(model, filled[at - WARMUP : at], LENGTH - at)
+        np.testing.assert_allclose(found[Origin(TRAIN, at)].y, expected, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize(
