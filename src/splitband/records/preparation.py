@@ -50,8 +50,13 @@ class Reading:
 
     @property
     def units(self) -> tuple[Any, ...]:
-        """Return what the values of samples depend on; it is the same for records alike."""
-        return self.periods, self.limits, self.levels, self.slopes, self.begin
+        """Return the units of samples; limits leave those within them as they are."""
+        return self.periods, self.levels, self.slopes, self.begin
+
+    @property
+    def steps(self) -> tuple[Any, ...]:
+        """Return all that was done to samples but their resampling."""
+        return *self.units, self.limits
 
     def label(self, name: str) -> str:
         """Return the name of a channel with its unit, as "tank (minus 20.3)"."""

@@ -308,9 +308,9 @@ class Record:
         """
         wanted = other.reading
         near = near_sampling(self.sampling_time, other.sampling_time)
-        if self.reading.units == wanted.units and (near or wanted.step is None):
+        if self.reading.steps == wanted.steps and (near or wanted.step is None):
             return self
-        if self.reading.units != Reading().units:
+        if self.reading.steps != Reading().steps:
             raise InputError(
                 f"{self.name or 'the record'} must be given as it was measured, to be prepared "
                 f"like {other.name or 'the other'} ({wanted}), got {self.reading}"
