@@ -4,8 +4,8 @@
 
 Both commits run `splitband compare --rounds 2 --seed 0` on the same records, each with its own
 source (COMMIT from a worktree that is removed afterwards). Compared are the errors of every method,
-the predictions as written, and the recommended model as it is exported to C. A change that should
-alter no number is one after which each line says "equal"; the others name what differs and by how
+the predictions as written, and to eight digits what the stream of the saved model says and what it
+says once exported to C. A change that should alter no number is one after which each line says "equal"; the others name what differs and by how
 much. Rounding differs between processors, so that nothing is stored.
 """
 
@@ -26,6 +26,26 @@ from typing import Any
 from benchmarks.commands import RECORDS
 
 ROOT = Path(__file__).parents[1]
+_STEPPED = """
+import ctypes, subprocess, sys
+import numpy as np
+import splitband as sb
+
+model = sb.load(sys.argv[1])
+record, stream = model.fitted.record, model.stream()
+given = [] if record.u is None else [record.u[-1]]
+said = [stream.step(*given) for _ in range(20)]
+model.export("model.c")
+subprocess.run("gcc -shared -fPIC model.c -o model.so -lm".split(), check=True)
+program, state = ctypes.CDLL("./model.so"), ctypes.create_string_buffer(10**7)
+program.model_init(state)
+arrays = [*map(np.ascontiguousarray, given), np.zeros(record.ny)]
+for _ in range(20):
+    program.model_step(state, *(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
+    said.append(arrays[-1].copy())
+print([[f"{x:.8g}" for x in y] for y in said])
+"""
+"""Twenty steps of a model with its last inputs, as a stream and in C."""
 _NAMED = "double-mass-spring", "double-torsion", "van-der-pol"
 _TANKS = "tanks", "tank, 400 samples", "tank, 4,000 samples"
 _OTHERS = "five inputs, two outputs", "200 samples, no inputs", "drill string", "crane", "pendulum"
@@ -62,9 +82,10 @@ def computed(source: Path, words: list[str], folder: Path) -> dict[str, Any]:
         for kind, error in of.get("median_of_seeds", {"failed": of.get("failed")}).items()
     }
     facts["recommended"] = found["recommended"]
-    export = [*run, "export", str(out / "model"), "--out", "model.c"]
-    done = subprocess.run(export, check=False, capture_output=True, env=environment, cwd=folder)
-    paths = [*sorted(out.glob("*.csv")), *([folder / "model.c"] if done.returncode == 0 else [])]
+    stepped = [sys.executable, "-c", _STEPPED, str(out / "model")]
+    done = subprocess.run(stepped, capture_output=True, env=environment, cwd=folder, text=True)
+    facts["steps"] = done.stdout or done.stderr.strip().splitlines()[-1]
+    paths = sorted(out.glob("*.csv"))
     return facts | {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
