@@ -83,7 +83,9 @@ def computed(source: Path, words: list[str], folder: Path) -> dict[str, Any]:
     }
     facts["recommended"] = found["recommended"]
     stepped = [sys.executable, "-c", _STEPPED, str(out / "model")]
-    done = subprocess.run(stepped, capture_output=True, env=environment, cwd=folder, text=True)
+    done = subprocess.run(
+        stepped, check=False, capture_output=True, env=environment, cwd=folder, text=True
+    )
     facts["steps"] = done.stdout or done.stderr.strip().splitlines()[-1]
     paths = sorted(out.glob("*.csv"))
     return facts | {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
