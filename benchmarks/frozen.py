@@ -5,8 +5,9 @@
 Both commits run `splitband compare --rounds 2 --seed 0` on the same records, each with its own
 source (COMMIT from a worktree that is removed afterwards). Compared are the errors of every method,
 the predictions as written, and to eight digits what the stream of the saved model says and what it
-says once exported to C. A change that should alter no number is one after which each line says "equal"; the others name what differs and by how
-much. Rounding differs between processors, so that nothing is stored.
+says once exported to C. A change that should alter no number is one after which each line says
+"equal"; the others name what differs and by how much. Rounding differs between processors, so that
+nothing is stored.
 """
 
 from __future__ import annotations
