@@ -44,9 +44,6 @@ _NEGLIGIBLE = 1e-4
 """Least share by which an iteration lowers the RMS error. Bounds the time."""
 _CHUNK = 4096
 """Samples of a chunk of derivatives. Bounds the memory, and the time by the cache."""
-_LEAST, _EACH = 20_000, 100
-"""Fewest samples in the matrix of the normal equations, in all and per parameter: with fewer, steps
-go astray. Bounds the time."""
 _WINDOWS = 6
 """Windows of an excerpt of long records. By eye."""
 MOST_SAMPLES = 20_000
@@ -365,8 +362,7 @@ def evaluated(blocks: Blocks, runs: Sequence[Signals], first: Sequence[Array]) -
 def equations(solution: Solution, runs: Sequence[Signals], free: Flags) -> Equations:
     """Return the normal equations of all samples for the entries `free` of the values."""
     whole = [(i, 0, run.u.shape[1]) for i, run in enumerate(runs)]
-    least = max(_LEAST, _EACH * int(free.sum()))
-    return total(by_segment(solution, runs, free, whole, max(length(runs) // least, 1)))
+    return total(by_segment(solution, runs, free, whole))
 
 
 def length(runs: Sequence[Signals]) -> int:
@@ -413,12 +409,11 @@ def by_segment(
     runs: Sequence[Signals],
     free: Flags,
     cuts: Sequence[tuple[int, int, int]],
-    thin: int = 1,
 ) -> list[Equations]:
     """Return the normal equations by segment: a record, a first and a last sample + 1.
 
-    N is the sum over every `thin`-th sample, times `thin`; g is the sum over all. For long records,
-    raises DeadlineError after the deadline; short ones, such as an excerpt, need a result.
+    For long records, raises DeadlineError after the deadline; short ones, such as an excerpt, need
+    a result.
     """
     blocks, long = solution.blocks, length(runs) > 2 * MOST_SAMPLES
     count, size, parameters = 2 * len(blocks.a), len(blocks.values), int(free.sum())
@@ -450,8 +445,7 @@ def by_segment(
                     here = slice(max(begin - chunk.start, 0), max(end - chunk.start, 0))
                     if of == record and here.start < min(here.stop, len(errors)):
                         part = rows[:, here]
-                        some = part[:, ::thin] if thin > 1 else part
-                        n[i][np.ix_(columns, columns)] += w * thin * (some @ some.T)
+                        n[i][np.ix_(columns, columns)] += w * (part @ part.T)
                         g[i][columns] += w * (part @ errors[here])
     by_part = []
     for (record, _, _), own_n, own_g in zip(cuts, n, g, strict=True):
