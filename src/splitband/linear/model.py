@@ -5,7 +5,7 @@ A baseline for records with inputs. See L. Ljung, System Identification, 2nd ed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -19,6 +19,8 @@ from splitband.linear.uncertainty import Uncertainty
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
+_CHUNK = 2**18
+"""Most samples of which all states are computed at once. Bounds the memory."""
 _FASTEST, _SLOWEST = 0.5, 0.95
 """Range of the poles of additional states, without effect on the output. By eye."""
 
@@ -171,6 +173,10 @@ class LinearModel:
         """
         if not len(tapped):
             return np.zeros((0, self.ny)), first
+        if len(tapped) > _CHUNK:
+            return _in_chunks(
+                lambda here, x: self._run(tapped[here], x, away, age + here.start), tapped, first
+            )
         forced = tapped @ self.b.T
         forced += self.drift
         ages = age + np.arange(len(tapped))[: max(max(self.late) - age, 0), None]
@@ -265,6 +271,10 @@ class LinearModel:
 
     def _observed(self, tapped: Array, y: Array, first: Array) -> tuple[Array, Array]:
         """Return prediction errors `(time, ny)` and the state after a history without gaps."""
+        if len(tapped) > _CHUNK:
+            return _in_chunks(
+                lambda here, x: self._observed(tapped[here], y[here], x), tapped, first
+            )
         left = y - tapped @ self.d.T - self.offset
         forced = tapped @ self.b.T
         forced += self.drift
@@ -357,6 +367,17 @@ class LinearModel:
         held = f", {self.integrators} of them at 1" if self.integrators else ""
         inputs = f"{self.nu} input{'s' * (self.nu != 1)}"
         return f"{poles}{held}, {inputs} and an offset; by {self.by}"
+
+
+def _in_chunks(
+    run: Callable[[slice, Array], tuple[Array, Array]], tapped: Array, first: Array
+) -> tuple[Array, Array]:
+    """Return the outputs of a long run, and the state after it, by parts of `_CHUNK` samples."""
+    outputs, x = [], first
+    for begin in range(0, len(tapped), _CHUNK):
+        y, x = run(slice(begin, begin + _CHUNK), x)
+        outputs.append(y)
+    return np.concatenate(outputs), x
 
 
 def assembled(parts: Sequence[tuple[LinearModel, Sequence[int]]], ny: int) -> LinearModel:
