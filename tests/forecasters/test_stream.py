@@ -114,7 +114,7 @@ def test_a_stream_goes_on_from_a_history_that_ends_in_a_gap(name: str) -> None:
     found = np.stack([stream.step(**at(n)) for n in range(190, 205)])
     assert np.abs(found - forecast(forecaster, history, record, 15)).max() < 1e-9 * record.y.std()
     if name == "filtered, no inputs":
-        with pytest.raises(ValueError, match="y_sim.*of the sample after its end.*in a gap"):
+        with pytest.raises(ValueError, match=r"y_sim.*of the sample after its end.*in a gap"):
             forecaster.stream(history)
 
 
