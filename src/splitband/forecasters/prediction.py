@@ -127,6 +127,8 @@ def inputs_after(
             "follow the last; with time_column='' (--time-column '') no stamps count, and it "
             "follows the last"
         )
+    if same_names(coming.columns, past.inputs):  # numbered, which match any
+        coming = replace(coming, columns=past.inputs)
     coming = _means_after(past, coming, ahead).like(past)
     # Linear interpolation, as inputs may jump.
     u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
