@@ -11,6 +11,7 @@ import splitband as sb
 from benchmarks import kinds as records
 from splitband import Record, TrainingSettings
 from splitband.metrics import ExtrapolationWarning, rmse, spread
+from tests.streams import fitted
 from tests.support import known_after
 
 STEPS, BEGUN = 300, 200
@@ -115,3 +116,19 @@ def test_recorded_output_has_to_cover_only_what_a_forecast_uses(
     np.testing.assert_allclose(part.predict(50, record[150:300]).y, expected.y, atol=1e-6)
     with pytest.raises(ValueError, match=r"the exported trajectory must cover"):
         short.predict(50, record[150:300])
+
+
+@pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
+def test_a_history_with_few_measured_samples_is_said_to_be_short() -> None:
+    """Before them nothing was measured, of one channel or of both: the rest is made up."""
+    forecaster, record = fitted("gru")
+    assert record.u is not None
+    few = np.arange(60)[:, None] >= np.array([55, 55])
+    for measured, said in (
+        (few, "has 5 of the 20 samples of a warm-up"),
+        (few | np.array([False, True]), None),
+        (np.full((60, 1), True) & np.array([False, True]), "output y0 was not measured"),
+    ):
+        history = replace(record[100:160], measured=measured)
+        found = forecaster.predict(5, history, record.u[160:165]).warnings
+        assert [said in each for each in found] == [True] if said else not found

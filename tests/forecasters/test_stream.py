@@ -102,6 +102,22 @@ def test_a_network_warms_up_on_an_output_that_is_seldom_measured() -> None:
     assert np.isfinite(model.predict(9, late, u[30:]).y).all()
 
 
+@pytest.mark.parametrize("name", ["gru", "gru, no inputs", "filtered", "filtered, no inputs"])
+def test_a_stream_goes_on_from_a_history_that_ends_in_a_gap(name: str) -> None:
+    forecaster, record = fitted(name)
+    assert record.y_sim is not None
+    missing = np.arange(190)[:, None] >= 185
+    history = replace(record[:190], measured=~np.repeat(missing, record.ny, axis=1))
+    longer = replace(history, y_sim=record.y_sim[:191])  # of the slope, which needs the next one
+    stream = forecaster.stream(longer)
+    at = rows(record, stream)
+    found = np.stack([stream.step(**at(n)) for n in range(190, 205)])
+    assert np.abs(found - forecast(forecaster, history, record, 15)).max() < 1e-9 * record.y.std()
+    if name == "filtered, no inputs":
+        with pytest.raises(ValueError, match=r"y_sim.*of the sample after its end.*in a gap"):
+            forecaster.stream(history)
+
+
 def test_a_linear_model_finds_its_state_in_another_record() -> None:
     """Also where the history is shorter than what an input acts late by, or twice that."""
     record = driven(channels=1)

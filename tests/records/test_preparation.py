@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import scipy
 
 import splitband as sb
+from splitband.forecasters.prediction import inputs_after
 
 DT = 0.1
 RNG = np.random.default_rng(0)
@@ -113,12 +115,22 @@ def test_a_longer_step_is_the_mean_of_the_samples_since_the_last_one() -> None:
         (lambda r: r.clip_outliers(limits={"y": 3}), "limits of 'y' must be lowest and"),
         (lambda r: r.detrend(levels={"x": 1}), "levels must name one of y, u, got x"),
         (lambda r: r.detrend(levels={"y": "much"}), "levels must be numbers"),
+        (lambda r: r.detrend(levels=[1, 2]), "levels must give values by name"),
+        (lambda r: replace(r, columns=["a"]).like(replace(r, columns=["b"]).detrend()), "got a"),
         (lambda r: r.detrend(1, levels={"y": 1}), "order must be left out where levels are given"),
     ],
 )
 def test_what_cannot_be_is_named(asked: object, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         asked(record())  # type: ignore[operator]
+
+
+def test_planned_inputs_without_names_are_detrended_too() -> None:
+    past = replace(record(), inputs=["pump"]).detrend()
+    coming = sb.Record(U[:20], DT, start=past.grid.after(1).start)
+    np.testing.assert_allclose(
+        inputs_after(past, coming, 10, "plan")[:10, 0], U[:10] - U.mean(), atol=1e-9
+    )
 
 
 def test_a_frame_becomes_a_record_and_comes_back() -> None:

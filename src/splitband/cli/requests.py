@@ -68,7 +68,8 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
     calibrate, conditioned = asked.calibrate, asked.conditioned
     if model is not None:
         usual = default_names(record.y_sim is not None, record.nu > 0)
-        chosen = [model.untrained(), *(n for n in usual if not fitting and n not in TRAINED)]
+        beside = {*usual} - {*TRAINED, model.name}
+        chosen = [model.untrained(), *(n for n in usual if not fitting and n in beside)]
         calibrate = conditioned = False
     elif asked.methods is not None:
         listed = options.names(asked.methods)

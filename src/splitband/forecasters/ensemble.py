@@ -200,7 +200,8 @@ class MedianSteps(Steps):
     """Predict the median of several step forms, once all of them predict."""
 
     def __init__(self, members: Sequence[Steps]) -> None:
-        self.members, self.note = members, members[0].note
+        self.members = members
+        self.note = " ".join(dict.fromkeys(member.note for member in members if member.note))
         self.ahead = max(member.ahead for member in members)
         self.simulated = any(member.simulated for member in members)
         self.warmup = max(member.warmup for member in members)

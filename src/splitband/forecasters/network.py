@@ -345,10 +345,12 @@ class Network(Forecaster):
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
         doubts = [] if self._fitted_base is None else self._fitted_base.doubts(known)
-        if self._short(known):
+        begin = 0 if self._short(known) else self._span(known.y)[0]
+        seen = np.isfinite(known.y[begin:]).any(axis=1).sum()
+        if seen < self.warmup:
             short = (
-                f"the history has {len(known.y)} of the {self.warmup} samples of a warm-up: "
-                "the missing history is estimated"
+                f"the history has {seen} of the {self.warmup} samples of a warm-up: the missing "
+                "history is estimated"
             )
             doubts = [*dict.fromkeys([*doubts, short])]
         return doubts
@@ -497,31 +499,37 @@ class Network(Forecaster):
             assert self._prehistory is not None
             slow = None if base is None else base.trajectory(whole)
             return *self._prehistory.completed(self._trained(), y, u, slow), 0
-        measured = np.asarray(np.isfinite(y))
-        seen = np.asarray(measured.any(axis=1))
-        last = samples - int(seen[::-1].argmax()) if seen.any() else 0
-        if last < length:
-            raise InputError(
-                f"history must have {length} samples for {self.name} to warm up on, up to the last "
-                f"one that was measured, got {last}"
-            )
-        complete = np.asarray(measured.all(axis=1))
-        start = last_before(complete, length, last)
-        if start is None or (~complete[start:last]).sum() > MOST_FILLED:
-            start = max(length, last - MOST_FILLED)
-        begin = start - length
+        begin, start, last = self._span(y)
         slow = None
         if base is not None:
             slow = base.trajectory(replace(whole, since=begin))[begin:]
         u = None if u is None else u[begin : samples + known.steps]
         y = y[begin:last].copy()
-        if not complete[begin:start].all():
+        if np.isnan(y[:length]).any():
             mean = np.tile(self._trained().y_mean.cpu().numpy(), (len(y), 1))
             y[:length] = refilled(mean, y)[:length]
         self._fill(y, u, slow)
         moved = last - start
         u, slow = (None if x is None else x[moved:] for x in (u, slow))
         return y[moved:], u, slow, samples - last
+
+    def _span(self, y: Array) -> tuple[int, int, int]:
+        """Return where a warm-up begins, where the samples after it that are filled begin and end.
+
+        Raises ValueError for a history without a warm-up up to its last measured sample.
+        """
+        length, measured = self.warmup, np.asarray(np.isfinite(y))
+        seen, complete = measured.any(axis=1), np.asarray(measured.all(axis=1))
+        last = len(y) - int(seen[::-1].argmax()) if seen.any() else 0
+        if last < length:
+            raise InputError(
+                f"history must have {length} samples for {self.name} to warm up on, up to the last "
+                f"one that was measured, got {last}"
+            )
+        start = last_before(complete, length, last)
+        if start is None or (~complete[start:last]).sum() > MOST_FILLED:
+            start = max(length, last - MOST_FILLED)
+        return start - length, start, last
 
     def _fill(self, y: Array, u: Array | None, slow: Array | None) -> None:
         """Fill the gaps after a warm-up with the model's own predictions, in place."""

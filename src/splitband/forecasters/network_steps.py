@@ -10,6 +10,7 @@ import numpy as np
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import DelayLine, State, Steps
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 from splitband.runtime.tracing import cond
 
 if TYPE_CHECKING:
@@ -46,13 +47,19 @@ class NetworkSteps(Steps):
         """Return the state after a history; without one it holds the means of the training."""
         model, length, free = self.model, self.warmup, 0
         y, u = (np.tile(mean, (length, 1)) for mean in (model.y_mean, model.u_mean))
-        slow = np.tile(model.y_mean, (length + self.ahead, 1))
+        base: Array | None = None
         if history is not None:
             y, inputs, base, free = self.network.warmed_up(history, self.ahead)
-            u = u if inputs is None else inputs
-            slow = slow if base is None else base
+            u = np.zeros((length + free, 0)) if inputs is None else inputs
+        whole = length + free + self.ahead
+        slow = np.tile(model.y_mean, (whole, 1)) if base is None else base
         # Where the output ends with the history, the next sample is given with the first `advance`.
-        unknown = max(length + free + self.ahead - len(slow), 0)
+        unknown = max(whole - len(slow), 0)
+        if unknown and free:
+            raise InputError(
+                f"history must bring a simulator's output (y_sim) of the sample after its end for "
+                f"{self.network.name}, as it ends in a gap"
+            )
         slow = np.concatenate([slow, np.repeat(slow[-1:], unknown, axis=0)])
         first = slow[: length + self.ahead]
         state: State = {
@@ -60,7 +67,7 @@ class NetworkSteps(Steps):
             "y": y,
             "u": u[:length],
             "run": model.begin(y, u[:length], first),
-            "fresh": np.array(float(unknown > 0 and not free)),
+            "fresh": np.array(float(unknown > 0)),
             "count": np.array(0.0 if history is None else float(length)),
         }
         if self.base is not None:

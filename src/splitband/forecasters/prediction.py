@@ -127,6 +127,8 @@ def inputs_after(
             "follow the last; with time_column='' (--time-column '') no stamps count, and it "
             "follows the last"
         )
+    if same_names(coming.columns, past.inputs):  # numbered, which match any
+        coming = replace(coming, columns=past.inputs)
     coming = _means_after(past, coming, ahead).like(past)
     # Linear interpolation, as inputs may jump.
     u = aligned(name, coming.y, coming.grid, ahead, smooth=False)
@@ -347,6 +349,12 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
     messages += [
         each.describe(past.columns[each.channel], f" of the history's last {len(used)}")
         for each in fitted.outputs_beyond(used)
+    ]
+    unseen = np.isnan(known.y).all(axis=0)
+    messages += [
+        f"output {name} was not measured in the history, and is assumed as in training"
+        for name, never in zip(past.columns, unseen, strict=True)
+        if never
     ]
     messages += (doubts := forecaster.doubts(known))
     if zones_differ(past.start, fitted.record.start):

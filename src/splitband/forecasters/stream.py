@@ -81,7 +81,7 @@ class Stream:
             needed = self.steps.warmup or "one"
             raise InputError(
                 f"{needed} measured sample(s) must have been observed before {self.name} can "
-                "predict"
+                "predict, and its state must not have overflowed"
             )
         return predicted
 

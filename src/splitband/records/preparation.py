@@ -80,6 +80,8 @@ def of_channels(what: str, given: Mapping[str, Value], names: Sequence[str]) -> 
 
     Raises ValueError for a name that is not one of `names`.
     """
+    if not isinstance(given, Mapping):
+        raise InputError(f"{what} must give values by name, got {given!r}")
     found = dict[str, Value]()
     for asked, value in given.items():
         own = [asked] if asked in names else [name for name in names if bare_name(name) == asked]
@@ -96,7 +98,7 @@ def periods_of(record: Record, asked: Periods) -> dict[str, float]:
     signals, found = record.signals, dict[str, float]()
     for name, value in of_channels("unwrap", given, [*signals]).items():
         x = signals[name]
-        period = period_of(x) if value is None else value
+        period = period_of(x) if value is None else as_float(value)
         if period is None:
             raise InputError(
                 f"unwrap must give the period of {name!r}, which has no clear jumps, as in "

@@ -303,8 +303,8 @@ class Record:
         says, as the training record of a model, `model.fitted.record`, which takes a history in
         its own units and step alone.
 
-        Raises ValueError if it has been prepared differently before, or lacks the time stamps of
-        straight lines.
+        Raises ValueError if it has been prepared differently before, has other names, or lacks the
+        time stamps of straight lines.
         """
         wanted = other.reading
         near = near_sampling(self.sampling_time, other.sampling_time)
@@ -319,6 +319,11 @@ class Record:
         named = (self.columns, other.columns), (self.inputs, other.inputs)
         if all(same_names(*names) for names in named):  # numbered names match any others
             found = replace(self, columns=other.columns, inputs=other.inputs)
+        if unknown := [name for name in found.signals if name not in other.signals]:
+            raise InputError(
+                f"{self.name or 'the record'} must have the names of {other.name or 'the other'}, "
+                f"{', '.join(other.signals)}, got {', '.join(unknown)}"
+            )
         found = clipped(unwrapped(found, wanted), wanted)
         found = found if near or wanted.step is None else found.resample(other.sampling_time)
         return detrended(found, wanted)
