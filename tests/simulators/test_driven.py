@@ -252,7 +252,7 @@ def test_every_way_to_run_a_driven_simulator_is_driven() -> None:
         found = fitted.predict(40, u=ahead).y
         other = fitted.predict(40, u=-ahead).y
         stream = fitted.stream()
-        output = Own().simulate(DT * np.arange(85), record.u[:85])[80:]  # type: ignore[index]
+        output = Own().simulate(np.linspace(0.0, 84 * DT, 85), record.u[:85])[80:]  # type: ignore[index]
         stepped = np.stack([stream.step(u, y) for u, y in zip(ahead[:5], output, strict=True)])
         np.testing.assert_allclose(stepped, found[:5], atol=1e-5)
         assert np.abs(found[:, 0] - record.y[80:, 0]).max() < 0.5 * np.ptp(record.y)

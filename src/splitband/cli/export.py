@@ -67,7 +67,7 @@ def export(
     printing.console.print(f"{forecaster.name} is written to {', '.join(map(str, written))}")
     needed, elsewhere = max(forecaster.warmup, 1), "export it with --history"
     cleared = {".c": f"call {out.stem}_clear", ".fmu": "set begin_empty"}.get(out.suffix.lower())
-    if forecaster.steps().note:
+    if forecaster.step_form().note:
         elsewhere += ", as observed samples do not correct its equation's state"
     elif forecaster.anchored:
         elsewhere += ", as its periods count time"

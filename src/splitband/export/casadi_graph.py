@@ -71,7 +71,7 @@ class CasadiStep:
     def __init__(
         self, forecaster: Forecaster, history: Record | None = None, other_record: bool = False
     ) -> None:
-        steps = forecaster.steps()
+        steps = forecaster.step_form()
         state = begun(steps, forecaster, history, other_record)
         if state is None:
             raise InputError(

@@ -74,7 +74,7 @@ def program(
 
     Raises ValueError, naming the forecaster, if it cannot be exported.
     """
-    steps = forecaster.steps()
+    steps = forecaster.step_form()
     record = forecaster.require_fitted().record
     state = begun(steps, forecaster, history, other_record)
     cleared = steps.begin(None)

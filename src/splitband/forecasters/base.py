@@ -343,7 +343,7 @@ class Forecaster(WithRepr, ABC):
         Raises
         ------
         ValueError
-            For a forecaster without a step form, such as one of your own that defines no `steps`, a
+            For a forecaster without a step form, such as one of your own that defines no `step_form`, a
             calibrated delay or clock, or a grey box whose simulator is no equation.
         """
         return stream_of(self, history, other_record)
@@ -507,15 +507,15 @@ class Forecaster(WithRepr, ABC):
         """Return the label of the slow component of a prediction, if that is the forecaster."""
         return self.name
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the step form of the fitted forecaster; raises ValueError without one."""
         raise NotSteppedError(
             f"{self.name} has no step form: it predicts, and cannot be streamed or exported"
         )
 
-    def steps_as_base(self) -> Steps:
+    def step_form_as_base(self) -> Steps:
         """Return the step form of the slow component of a hybrid, which it is."""
-        return self.steps()
+        return self.step_form()
 
     def first_needed(self) -> int:
         """Return the first sample of the training record that a forecast from its end needs.

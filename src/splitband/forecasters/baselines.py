@@ -55,7 +55,7 @@ class Mean(Forecaster):
         """Return the mean."""
         return np.broadcast_to(self.level, (known.steps, len(self.level)))
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the constant."""
         return ConstantSteps(self.level)
 
@@ -83,7 +83,7 @@ class Persistence(Forecaster):
         held = np.take_along_axis(known.y, last[None], axis=0)
         return np.broadcast_to(held, (known.steps, held.shape[1]))
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the last measured value of each channel, held."""
         return LastSteps(self.require_fitted().record.ny)
 
@@ -128,7 +128,7 @@ class _ByTime(Forecaster):
         """Return the values of the function over history and forecast, `(time + steps, ny)`."""
         return self.baseline.predict(_begin(known), len(known.y) + known.steps)
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the function of time."""
         return TimeSteps(self.baseline)
 
@@ -164,7 +164,7 @@ class SeasonalNaive(_ByTime):
 
     _fitted_to = staticmethod(LastPeriod.fit)
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the period, of which a sample moves from the beginning to the end at each step."""
         return PeriodSteps(self.baseline)
 

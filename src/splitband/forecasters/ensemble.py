@@ -182,9 +182,9 @@ class Ensemble(Forecaster):
             parts = [{"": y} for y, _ in found]
         return median_components(parts, [y for y, _ in found])
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the median of the members' predictions."""
-        return MedianSteps([member.steps() for member in self.members])
+        return MedianSteps([member.step_form() for member in self.members])
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of all members."""

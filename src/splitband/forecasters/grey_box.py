@@ -193,7 +193,7 @@ class GreyBox(Forecaster):
         new.memory = 0
         return new
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the equation by equal steps."""
         simulator = self.simulator.require()
         if not self.writable:
@@ -205,10 +205,10 @@ class GreyBox(Forecaster):
             )
         return EquationSteps(self)
 
-    def steps_as_base(self) -> Steps:
+    def step_form_as_base(self) -> Steps:
         """Return the equation, or the output that is given of a simulator that is none."""
         ny = self.require_fitted().record.ny
-        return self.steps() if self.writable else GivenSteps(np.ones(ny), np.zeros(ny))
+        return self.step_form() if self.writable else GivenSteps(np.ones(ny), np.zeros(ny))
 
     def equation(self) -> FixedSteps:
         """Return the equation by as many equal steps a sample as the training record needs."""

@@ -142,7 +142,7 @@ class Linear(Forecaster):
             raise InputError("uncertainty was not computed: the deadline of the fit came first")
         return self.model.uncertainty
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the model with its Kalman filter."""
         return LinearSteps(self.model, self.u)
 

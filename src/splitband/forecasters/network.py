@@ -355,7 +355,7 @@ class Network(Forecaster):
             doubts = [*dict.fromkeys([*doubts, short])]
         return doubts
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the step form of model and base."""
         try:
             model = self._trained().stepped()
@@ -364,7 +364,7 @@ class Network(Forecaster):
         base = self._fitted_base
         if base is not None and base.random:
             raise NotSteppedError(f"{self.name} cannot be stepped: its base is a network")
-        return NetworkSteps(self, model, None if base is None else base.steps_as_base())
+        return NetworkSteps(self, model, None if base is None else base.step_form_as_base())
 
     def describe(self) -> str:
         """Return the results of the base's fit, the training settings, and remarks."""
@@ -519,7 +519,7 @@ class Network(Forecaster):
         Raises ValueError for a history without a warm-up up to its last measured sample.
         """
         length, measured = self.warmup, np.asarray(np.isfinite(y))
-        seen, complete = measured.any(axis=1), np.asarray(measured.all(axis=1))
+        seen, complete = (np.asarray(f(measured, axis=1)) for f in (np.any, np.all))
         last = len(y) - int(seen[::-1].argmax()) if seen.any() else 0
         if last < length:
             raise InputError(

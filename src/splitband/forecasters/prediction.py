@@ -350,7 +350,7 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
         each.describe(past.columns[each.channel], f" of the history's last {len(used)}")
         for each in fitted.outputs_beyond(used)
     ]
-    unseen = np.isnan(known.y).all(axis=0)
+    unseen = np.asarray(np.isnan(known.y).all(axis=0))
     messages += [
         f"output {name} was not measured in the history, and is assumed as in training"
         for name, never in zip(past.columns, unseen, strict=True)

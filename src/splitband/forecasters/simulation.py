@@ -295,7 +295,7 @@ class SimulatorForecaster(Forecaster):
         y = self.applied.apply(y_sim, count, step, start, first)
         return np.concatenate([np.full((known.since, y.shape[1]), np.nan), y])
 
-    def steps(self) -> Steps:
+    def step_form(self) -> Steps:
         """Return the calibration of its output, which is given with each sample."""
         if not self.applied.stays:
             raise NotSteppedError(

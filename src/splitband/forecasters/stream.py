@@ -128,6 +128,6 @@ def stream_of(
     """Return the stream of a fitted forecaster; see `Forecaster.stream`."""
     if history is not None:
         require_records("history", history)
-    record, steps = forecaster.require_fitted().record, forecaster.steps()
+    record, steps = forecaster.require_fitted().record, forecaster.step_form()
     state = steps.begin(known_of(forecaster, 0, history, other_record))
     return Stream(forecaster.name, steps, state, record.ny, record.nu)
