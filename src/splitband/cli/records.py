@@ -100,10 +100,11 @@ def _check_file(path: str | Path, rule: str) -> None:
 def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
     """Return the arguments of `read` that say how a file is laid out, by default as a model's."""
     own = FileOptions.__annotations__.keys() - {"time_column", "gaps"}
-    missing = names(files.missing or "")
+    how: dict[str, Any] = {name: vars(files)[name] for name in own}
+    how["missing"] = names(files.missing or "")
     if model is not None and files.missing is None:
-        missing = [*model.reading.missing]
-    return {name: vars(files)[name] for name in own} | {"missing": missing}
+        how["missing"] = [*model.reading.missing]
+    return how | ({} if model is None else {"categories": model.reading.categories})
 
 
 def _read(
