@@ -361,6 +361,11 @@ def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
     return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))
 
 
+def listed(names: Sequence[str]) -> str:
+    """Return names as options of commands take them: with commas between, quoted if they have any."""
+    return ",".join(f'"{name}"' if "," in name else name for name in names)
+
+
 def described(columns: Sequence[str], inputs: Sequence[str]) -> str:
     """Return the names of a record's inputs and outputs for a message."""
     return f"inputs: {', '.join(inputs) or 'none'}; outputs: {', '.join(columns)}"
