@@ -8,7 +8,6 @@ it is named like an input, and whether it follows others. Constants were chosen 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -51,13 +50,15 @@ OUTPUT_NAMES = "y out output pv response sensor measured measurement"
 LAGS, SPACINGS = 12, (1, 4, 16, 64)
 """Past samples by column in ARX models, and their spacings in samples: slow effects show in none of
 a single sample. Checked by halving and doubling."""
-MOST_ROWS = 8000
-"""Samples in these models, and in the estimate of dead time. Bounds the time."""
+MOST_ROWS, DEAD_TIME_ROWS = 8000, 4000
+"""Samples in these models, and first ones in the estimate of dead times. Bounds the time."""
 NOISE = 1e-3
 """Noise that all columns are taken to have, in standard deviations: what is explained beyond it is
 rounding. Checked by halving and doubling."""
 LEAST = 0.02
 """Least share of the residual that the past of a column explains. As in `linear.delays`."""
+PLAIN = 0.25
+"""Explained over unexplained variance that is plain. Checked by halving and doubling."""
 LEAD = 8.0
 """Ratio of explained to unexplained variance in one direction, over the other, of a column that
 leads. Checked by halving and doubling."""
@@ -257,12 +258,12 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
     roles, reasons = dict[str, Role](), dict[str, tuple[str, ...]]()
     for i, name in enumerate(names):
         leads = drives[i] > LEAST and drives[i] >= LEAD * follows[i]
-        moves, switch = _moves(held[name].to_numpy())
+        states = words.get(name, ())
+        moves, switch = _moves(held[name].to_numpy(), states)
         led, leader = (names[int(each.argmax())] for each in (odds[i], odds[:, i]))
         called = {*re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", bare_name(name))}
         called = {word.lower() for word in called}
-        for_input = [f"holds {' or '.join(words[name])}"] if name in words else []
-        for_input += [moves] if moves else []
+        for_input = [moves] if moves else []
         for_input += [f"leads {led}"] if leads else []
         for_input += ["is named so"] if called & {*INPUT_NAMES.split()} else []
         followed = follows[i] > LEAST and not leads
@@ -323,33 +324,37 @@ def _sampling(record: Record) -> str:
     return f"{step}; {uneven}; {gaps}"
 
 
-def _moves(x: Array) -> tuple[str, bool]:
+def _moves(x: Array, words: Sequence[str] = ()) -> tuple[str, bool]:
     """Return how a column moves in steps, in words, if it does, and whether it has two values."""
     steps, levels = np.abs(np.diff(x)), np.unique(x)
     jumps = steps[steps > 0]
+    if len(words) > 2:
+        return f"holds one of {', '.join(words)}", True
     if len(levels) == 2:
+        states = words or [f"{level:.6g}" for level in levels]
         times = f"{len(jumps)} times " if len(jumps) > 1 else ""
-        return f"switches {times}between {levels[0]:.6g} and {levels[1]:.6g}", True
-    if not len(jumps) or len(jumps) > (1 - HELD) * len(steps):
-        return "", False
-    steep = np.median(jumps) > JUMP * np.ptp(x)
-    return (f"moves in {len(jumps)} steps" if steep else ""), False
+        return f"switches {times}between {' and '.join(states)}", True
+    steep = len(jumps) and np.median(jumps) > JUMP * np.ptp(x)
+    few = len(jumps) <= (1 - HELD) * len(steps)
+    return (f"moves in {len(jumps)} steps" if steep and few else ""), False
 
 
 def _links(x: Array) -> Array:
     """Return how much the past of columns explains others, `(cause, effect)`: explained variance.
 
-    It is beside the past of all others, over what stays unexplained, in ARX models at several
-    spacings, with ridge regularisation by `NOISE`, and 0 where it may be chance.
+    It is beside the past of all others, over what stays unexplained, in ARX models with ridge
+    regularisation by `NOISE`, and 0 where it may be chance. Of a pair, the models of the first
+    spacing count in which one of both explains `PLAIN` of the other, else those of the largest: far
+    apart, an output tells what its input did between its samples.
     """
     n, count = x.shape
     scale = x.std(axis=0)
     x = (x - x.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
-    found = np.zeros((count, count))
+    found, settled = np.zeros((count, count)), np.eye(count, dtype=bool)
     for spacing in SPACINGS:
         free = n // spacing  # samples that are not about the same
-        lags = min(LAGS, free // (10 * count))
-        if count < 2 or lags < min(LAGS, 3) or free < 5 * LAGS:
+        lags = min(LAGS, min(free, MOST_ROWS) // (10 * count))
+        if count < 2 or lags < 3 or free < 8 * LAGS:
             break
         first = lags * spacing
         rows = np.unique(np.linspace(first, n - 1, min(n - first, MOST_ROWS)).astype(int))
@@ -361,12 +366,15 @@ def _links(x: Array) -> Array:
         weights = inverse @ both
         left = np.maximum((y**2).mean(axis=0) - (both * weights).sum(axis=0), 0.0) + NOISE**2
         chance = (lags + 4 * np.sqrt(2 * lags)) / min(len(rows), free)
+        gained = np.zeros((count, count))
         for cause in range(count):
             own = slice(cause * lags, (cause + 1) * lags)
             h = weights[own]
-            gained = (h * np.linalg.solve(inverse[own, own], h)).sum(axis=0) / left
-            found[cause] = np.maximum(found[cause], np.where(gained > chance, gained, 0.0))
-    np.fill_diagonal(found, 0.0)
+            gained[cause] = (h * np.linalg.solve(inverse[own, own], h)).sum(axis=0) / left
+        gained[gained < chance] = 0.0
+        either, so_far = np.maximum(gained, gained.T), np.maximum(found, found.T)
+        found = np.where(~settled & (either > so_far), gained, found)
+        settled |= either > PLAIN
     return found
 
 
@@ -379,32 +387,29 @@ def _arranged(record: Record, columns: Sequence[InspectedColumn]) -> Record:
         raise InputError(f"the record must have a column that varies: got {', '.join(roles)}")
     if len(outputs) == record.ny:
         return record
-    at = [record.columns.index(name) for name in outputs]
-    kept = {"name": record.name, "start": record.start, "reading": record.reading}
+    at, signals = [record.columns.index(name) for name in outputs], pd.DataFrame(record.signals)
     beside = {
         name: None if signal is None else signal[:, at]
         for name, signal in (("y_sim", record.y_sim), ("y_true", record.y_true))
     }
-    signals = record.signals
-    u = np.column_stack([signals[name] for name in inputs]) if inputs else None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return Record.with_gaps(
-            np.column_stack([signals[name] for name in outputs]),
-            record.sampling_time,
-            u=u,
-            columns=tuple(outputs),
-            inputs=tuple(inputs),
-            **kept,
-            **beside,
-        )
+    return Record.with_gaps(
+        signals[outputs].to_numpy(),
+        record.sampling_time,
+        u=signals[inputs].ffill().bfill().to_numpy() if inputs else None,
+        columns=tuple(outputs),
+        inputs=tuple(inputs),
+        name=record.name,
+        start=record.start,
+        reading=record.reading,
+        **beside,
+    )
 
 
 def _dead_times(record: Record) -> dict[tuple[str, str], float]:
     """Return the dead times in s by input and output, from the first samples of a long record."""
     if record.u is None:
         return {}
-    some = record[:MOST_ROWS]
+    some = record[:DEAD_TIME_ROWS]
     assert some.u is not None
     delays = delays_of([(some.y_with_gaps, some.u)]).taken
     return {

@@ -362,7 +362,7 @@ def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as options of commands take them: with commas between, quoted if they have any."""
+    """Return names as options of commands take them: separated by commas, if need be in quotes."""
     return ",".join(f'"{name}"' if "," in name else name for name in names)
 
 
