@@ -67,7 +67,7 @@ def test_the_commands_warn_of_it(
     options = f"{tmp_path}/r.csv --simulator {tmp_path}/simulated.csv --cutoff {CUTOFF} --order 1 "
     call(f"inspect {options} --train 150", tmp_path / "inspected")
     said = capsys.readouterr().out
-    assert results(tmp_path / "inspected")["simulator"]["training"]["nothing_to_learn"] == trap
+    assert (results(tmp_path / "inspected")["simulator"]["calibrated"] is not None) == trap
     assert ("warning: nothing to learn" in said) == trap
     assert ("there is something to learn" in said) == trap
     quick = "--recipe constant-rate --epochs 1 --hidden 2,2 --window 30 --warmup 10 --jobs 1"

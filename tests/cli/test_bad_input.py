@@ -110,7 +110,7 @@ MODELS = [
     bad(FORECAST + "--inputs force", "(force)", "--future-inputs FILE"),
     bad(FORECAST + "--method linear", "--inputs"),
     bad(FORECAST + "--method filtered-gru --simulator simulated.csv", "to 20.4 s", "to 19.9 s"),
-    bad("inspect record.csv --columns a --out out --simulator harmonic", "harmonic", "compare"),
+    bad("inspect record.csv --columns a --out out --simulator harmonic", "harmonic", "baseline"),
     bad(HYBRID_AHEAD, "--simulator", "filtered-gru"),
     bad(HYBRID_AHEAD + "--steps 190 --simulator simulated.csv", "must cover", "0 s to 19.9 s"),
     bad(DRIVEN_AHEAD, "--future-inputs", "force"),

@@ -129,10 +129,10 @@ def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     assert capsys.readouterr() == ("", "")
     call(f"--verbose {INSPECT} --quiet", tmp_path / "quiet")
     assert capsys.readouterr() == ("", "")
-    call("inspect record.csv --columns a --quiet", tmp_path / "forgotten")
+    call("fit record.csv --columns a --method mean --quiet", tmp_path / "forgotten")
     assert "not used: b, force; --inputs" in capsys.readouterr().err
     call(INSPECT, tmp_path / "aloud")  # what comes after a quiet command is not quiet
-    assert "strongest peaks" in capsys.readouterr().out
+    assert "strongest frequencies" in capsys.readouterr().out
     quiet, aloud = results(tmp_path / "quiet"), results(tmp_path / "aloud")
     differ = quiet.pop("arguments").items() ^ aloud.pop("arguments").items()
     assert differ == {("out", str(tmp_path / name)) for name in ("quiet", "aloud")}
@@ -155,6 +155,6 @@ def test_the_version_is_that_of_the_package_and_a_shell_completes_commands(
 
 def test_a_defect_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ValueError that a library raises inside of the package keeps its traceback."""
-    monkeypatch.setattr("splitband.cli.records.load_record", lambda *_: np.reshape([1, 2], 3))
+    monkeypatch.setattr("splitband.cli.records.load_record", lambda *_, **__: np.reshape([1, 2], 3))
     with pytest.raises(ValueError, match="cannot reshape"):
         main(["inspect", "record.csv", "--out", "out"])

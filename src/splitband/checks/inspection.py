@@ -113,7 +113,8 @@ class Inspection:
     columns : All columns.
     dead_times : Dead time in s of each input at each output, by their names.
     peaks : Strongest peaks of the outputs' spectrum: frequency in Hz and share of the power.
-    bands : Cut-off that `compare` chooses with the same training samples for methods of two bands.
+    train : First samples, on which the cut-off is chosen.
+    bands : Cut-off that `compare` chooses on the same ones for methods of two bands.
     share_above : Share of the power above it.
     simulator : How the record's simulator compares with it, if it has one.
     warnings : What seems wrong, a sentence each; see `Record.warnings`.
@@ -123,6 +124,7 @@ class Inspection:
     columns: tuple[InspectedColumn, ...]
     dead_times: Mapping[tuple[str, str], float]
     peaks: Sequence[tuple[float, float]]
+    train: int
     bands: Bands
     share_above: float
     simulator: SimulatorCheck | None = None
@@ -184,6 +186,7 @@ class Inspection:
                 for (name, output), late in self.dead_times.items()
             ],
             "peaks": [{"frequency": f, "share": share} for f, share in self.peaks],
+            "train": self.train,
             **asdict(self.bands),
             "share_above": self.share_above,
             **({} if self.simulator is None else {"simulator": asdict(self.simulator)}),
@@ -239,7 +242,7 @@ def inspect(
     above = 1 - periodogram(training.y, rate).share_below(bands.cutoff or rate)
     late, beside = _dead_times(record), simulator_check(record, train, bands)
     said = [*record.warnings(), *([] if beside is None else beside.warnings())]
-    return Inspection(record, columns, late, spectrum.peaks(), bands, above, beside, said)
+    return Inspection(record, columns, late, spectrum.peaks(), train, bands, above, beside, said)
 
 
 def holds_words(column: Column) -> bool:
@@ -252,12 +255,13 @@ def inspected_columns(record: Record) -> tuple[InspectedColumn, ...]:
     """Return the columns of a record, inputs first, each with its likely role and the reasons."""
     signals = {name: record.signals[name] for name in (*record.inputs, *record.columns)}
     held = pd.DataFrame(signals).ffill().bfill()
-    odds, names = _links(held.to_numpy()), [*signals]
+    (odds, chance), names = _links(held.to_numpy()), [*signals]
     drives, follows = odds.max(axis=1, initial=0.0), odds.max(axis=0, initial=0.0)
     words = {n: of for c, of in record.reading.categories.items() for n in category_names(c, of)}
     roles, reasons = dict[str, Role](), dict[str, tuple[str, ...]]()
     for i, name in enumerate(names):
-        leads = drives[i] > LEAST and drives[i] >= LEAD * follows[i]
+        doubt = max(follows[i], chance[i, odds[i].argmax()])
+        leads = drives[i] > LEAST and drives[i] >= LEAD * doubt
         states = words.get(name, ())
         moves, switch = _moves(held[name].to_numpy(), states)
         led, leader = (names[int(each.argmax())] for each in (odds[i], odds[:, i]))
@@ -339,18 +343,19 @@ def _moves(x: Array, words: Sequence[str] = ()) -> tuple[str, bool]:
     return (f"moves in {len(jumps)} steps" if steep and few else ""), False
 
 
-def _links(x: Array) -> Array:
-    """Return how much the past of columns explains others, `(cause, effect)`: explained variance.
+def _links(x: Array) -> tuple[Array, Array]:
+    """Return how much the past of columns explains others, `(cause, effect)`, and what chance does.
 
-    It is beside the past of all others, over what stays unexplained, in ARX models with ridge
-    regularisation by `NOISE`, and 0 where it may be chance. Of a pair, the models of the first
-    spacing count in which one of both explains `PLAIN` of the other, else those of the largest: far
-    apart, an output tells what its input did between its samples.
+    It is explained variance, beside the past of all others, over what stays unexplained, in ARX
+    models with ridge regularisation by `NOISE`, and 0 where it may be chance. Of a pair, the models
+    of the first spacing count in which one of both explains `PLAIN` of the other, else those in
+    which it explains most: far apart, an output tells what its input did between its samples.
     """
     n, count = x.shape
     scale = x.std(axis=0)
     x = (x - x.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
-    found, settled = np.zeros((count, count)), np.eye(count, dtype=bool)
+    found, by_chance = np.zeros((count, count)), np.zeros((count, count))
+    settled = np.eye(count, dtype=bool)
     for spacing in SPACINGS:
         free = n // spacing  # samples that are not about the same
         lags = min(LAGS, min(free, MOST_ROWS) // (10 * count))
@@ -373,9 +378,10 @@ def _links(x: Array) -> Array:
             gained[cause] = (h * np.linalg.solve(inverse[own, own], h)).sum(axis=0) / left
         gained[gained < chance] = 0.0
         either, so_far = np.maximum(gained, gained.T), np.maximum(found, found.T)
-        found = np.where(~settled & (either > so_far), gained, found)
+        taken = ~settled & (either > so_far)
+        found, by_chance = np.where(taken, gained, found), np.where(taken, chance, by_chance)
         settled |= either > PLAIN
-    return found
+    return found, by_chance
 
 
 def _arranged(record: Record, columns: Sequence[InspectedColumn]) -> Record:

@@ -50,7 +50,7 @@ class Request:
     like: options.Like = None
 
 
-def planned(asked: Request, context: typer.Context, fitting: bool = False) -> Plan:
+def planned(asked: Request, context: typer.Context | None = None, fitting: bool = False) -> Plan:
     """Read the records and simulators that the options name, and return the plan for them.
 
     Where likely inputs are not named, the command of the context is printed with them.
@@ -121,8 +121,8 @@ def planned(asked: Request, context: typer.Context, fitting: bool = False) -> Pl
     )
     for said in found.warnings:
         printing.warn(said)
-    if asked.reading.inputs is None and (unnamed := unnamed_inputs(record)):
-        _show_with_inputs(context, record, [c.name for c in unnamed if c.clear])
+    if context is not None and asked.reading.inputs is None:
+        _show_with_inputs(context, record, [c.name for c in unnamed_inputs(record) if c.clear])
     return found
 
 
