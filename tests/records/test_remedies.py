@@ -236,7 +236,7 @@ def test_switches_are_read_as_1_and_0(tmp_path: Path, on: str, off: str) -> None
 
 
 def test_words_become_a_column_each_but_the_first_in_other_files_too(tmp_path: Path) -> None:
-    """The oracle is pandas.get_dummies; a file without some words, or switched on alone, is alike."""
+    """The oracle is pandas.get_dummies; a file without some of the words is read alike."""
     words = np.resize(["auto", "heat", "cool", "heat"], 40)
     table = pd.DataFrame({"time": range(40), "mode": words, "fan": "Off", "y": range(40)})
     table.loc[7, "fan"] = "On"
@@ -256,7 +256,7 @@ def test_words_become_a_column_each_but_the_first_in_other_files_too(tmp_path: P
     np.testing.assert_array_equal(alike.u, np.tile([0, 1, 1], (40, 1)))
     table.loc[3, "mode"] = "dry"
     with pytest.raises(
-        sb.InputError, match="'mode' must hold one of auto, cool, heat: row 3 .*dry"
+        sb.InputError, match=r"'mode' must hold one of auto, cool, heat: row 3 .*dry"
     ):
         sb.read(table, inputs=found.inputs, categories=kept)
 
