@@ -52,7 +52,7 @@ def several(rng: np.random.Generator) -> Made:
 def quantised(rng: np.random.Generator) -> Made:
     """The output moves by its smallest step only, and rests between."""
     u = lag(0.98, rng.normal(size=N))
-    return {"p": np.round(lag(0.98, u) / 0.1) * 0.1, "q": u + 0.001 * rng.normal(size=N)}, {"q"}
+    return {"p": np.round(lag(0.98, u) / 0.02) * 0.02, "q": u + 0.001 * rng.normal(size=N)}, {"q"}
 
 
 def relay(rng: np.random.Generator) -> Made:
