@@ -196,7 +196,7 @@ class Inspection:
         }
 
     def __repr__(self) -> str:
-        rows = [f"{c.name}: {c.role}, {c.range} ({', '.join(c.reasons)})" for c in self.columns]
+        rows = [f"{c.name}: {', '.join([c.role, c.range, *c.reasons])}" for c in self.columns]
         options = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
         said = [*rows, *self.in_words(), *(f"warning: {each}" for each in self.warnings)]
         return "\n".join([*said, *([f"read with {options}"] if options else [])])
@@ -224,11 +224,11 @@ def inspect(
     Examples
     --------
     >>> valve = np.repeat([0, 1, 0, 1, 1, 0, 1, 0, 0, 1], 20)
-    >>> level = scipy.signal.lfilter([0, 0.1], [1, -0.9], valve)
-    >>> table = pd.DataFrame({"time": np.arange(200), "valve": valve, "level": level})
-    >>> found = sb.inspect(table)
+    >>> level = np.convolve(valve, 0.1 * 0.9 ** np.arange(100))[:200]
+    >>> record = sb.Record(np.column_stack([valve, level]), 1.0, columns=["valve", "level"])
+    >>> found = sb.inspect(record)
     >>> found.record.inputs, found.columns[0].reasons
-    (('valve',), ('switches 7 times between 0 and 1', 'leads level', 'is named so'))
+    (('valve',), ('switches 7 times between 0 and 1', 'is named so'))
     """
     if isinstance(record, pd.DataFrame):
         record = read(record, inputs=holds_words, gaps="mask")
@@ -322,7 +322,8 @@ def of_unnamed(columns: Sequence[InspectedColumn]) -> list[str]:
 def _sampling(record: Record) -> str:
     """Return number, step, jitter and gaps of the samples in words."""
     jitter, missing = record.reading.jitter, ~record.complete
-    step = f"{len(record)} samples every {record.sampling_time:.6g} s, {record.grid}"
+    step = f"{len(record)} samples every {record.sampling_time:.6g} s"
+    step += "" if record.start is None else f", {record.grid}"
     uneven = "even" if jitter < 1e-6 * record.sampling_time else f"steps vary by {jitter:.2g} s"
     gaps = f"{missing.sum()} with gaps ({row_ranges(missing)})" if missing.any() else "no gaps"
     return f"{step}; {uneven}; {gaps}"
