@@ -121,7 +121,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
     )
     for said in found.warnings:
         printing.warn(said)
-    if context is not None and asked.reading.inputs is None:
+    if context is not None and model is None and asked.reading.inputs is None:
         _show_with_inputs(context, record, [c.name for c in unnamed_inputs(record) if c.clear])
     return found
 
