@@ -102,7 +102,7 @@ def test_names_decide_where_nothing_else_does() -> None:
 
 def test_an_inspection_says_what_the_record_holds() -> None:
     rng = np.random.default_rng(3)
-    valve = np.repeat(rng.integers(0, 2, N // 50), 50)
+    valve = 1.0 * np.repeat(rng.integers(0, 2, N // 50), 50)
     level = lag(0.9, valve, 41) + 0.01 * rng.normal(size=N)
     level[[7, 8]] = np.nan
     word = np.where(valve, "open", "closed")
@@ -119,7 +119,7 @@ def test_an_inspection_says_what_the_record_holds() -> None:
     assert by_name["level [m]"].missing == 2
     assert by_name["level [m]"].range.endswith(" m")
     assert found.dead_times == {("valve", "level [m]"): pytest.approx(4.0)}
-    assert found.options == {"inputs": "valve", "columns": "level [m]", "gaps": "mask"}
+    assert found.options == {"inputs": ["valve"], "columns": ["level [m]"], "gaps": "mask"}
     assert "2 with gaps (rows 7 to 8)" in found.in_words()[0]
     with pytest.warns(ReadingWarning):
         again = sb.read(pd.DataFrame({"time": 0.1 * np.arange(N)} | columns), **found.options)

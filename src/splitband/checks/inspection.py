@@ -131,16 +131,16 @@ class Inspection:
     warnings: Sequence[str] = field(default_factory=tuple)
 
     @property
-    def options(self) -> dict[str, str]:
-        """Return the options of commands, and arguments of `read`, that read the record like this.
+    def options(self) -> dict[str, Any]:
+        """Return the arguments of `read`, and options of commands, that read the record like this.
 
         `columns` is there only where columns are left out, `gaps` where values are missing.
         """
-        record, found = self.record, dict[str, str]()
+        record, found = self.record, dict[str, Any]()
         if record.nu:
-            found["inputs"] = listed([*dict.fromkeys(map(record.reading.column, record.inputs))])
+            found["inputs"] = [*dict.fromkeys(map(record.reading.column, record.inputs))]
         if any(column.role == "constant" for column in self.columns):
-            found["columns"] = listed(record.columns)
+            found["columns"] = [*record.columns]
         return found if record.measured is None else found | {"gaps": "mask"}
 
     def in_words(self) -> list[str]:

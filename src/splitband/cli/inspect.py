@@ -15,6 +15,7 @@ from splitband.cli import options, printing, records
 from splitband.cli.usage import command_of, comparing, usage
 from splitband.forecasters.bands import Bands
 from splitband.records.named import RECORDS
+from splitband.records.signals import listed
 from splitband.report import results
 from splitband.report.tables import of_oracle
 from splitband.simulators.open_simulator import open_simulator, simulated
@@ -56,7 +57,8 @@ def inspect(
     found = inspected(whole, trained, Bands(cutoff, order))
     asked = command_of(context)
     reads = {name: value for name, value in vars(reading).items() if name != "gaps"}
-    runs = comparing(record, reads | vars(simulator) | found.options)
+    named = {name: of if name == "gaps" else listed(of) for name, of in found.options.items()}
+    runs = comparing(record, reads | vars(simulator) | named)
     _show(found, runs)
     if out is None:
         printing.as_json(asked | found.as_json() | {"run": runs})
