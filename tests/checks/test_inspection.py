@@ -102,7 +102,7 @@ def test_names_decide_where_nothing_else_does() -> None:
 
 def test_an_inspection_says_what_the_record_holds() -> None:
     rng = np.random.default_rng(3)
-    valve = 1.0 * np.repeat(rng.integers(0, 2, N // 50), 50)
+    valve = np.repeat(rng.integers(0, 2, N // 50), 50).astype(np.float64)
     level = lag(0.9, valve, 41) + 0.01 * rng.normal(size=N)
     level[[7, 8]] = np.nan
     word = np.where(valve, "open", "closed")
