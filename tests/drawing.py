@@ -8,6 +8,6 @@ def nothing_drawn(patch: pytest.MonkeyPatch) -> None:
     for figure in ("rollouts", "prediction"):
         patch.setattr(f"splitband.report.pictures.{figure}", lambda *_, **__: None)
     patch.setattr("splitband.report.pictures.save", lambda figure, path: None)
-    for result in ("comparison", "check", "spectrum"):
+    for result in ("comparison", "check", "inspection"):
         patch.setattr(f"splitband.report.page.pages.of_{result}", lambda *_: None)
     patch.setattr("splitband.report.page.document.html", lambda page: "")

@@ -28,7 +28,7 @@ from splitband.export.writing import FORMATS
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 EXAMPLES = [
     *("ComplementaryPair", "Ensemble", "Filtered", "Residual", "Single", "Split", "Record"),
-    *("compare", "load", "networks.rollout", "read", "rmse"),
+    *("compare", "inspect", "load", "networks.rollout", "read", "rmse"),
 ]
 """Public names whose docstrings must have an example."""
 EXECUTED = f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n" + (

@@ -65,9 +65,9 @@ def test_the_commands_warn_of_it(
         table = pd.DataFrame({"time": TIME, "y": values[:, 0]})
         table.to_csv(tmp_path / f"{name}.csv", index=False)
     options = f"{tmp_path}/r.csv --simulator {tmp_path}/simulated.csv --cutoff {CUTOFF} --order 1 "
-    call(f"spectrum {options} --train 150", tmp_path / "spectrum")
+    call(f"inspect {options} --train 150", tmp_path / "inspected")
     said = capsys.readouterr().out
-    assert results(tmp_path / "spectrum")["simulator"]["training"]["nothing_to_learn"] == trap
+    assert (results(tmp_path / "inspected")["simulator"]["calibrated"] is not None) == trap
     assert ("warning: nothing to learn" in said) == trap
     assert ("there is something to learn" in said) == trap
     quick = "--recipe constant-rate --epochs 1 --hidden 2,2 --window 30 --warmup 10 --jobs 1"

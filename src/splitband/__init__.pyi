@@ -1,6 +1,7 @@
 """Say what the package hands out, and where it is: for type checkers, and when it is loaded."""
 
 from . import networks as networks
+from .checks.inspection import inspect as inspect
 from .checks.model import check as check
 from .checks.responses import step_responses as step_responses
 from .comparison.run import compare as compare

@@ -237,7 +237,7 @@ def models(data: st.DataObject, values: list[Any], edits: list[Edit], resealed: 
 
 _NUMBERS = ("0", "1", "2", "7", "30", "45", "60", "-1", "1e9", "nan", "x", "", "0.5", "5")
 _COMMANDS = (
-    "spectrum {record} --out out",
+    "inspect {record} --out out",
     "fit {record} --out out --method gru --epochs 1 --hidden 2,2 --window 12 --warmup 4",
     "compare {record} --out out --methods persistence,mean --seeds 1 --jobs 1 --warmup 4",
     "simulate model --history {record} --steps 3 --out out/ahead.csv",

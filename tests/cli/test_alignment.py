@@ -127,7 +127,7 @@ def test_files_with_and_without_a_time_zone_are_refused(
     write(Path("record.csv"), dates, y=signal(times()))
     write(Path("sim.csv"), dates.tz_localize("Europe/Berlin"), y=signal(times()))
     says = ("must all have a time zone, or none: got 2024-05-01 10:0",)
-    assert_fails("spectrum record.csv --simulator sim.csv", says, capsys)
+    assert_fails("inspect record.csv --simulator sim.csv", says, capsys)
 
 
 # ---------------------------------------------------------------- what is written

@@ -52,12 +52,12 @@ def fmu() -> Path:
 @needs_gcc
 def test_a_record_drives_an_fmu_by_names(tmp_path: Path) -> None:
     fmu()
-    call("spectrum rig.csv --inputs heater,valve --columns level --simulator Plant.fmu", tmp_path)
+    call("inspect rig.csv --inputs heater,valve --columns level --simulator Plant.fmu", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
-    line = "spectrum other.csv --inputs opening --columns level --simulator Plant.fmu"
+    line = "inspect other.csv --inputs opening --columns level --simulator Plant.fmu"
     call(f"{line} --simulator-inputs valve --simulator-columns x", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
-    call("spectrum rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
+    call("inspect rig.csv --columns level --simulator Plant.fmu --simulator-inputs ''", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] > 0.1  # as it was asked for: at rest
     record = sb.read("rig.csv", inputs=["heater", "valve"], columns=["level"])
     model = sb.Simulation(open_simulator("Plant.fmu", record)).fit(record[:TRAIN])
@@ -106,7 +106,7 @@ def test_a_plant_compares_and_simulates_without_error(
 def test_a_function_of_time_and_inputs_is_driven(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = "spectrum rig.csv --inputs valve --columns level --simulator sim.py:"
+    rig = "inspect rig.csv --inputs valve --columns level --simulator sim.py:"
     call(f"{rig}plant", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] < 1e-6
     assert "runs from 0 s on, at the record's first sample, 1700000000 s" in capsys.readouterr().out

@@ -25,12 +25,12 @@ def logger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_record_of_a_logger(logger: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    call(f"spectrum logger.csv --inputs force --columns x {OPTIONS}", logger / "a")
+    call(f"fit logger.csv --method mean --inputs force --columns x {OPTIONS}", logger / "a")
     said = capsys.readouterr().out
     assert "inputs: force [N]; outputs: x [mm]; 120 samples every 1 s" in said
     assert "1 of 120 samples have missing values and are masked: row 50" in said
     given = "--inputs force --time-column Date,Time --header-row 3 --skip-rows 14"
-    call(f"spectrum logger.csv {given} {OPTIONS}", logger / "b")
+    call(f"fit logger.csv --method mean {given} {OPTIONS}", logger / "b")
     assert "110 samples every 1 s" in capsys.readouterr().out
 
 

@@ -14,9 +14,9 @@ from tests.cli.support import QUICK, assert_fails, call, complaints, process, re
 
 pytestmark = pytest.mark.usefixtures("inside")
 
-SPECTRUM = "spectrum record.csv --columns a --inputs ''"
+INSPECT = "inspect record.csv --columns a --inputs ''"
 FILES = "--time-column --missing --skip-rows --header-row --gaps"
-READING = "compare", "forecast", "fit", "spectrum", "check", "simulate"
+READING = "compare", "forecast", "fit", "inspect", "check", "simulate"
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_data_finds_and_lists_the_public_records(
 def test_json_is_all_that_is_printed_and_what_the_file_holds(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"--json {SPECTRUM}", tmp_path)
+    call(f"--json {INSPECT}", tmp_path)
     assert json.loads(capsys.readouterr().out) == results(tmp_path)
 
 
@@ -89,7 +89,7 @@ def test_every_command_that_compares_trains_or_simulates_prints_json(
         "data": ("", "named"),
         "doctor": ("", "versions"),
     }
-    assert {*lines, "demo", "spectrum", "check", "summary"} == {*COMMANDS}
+    assert {*lines, "demo", "inspect", "check", "summary"} == {*COMMANDS}
     for command, (line, key) in lines.items():
         call(f"{command} {line} --json")
         assert key in json.loads(capsys.readouterr().out)
@@ -125,19 +125,19 @@ def test_the_doctor_finds_a_record_that_is_not_the_published_one(
 def test_quiet_prints_nothing_but_errors_and_writes_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    call(f"{SPECTRUM} --quiet", tmp_path / "quiet")
+    call(f"{INSPECT} --quiet", tmp_path / "quiet")
     assert capsys.readouterr() == ("", "")
-    call(f"--verbose {SPECTRUM} --quiet", tmp_path / "quiet")
+    call(f"--verbose {INSPECT} --quiet", tmp_path / "quiet")
     assert capsys.readouterr() == ("", "")
-    call("spectrum record.csv --columns a --quiet", tmp_path / "forgotten")
+    call("fit record.csv --columns a --method mean --quiet", tmp_path / "forgotten")
     assert "not used: b, force; --inputs" in capsys.readouterr().err
-    call(SPECTRUM, tmp_path / "aloud")  # what comes after a quiet command is not quiet
-    assert "strongest peaks" in capsys.readouterr().out
+    call(INSPECT, tmp_path / "aloud")  # what comes after a quiet command is not quiet
+    assert "strongest frequencies" in capsys.readouterr().out
     quiet, aloud = results(tmp_path / "quiet"), results(tmp_path / "aloud")
     differ = quiet.pop("arguments").items() ^ aloud.pop("arguments").items()
     assert differ == {("out", str(tmp_path / name)) for name in ("quiet", "aloud")}
     assert quiet == aloud
-    assert_fails("--quiet spectrum nothing.csv", ("nothing.csv",), capsys)
+    assert_fails("--quiet inspect nothing.csv", ("nothing.csv",), capsys)
 
 
 def test_the_version_is_that_of_the_package_and_a_shell_completes_commands(
@@ -155,6 +155,6 @@ def test_the_version_is_that_of_the_package_and_a_shell_completes_commands(
 
 def test_a_defect_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ValueError that a library raises inside of the package keeps its traceback."""
-    monkeypatch.setattr("splitband.cli.records.load_record", lambda *_: np.reshape([1, 2], 3))
+    monkeypatch.setattr("splitband.cli.records.load_record", lambda *_, **__: np.reshape([1, 2], 3))
     with pytest.raises(ValueError, match="cannot reshape"):
-        main(["spectrum", "record.csv", "--out", "out"])
+        main(["inspect", "record.csv", "--out", "out"])

@@ -69,6 +69,3 @@ def test_every_record_is_announced_and_what_is_left_out_is_named(
     assert said.count(f"{path}: inputs: none; outputs: y; 60 samples every 0.1 s") == 2
     left_out = "left out: 'time_2' (another time column), 'note' (no numbers: 'fine')"
     assert f"warning: {path}: {left_out}" in said
-    call(f"spectrum {path}", tmp_path / "spectrum")
-    said = capsys.readouterr().out.splitlines()
-    assert f"{path}: inputs: none; outputs: y; 60 samples every 0.1 s" in said

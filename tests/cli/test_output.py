@@ -20,7 +20,7 @@ from tests.cli.support import QUICK, B, assert_fails, call, files, results, writ
 resource = pytest.importorskip("resource")
 
 MEAN = "compare record.csv --columns a --methods mean --warmup 10"
-SPECTRUM = "spectrum record.csv --columns a"
+INSPECT = "inspect record.csv --columns a"
 
 
 @pytest.fixture(autouse=True)
@@ -81,7 +81,7 @@ def test_results_of_a_model_are_not_replaced_by_those_of_another_kind(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     fit = "fit record.csv --columns a --method mean"
-    for first, model, others in ((MEAN, "out/model", (SPECTRUM, fit)), (fit, "out", (MEAN,))):
+    for first, model, others in ((MEAN, "out/model", (INSPECT, fit)), (fit, "out", (MEAN,))):
         call(first, Path("out"))
         before = files(Path("out"))
         for other in others:
@@ -100,8 +100,8 @@ def test_a_second_command_in_the_folder_is_refused_in_one_line(
             "--out: out is in use by another splitband command",
             f"process {os.getpid()}, started",
         )
-        assert_fails(f"{SPECTRUM} --out out", says, capsys)
-    call(SPECTRUM, Path("out"))
+        assert_fails(f"{INSPECT} --out out", says, capsys)
+    call(INSPECT, Path("out"))
     assert not Path("out", LOCK).exists()
 
 

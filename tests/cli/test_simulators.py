@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("inside")
 def test_the_columns_of_an_exported_trajectory_go_by_name_or_as_asked(
     options: str, tmp_path: Path
 ) -> None:
-    call(f"spectrum record.csv --columns b --simulator {options}", tmp_path)
+    call(f"inspect record.csv --columns b --simulator {options}", tmp_path)
     assert results(tmp_path)["simulator"]["total_rmse"] == pytest.approx(0.1)
 
 

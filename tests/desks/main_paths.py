@@ -78,7 +78,7 @@ def main_paths() -> None:
     splitband(f"fit {given} --method gru {SHORT} --out model")
     splitband(f"simulate model --steps {AHEAD} {coming} --out simulated.csv")
     splitband("export model model.c")
-    splitband(f"spectrum {given} --out spectrum")
+    splitband(f"inspect {given} --out inspected")
     record = sb.read("rig.csv", inputs=["force"])
     inputs = [[force(n)] for n in range(SAMPLES, SAMPLES + AHEAD)]
     model = sb.load("model").predict(AHEAD, u=inputs)

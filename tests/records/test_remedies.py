@@ -231,20 +231,45 @@ def test_switches_are_read_as_1_and_0(tmp_path: Path, on: str, off: str) -> None
         found = sb.read(path, inputs="valve", gaps="mask")
     assert found.u is not None
     np.testing.assert_array_equal(np.delete(found.u[:, 0], 5), np.delete(states, 5))
-    said = f"words of column 'valve' are read as {{'{on}': 1.0, '{off}': 0.0}}"
+    said = f"words of column 'valve' are read as 0 ({off}) and 1 ({on})"
     assert any(said in str(each.message) for each in caught) or on == "True"  # which pandas reads
 
 
-def test_other_words_need_numbers(tmp_path: Path) -> None:
-    rows = "".join(f"{i},{'AUTO' if i % 2 else 'MAN'},{i}\n" for i in range(9))
+def test_words_become_a_column_each_but_the_first_in_other_files_too(tmp_path: Path) -> None:
+    """The oracle is pandas.get_dummies; a file without some of the words is read alike."""
+    words = np.resize(["auto", "heat", "cool", "heat"], 40)
+    table = pd.DataFrame({"time": range(40), "mode": words, "fan": "Off", "y": range(40)})
+    table.loc[7, "fan"] = "On"
+    with pytest.warns(ReadingWarning) as caught:
+        found = sb.read(table, inputs=["mode", "fan"])
+    said = "words of column 'mode' are read as 2 inputs, mode=cool, mode=heat: 0 in all is auto"
+    assert said in str(caught[0].message)
+    assert found.inputs == ("mode=cool", "mode=heat", "fan")
+    assert "fan (0 Off, 1 On)" in repr(found)
+    expected = pd.get_dummies(table[["mode", "fan"]], drop_first=True)
+    np.testing.assert_array_equal(found.u, expected)
+    kept = found.reading.categories
+    table["mode"], table["fan"] = "heat", "on"
+    with pytest.warns(ReadingWarning):
+        alike = sb.read(table, inputs=found.inputs, columns="y", categories=kept)
+    assert (alike.inputs, alike.reading.categories) == (found.inputs, kept)
+    np.testing.assert_array_equal(alike.u, np.tile([0, 1, 1], (40, 1)))
+    table.loc[3, "mode"] = "dry"
+    with pytest.raises(
+        sb.InputError, match=r"'mode' must hold one of auto, cool, heat: row 3 .*dry"
+    ):
+        sb.read(table, inputs=found.inputs, categories=kept)
+
+
+def test_words_of_an_output_need_numbers(tmp_path: Path) -> None:
+    rows = "".join(f"{i},{('AUTO', 'MAN', 'OFF')[i % 3]},{i}\n" for i in range(9))
     path = text_file(tmp_path, f"time,mode,y\n{rows}")
-    said = message(path, inputs="mode")
+    said = message(path, columns="mode")
     assert "--missing" not in said
     table = pd.read_csv(path)
     table["mode"] = told(said, table=table)
-    found = sb.read(table, inputs="mode")
-    assert found.u is not None
-    np.testing.assert_array_equal(found.u[:, 0], np.arange(9) % 2)
+    found = sb.read(table, columns="mode")
+    np.testing.assert_array_equal(found.y[:, 0], np.arange(9) % 3)
 
 
 # ---------------------------------------------------------------- packed files, tables of pandas

@@ -16,14 +16,12 @@ from bokeh.models import HoverTool
 import splitband as sb
 from splitband import Record
 from splitband.comparison.result import Comparison
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
 from splitband.report.numbers import number
 from splitband.report.page import document, pages, plots
 from splitband.report.page.charts import MOST, Axis, Chart, compact
 from splitband.report.page.parts import Usage
 from splitband.report.pictures import rollouts, times_of
-from splitband.report.table import Column, Table
 from splitband.report.tables import labels_of
 from splitband.report.words import afterwards
 from tests.report import comparisons
@@ -252,15 +250,14 @@ def test_the_page_of_a_driven_record_has_stairs_responses_and_poles() -> None:
     assert float(pole) == pytest.approx(0.8, abs=0.01)
 
 
-def test_a_spectrum_has_its_tables_and_the_loss_of_each_cutoff(tmp_path: Path) -> None:
+def test_an_inspection_has_its_columns_and_the_loss_of_each_cutoff(tmp_path: Path) -> None:
     record = comparisons.record(ny=2, nu=1)
     record = replace(record, y_sim=0.9 * record.y)
-    bands = Bands().chosen(record.y, record.sampling_rate, 10)
-    table = Table("peaks", [Column("share of power", "share", {"1 Hz": 0.5})], {"1 Hz": ""})
-    facts = {"in_words": ["half of it is low"], "warnings": ["nothing to learn"]}
-    page = pages.of_spectrum(record, bands, [table], facts, Usage())
+    used = Usage([("Run", "splitband compare rig.csv")])
+    page = pages.of_inspection(sb.inspect(record), used)
     document.write(page, tmp_path / "page.html")
     tree = parsed(tmp_path / "page.html")
     captions = [words_of(each).split(" ")[0] for each in tree.iter("figcaption")]
     assert captions == ["Spectrum;", "Coherence", "Coherence", "Loss:"]
-    assert all(words in words_of(tree) for words in ("Half of it is low.", "50 %"))
+    expected = (*record.columns, *record.inputs, "input: ", "splitband compare rig.csv")
+    assert all(text in words_of(tree) for text in expected)

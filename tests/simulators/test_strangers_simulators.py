@@ -194,7 +194,7 @@ def test_the_command_line_skips_an_input_and_says_what_it_cannot_tell(
     Path("sim.py").write_text(code)
     frame = pd.DataFrame({"time": TIME, "w": WAVE, "v": STEPS, "y": lag(STEPS)})
     frame.to_csv("rig.csv", index=False)
-    line = shlex.split("spectrum rig.csv --inputs w,v --columns y --out out --simulator")
+    line = shlex.split("inspect rig.csv --inputs w,v --columns y --out out --simulator")
     assert main([*line, "Plant.fmu", "--simulator-inputs", ",a"]) == 0
     says = {"sim.py:f": "call it u", "sim.py:rhs": "(t, x, u, p)", "Plant.fmu": "w, v, in their or"}
     for simulator, message in says.items():

@@ -21,6 +21,7 @@ from splitband.runtime.system import expanded
 
 COMMANDS = {
     "demo": "See what the package does, in about a minute.",
+    "inspect": "Show what a record holds, and the command to run.",
     "compare": "Compare models of a record, and recommend one.",
     "summary": "Put the results of many records into one table.",
     "forecast": "Forecast beyond the end of a record, with an interval.",
@@ -28,7 +29,6 @@ COMMANDS = {
     "simulate": "Predict with a saved model, from a measured history.",
     "check": "Check a saved model: fit, residual tests, stability, responses.",
     "export": "Write a saved model as C, as an FMU, as ONNX or for CasADi.",
-    "spectrum": "Show the spectrum of a record, and choose a cut-off.",
     "methods": "List the methods by name, and what each needs.",
     "data": "List the public records, and download them.",
     "doctor": "Check that this machine has what the package needs.",

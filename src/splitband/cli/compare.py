@@ -57,7 +57,7 @@ def compare(
         printing.console.print(f"{out} has a finished comparison of {done}: left alone")
         printing.facts_of(out)
         return
-    result = compared(context, planned(asked), out, jobs, cluster)
+    result = compared(context, planned(asked, context), out, jobs, cluster)
     if result.interrupted:
         raise typer.Exit(INTERRUPTED)
 

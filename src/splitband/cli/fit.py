@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
 from rich.progress import Progress as BarOfEpochs
@@ -32,6 +33,7 @@ from splitband.training import Progress
 
 @options.with_groups
 def fit(
+    context: typer.Context,
     record: options.RecordArgument,
     reading: options.RecordOptions,
     simulator: options.SimulatorOrBaseOptions,
@@ -68,7 +70,7 @@ def fit(
         )
     asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
     asked = replace(asked, train=train, calibrate=calibrate, conditioned=conditioned)
-    plan = planned(asked, fitting=True)
+    plan = planned(asked, context, fitting=True)
     with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)
     late = how["clock"].notes

@@ -49,7 +49,7 @@ def forecast(
         epochs=epochs, budget=budget, rounds=rounds, seed=seed, device=device
     )
     asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
-    plan = planned(replace(asked, train="all", seeds=seeds))
+    plan = planned(replace(asked, train="all", seeds=seeds), context)
     u = records.inputs_ahead(future_inputs, plan.record, steps, reading)
     y_sim = records.simulator_ahead(simulator, plan.record, steps, u, reading)
     result = compared(context, plan, out, jobs, cluster)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,15 @@ from splitband.simulators.open_simulator import (
 )
 
 
-def load_record(name: str, reading: RecordOptions, like: Forecaster | None = None) -> Record:
+def load_record(
+    name: str,
+    reading: RecordOptions,
+    like: Forecaster | None = None,
+    inputs_by: Callable[[Any], bool] | None = None,
+) -> Record:
     """Return a named record, or read a file, and print its channels and inputs.
+
+    `inputs_by` says which columns are inputs where none are named; then nothing is printed.
 
     Columns and inputs default to those of the model of --like, and the file is read and prepared
     like its training record. Raises ValueError if the record's columns or inputs differ from these.
@@ -49,9 +56,8 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
                 )
         record = RECORDS[name].make()
     else:
-        columns, inputs = (
-            None if given is None else names(given) for given in (reading.columns, reading.inputs)
-        )
+        columns: Any = None if reading.columns is None else names(reading.columns)
+        inputs: Any = inputs_by if reading.inputs is None else names(reading.inputs)
         if trained is not None and inputs is None:
             inputs = [each for each in trained.inputs if each not in (columns or ())]
         if trained is not None and columns is None:
@@ -63,14 +69,15 @@ def load_record(name: str, reading: RecordOptions, like: Forecaster | None = Non
             record = record.clip_outliers(columns=names(reading.clip_outliers))
         record = record.resample(reading.resample) if reading.resample else record
         record = record.detrend() if reading.detrend else record
-        if record.measured is not None:
+        if record.measured is not None and inputs_by is None:
             missing = ~record.complete
             printing.console.print(
                 f"{name}: {missing.sum()} of {len(missing)} samples have missing values "
                 f"and are masked: {row_ranges(missing)}"
             )
     record = record if trained is None else record.like(trained)
-    announce(record, name)
+    if inputs_by is None:
+        announce(record, name)
     if trained is not None:
         pairs = ((record.columns, trained.columns), (record.inputs, trained.inputs))
         if not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
@@ -100,10 +107,11 @@ def _check_file(path: str | Path, rule: str) -> None:
 def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
     """Return the arguments of `read` that say how a file is laid out, by default as a model's."""
     own = FileOptions.__annotations__.keys() - {"time_column", "gaps"}
-    missing = names(files.missing or "")
+    how: dict[str, Any] = {name: vars(files)[name] for name in own}
+    how["missing"] = names(files.missing or "")
     if model is not None and files.missing is None:
-        missing = [*model.reading.missing]
-    return {name: vars(files)[name] for name in own} | {"missing": missing}
+        how["missing"] = [*model.reading.missing]
+    return how | ({} if model is None else {"categories": model.reading.categories})
 
 
 def _read(

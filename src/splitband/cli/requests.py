@@ -5,15 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
+import typer
+
+from splitband.checks.inspection import unnamed_inputs
 from splitband.cli import options, printing, records
-from splitband.cli.usage import REPLACED_BY_LIKE
+from splitband.cli.usage import REPLACED_BY_LIKE, command_of, usage
 from splitband.comparison.defaults import default_names
 from splitband.comparison.methods import TRAINED, Sizes, forecasters
 from splitband.comparison.plan import Plan, plan
 from splitband.comparison.request import PlanRequest
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.records import Record
 from splitband.records.named import RECORDS
+from splitband.records.signals import listed
 from splitband.runtime.errors import InputError
 from splitband.simulators.open_simulator import is_fitted
 from splitband.training import TrainingSettings
@@ -45,8 +50,10 @@ class Request:
     like: options.Like = None
 
 
-def planned(asked: Request, fitting: bool = False) -> Plan:
+def planned(asked: Request, context: typer.Context | None = None, fitting: bool = False) -> Plan:
     """Read the records and simulators that the options name, and return the plan for them.
+
+    Where likely inputs are not named, the command of the context is printed with them.
 
     `fitting` is for a single method, which must be named, by default fitted to the whole record.
     """
@@ -115,7 +122,20 @@ def planned(asked: Request, fitting: bool = False) -> Plan:
     )
     for said in found.warnings:
         printing.warn(said)
+    if context is not None and model is None and asked.reading.inputs is None:
+        _show_with_inputs(context, record, [c.name for c in unnamed_inputs(record) if c.clear])
     return found
+
+
+def _show_with_inputs(context: typer.Context, record: Record, inputs: list[str]) -> None:
+    """Print the command that is running with these columns as inputs, if there are any."""
+    facts = command_of(context)
+    given = facts["arguments"] | {"inputs": listed(inputs)}
+    if given["columns"] is not None:
+        given["columns"] = listed([name for name in record.columns if name not in inputs])
+    if inputs:
+        command = usage(facts["command"], given).asked
+        printing.console.print(f"with inputs:\n    {command}", soft_wrap=True)
 
 
 def _of_model(asked: options.ModelOptions) -> dict[str, Any]:

@@ -136,6 +136,11 @@ def usage(
     return Usage(commands, asked)
 
 
+def comparing(record: str, given: Mapping[str, Any]) -> str:
+    """Return the command `splitband compare` of a record with these options."""
+    return _line("splitband compare", {"record": record, **given}, ["record", *given])
+
+
 def checking(given: Mapping[str, Any]) -> str:
     """Return the command `splitband check` with these options."""
     model, record = (quoted(str(given[name])) for name in ("model_dir", "record"))

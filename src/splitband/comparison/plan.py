@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from splitband.checks.inspection import of_unnamed, unnamed_inputs
 from splitband.comparison.backtest import BacktestSpec, first_origin
 from splitband.comparison.checks import check_needs, check_train
 from splitband.comparison.defaults import bands_of, default_names, usual_methods
@@ -93,12 +94,16 @@ class Plan:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Return what seems wrong in the records, a sentence each; see `Record.warnings`."""
+        """Return what seems wrong in the records, a sentence each; see `Record.warnings`.
+
+        Outputs that are probably inputs come first.
+        """
+        unnamed = of_unnamed(unnamed_inputs(self.record))
         others = (*self.others, *self.tests)
         found = [f"{each.name}: {said}" for each in others for said in each.warnings()]
         own = f"{self.record.name}: " if others and self.record.name else ""
         still = unmoved([self.training, *self.others])
-        return [*(f"{own}{said}" for said in self.record.warnings()), *found, *still]
+        return [*unnamed, *(f"{own}{said}" for said in self.record.warnings()), *found, *still]
 
     def spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the predictions by which methods are compared.

@@ -9,6 +9,7 @@ from typing import Any
 from splitband.comparison.methods import Sizes
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
+from splitband.forecasters.held_out import TRAINING_SHARE
 from splitband.records import Record, require_records
 from splitband.runtime.arguments import check_device, whole
 from splitband.runtime.errors import InputError
@@ -17,8 +18,6 @@ from splitband.simulators.parameters import Adjustable
 from splitband.training import TrainingSettings
 from splitband.training.settings import Recipe
 
-TRAINING_SHARE = 0.75
-"""Default share of a record to train on."""
 LARGEST_SEED = 2**32 - 1
 """Seeds of single trainings, which are multiples of it, must fit into 64 bits."""
 

@@ -23,6 +23,8 @@ from splitband.runtime.threads import without_warnings
 if TYPE_CHECKING:
     from splitband.forecasters.base import Forecaster
 
+TRAINING_SHARE = 0.75
+"""Default share of a record to train on."""
 HELD_OUT_SHARE = 0.25
 """Share of the training part that is held out for a trial, while models are fitted to the rest. A
 convention; longer parts chose no better (docs/results/rules.md)."""

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from splitband.records.plausibility import period_of
-from splitband.records.signals import as_float, bare_name, refilled
+from splitband.records.signals import as_float, bare_name, category_names, refilled
 from splitband.records.timing import seconds_of, stamp_after
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -32,6 +32,8 @@ class Reading:
     Attributes
     ----------
     missing : Words and numbers that stand for a missing value in its file.
+    categories : Words of columns of its file that are inputs, by column; see `read`.
+    jitter : Largest deviation of a step between its time stamps from the sampling time, in s.
     step : Sampling time in s before `Record.resample`; None without.
     periods : Periods of the outputs and inputs that `Record.unwrap` lets go on, by name.
     limits : Lowest and highest value to which `Record.clip_outliers` limits outputs, by name.
@@ -41,6 +43,8 @@ class Reading:
     """
 
     missing: tuple[str, ...] = ()
+    categories: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    jitter: float = 0.0
     step: float | None = None
     periods: Mapping[str, float] = field(default_factory=dict)
     limits: Limits = field(default_factory=dict)
@@ -60,7 +64,8 @@ class Reading:
 
     def label(self, name: str) -> str:
         """Return the name of a channel with its unit, as "tank (minus 20.3)"."""
-        said = [f"unwrapped by {self.periods[name]:.6g}"] if name in self.periods else []
+        said = [f"0 {words[0]}, 1 {words[1]}" for words in [self.categories.get(name, ())] if words]
+        said += [f"unwrapped by {self.periods[name]:.6g}"] if name in self.periods else []
         if name in self.limits:
             said.append("limited from {:.6g} to {:.6g}".format(*self.limits[name]))
         if name in self.levels:
@@ -68,6 +73,11 @@ class Reading:
         if name in self.slopes:
             said[-1] += f" and {self.slopes[name]:.6g} per s after {self.begin:.10g} s"
         return f"{name} ({', '.join(said)})" if said else name
+
+    def column(self, name: str) -> str:
+        """Return the column of the file that an input comes from: "mode" of "mode=heat"."""
+        found = (c for c, words in self.categories.items() if name in category_names(c, words))
+        return next(found, name)
 
     def __str__(self) -> str:
         """Return the channels that are not as they were measured."""

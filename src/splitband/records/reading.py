@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, get_args
@@ -22,11 +22,14 @@ from splitband.records.signals import (
     Column,
     Gaps,
     ReadingWarning,
+    categories_of,
+    category_names,
     has_number,
+    indicators,
     is_text,
     numbers,
     require_finite,
-    switch_states,
+    switch_of,
     unit_of,
 )
 from splitband.records.stamps import (
@@ -74,12 +77,13 @@ def read(  # noqa: PLR0913
     path: str | os.PathLike[str] | pd.DataFrame | pd.Series[Any],
     *,
     columns: _Names | None = None,
-    inputs: _Names | None = (),
+    inputs: _Names | Callable[[Column], bool] | None = (),
     time_column: _Names | None = None,
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
     gaps: Gaps = "refuse",
     missing: str | Sequence[str] = (),
+    categories: Mapping[str, Sequence[str]] | None = None,
     unwrap: Periods = (),
     skip_rows: int = 0,
     header_row: int | None = None,
@@ -103,7 +107,9 @@ def read(  # noqa: PLR0913
         neither an input nor a time (in NPZ and MAT: among the longest variables). Other columns
         with content are left out, with a `ReadingWarning` that names them.
     inputs : known inputs `u`. With None there are none either, and a `ReadingWarning` names the
-        columns that may have been meant.
+        columns that may have been meant. A function of a column, a Series, says whether it is one.
+        Booleans and the words of a switch are 0 and 1. Other words become a column each but the
+        first of them, "mode=heat" and "mode=cool" beside "auto", which is 0 in both.
     time_column : stamps in seconds, in another unit at the end of the name ("t [ms]", "time_min"),
         dates or times of the day, or two columns of dates and times of the day; by default a
         column called time, timestamp, datetime, t or date. "" ignores it. Rows may be in reverse
@@ -120,6 +126,8 @@ def read(  # noqa: PLR0913
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
         both as not measured, see `Record.with_gaps`.
     missing : words or numbers that stand for a missing value: ["Bad", "-9999"].
+    categories : words of columns that are inputs, the first of which has no column of its own, by
+        default all words of the file; those of another record: `record.reading.categories`.
     unwrap : angles and counters, with their periods: {"heading": 360}; see `Record.unwrap`.
     skip_rows : lines at the top of a text file that are left out.
     header_row : line of a text file with the names, from 1, also among `skip_rows`; 0 if there are
@@ -156,9 +164,18 @@ def read(  # noqa: PLR0913
         else:
             layout.check_no_lines(f"a {path}")
             table = known(of_frame(frame), layout)
+        asked = {str(name) for names in (columns, inputs) for name in _as_list(names)}
+        given = {c: tuple(map(str, of)) for c, of in (categories or {}).items() if c in table}
+        table |= _indicators(table, {c: of for c, of in given.items() if is_text(table[c])}, asked)
         picked = _picked(table, columns, inputs, time_column)
-        switches = {c: switch_states(table[c]) for c in picked.known + picked.measured}
-        table |= {c: table[c].map(states) for c, states in switches.items() if states}
+        states = {
+            c: given.get(c) or categories_of(table[c]) for c in picked.known if is_text(table[c])
+        }
+        states |= {c: switch_of(table[c]) for c in picked.measured}
+        states = {c: of for c, of in states.items() if of}
+        table |= _indicators(table, states)
+        named_by = [category_names(c, states[c]) if c in states else (c,) for c in picked.known]
+        picked = picked._replace(known=[name for names in named_by for name in names])
         spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
         if spaced.newest_first:
             table = {name: column.iloc[::-1] for name, column in table.items()}
@@ -169,23 +186,58 @@ def read(  # noqa: PLR0913
         names = (_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured)
         called = path.stem.removesuffix(".csv") if frame is None else ""
         named = {"columns": names, "inputs": tuple(picked.known), "name": called}
-        how = {"start": spaced.start, "reading": Reading(missing=words)}
+        taken = {*picked.known, *picked.measured}
+        kept = {c: of for c, of in (given | states).items() if taken & {*category_names(c, of)}}
+        how = {"start": spaced.start, "reading": Reading(words, kept, spaced.jitter)}
         record = Record.with_gaps(y, spaced.step, u=u, **named, **how)
         record = record.unwrap(unwrap) if unwrap else record
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    read_as = [f"words of column {c!r} are read as {s}" for c, s in switches.items() if s]
+    read_as = [_read_as(c, of) for c, of in kept.items()]
     for note in filter(None, (spaced.note, *read_as, left_out, picked.forgotten)):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
     return record
 
 
+def _as_list(names: _Names | Callable[[Column], bool] | None) -> Sequence[str | int]:
+    """Return the names that were given."""
+    if isinstance(names, str | int):
+        return [names]
+    return () if names is None or callable(names) else names
+
+
+def _indicators(
+    table: Table, words: Mapping[str, Sequence[str]], asked: Collection[str] | None = None
+) -> Table:
+    """Return the columns of 0 and 1 for columns of words, all of them or those asked for."""
+    parts = [indicators(name, table[name], of) for name, of in words.items()]
+    found = {name: part for each in parts for name, part in each.items()}
+    return found if asked is None else {n: part for n, part in found.items() if n in asked}
+
+
+def _read_as(name: str, words: Sequence[str]) -> str:
+    """Return how the words of a column are read, in words."""
+    first, *others = words
+    if len(words) == 2:
+        return f"words of column {name!r} are read as 0 ({first}) and 1 ({others[0]})"
+    inputs = ", ".join(category_names(name, words))
+    return (
+        f"words of column {name!r} are read as {len(others)} inputs, {inputs}: 0 in all is {first}"
+    )
+
+
 def _picked(
-    table: Table, columns: _Names | None, inputs: _Names | None, time_column: _Names | None
+    table: Table,
+    columns: _Names | None,
+    inputs: _Names | Callable[[Column], bool] | None,
+    time_column: _Names | None,
 ) -> _Picked:
     """Choose the columns of a record by the options of `read`."""
-    known = [] if inputs is None else _find(table, inputs)
+    if callable(inputs):
+        known = [c for c in table if not is_time(c) and inputs(table[c])]
+    else:
+        known = [] if inputs is None else _find(table, inputs)
     stamps = _stamps(table, time_column)
     picked = stamps + known + ([] if columns is None else _find(table, columns))
     rows = _common_length(table, picked)
@@ -271,6 +323,8 @@ def _reason(name: str, column: Column, rows: int) -> str:
         return "another time column"
     known = column.dropna()
     reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
+    if 1 < len(categories_of(column)) < len(known) / 2:
+        reason += "; its words can be an input: --inputs"
     return "" if has_number(column) else reason
 
 
@@ -352,7 +406,7 @@ def _common_length(table: Table, picked: Sequence[str]) -> int:
 def _find(table: Table, wanted: _Names) -> list[str]:
     """Return the keys of the wanted columns; a matrix stands for all of its columns."""
     all_keys = []
-    for column in [wanted] if isinstance(wanted, str | int) else wanted:
+    for column in _as_list(wanted):
         name = str(column).strip()
         if name == _NAMELESS and list(table) == ["0"]:
             name = "0"

@@ -27,6 +27,8 @@ _INTEGER = r"\s*[-+]?\d+\s*"
 _ON = "on true yes open open active enabled running t y"
 _OFF = "off false no closed close inactive disabled stopped f n"
 """Words for the states of a switch, in small letters."""
+MOST_WORDS = 20
+"""Most words of a column of categories, each of which becomes a column. By eye."""
 _UNIT = re.compile(r"[ _][(\[]([^()\[\]]+)[)\]]$")
 
 
@@ -137,16 +139,58 @@ def numbers(what: str, column: Column) -> Array:
     return column.to_numpy(dtype=np.float64, na_value=np.nan)
 
 
-def switch_states(column: Column) -> dict[str, float]:
-    """Return 1 and 0 for the words of a column that holds the states of a switch; else nothing."""
+def switch_of(column: Column) -> tuple[str, ...]:
+    """Return the words for off and on of a column that holds one or both of them, else nothing."""
+    spelled = _words(column)
+    for states in zip(_OFF.split(), _ON.split(), strict=True):
+        if spelled and spelled.keys() <= {*states}:
+            return tuple(spelled.get(state, state) for state in states)
+    return ()
+
+
+def categories_of(column: Column) -> tuple[str, ...]:
+    """Return the words of a column that holds at least two, or those of a switch; else nothing.
+
+    Each begins with a letter: what does not may be a number with a unit.
+    """
+    spelled = _words(column)
+    words = 1 < len(spelled) <= MOST_WORDS and all(word[:1].isalpha() for word in spelled)
+    return switch_of(column) or (tuple(sorted(spelled.values())) if words else ())
+
+
+def _words(column: Column) -> dict[str, str]:
+    """Return the words of a column without numbers, by their small letters."""
     if not is_text(column) or has_number(column):
         return {}
-    words = column.dropna().astype(str).unique()
-    for on, off in zip(_ON.split(), _OFF.split(), strict=True):
-        states = {word: word.strip().lower() for word in words}
-        if states and {*states.values()} <= {on, off}:
-            return {word: float(state == on) for word, state in states.items()}
-    return {}
+    cells = column.dropna().astype(str).str.strip().unique()
+    return {word.casefold(): word for word in sorted(cells, reverse=True)}
+
+
+def category_names(name: str, words: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the columns for the words of a column but the first: "mode=heat".
+
+    Where there are two words, it is the column's own name.
+    """
+    return (name,) if len(words) == 2 else tuple(f"{name}={word}" for word in words[1:])
+
+
+def indicators(name: str, column: Column, words: Sequence[str]) -> dict[str, Column]:
+    """Return the columns for the words of a column but the first: 1 where it holds the word.
+
+    The first word is 0 in all of them, as a further column would be the rest of the others. Raises
+    ValueError for a cell that holds no such word.
+    """
+    cells = column.astype("string").str.strip().str.casefold()
+    if (other := np.flatnonzero(cells.notna() & ~cells.isin([w.casefold() for w in words]))).size:
+        row = int(other[0])
+        raise InputError(
+            f"column {name!r} must hold one of {', '.join(words)}: row {row} holds "
+            f"{str(column.iloc[row])[:40]!r}{in_file(column, row)}"
+        )
+    return {
+        each: (cells == word.casefold()).astype("Float64").astype(np.float64)
+        for each, word in zip(category_names(name, words), words[1:], strict=True)
+    }
 
 
 def in_file(column: Column, row: int) -> str:
@@ -315,6 +359,11 @@ def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
     if sorted(names) == sorted(others) or len(names) != len(others):
         return tuple(names) == tuple(others)
     return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as options of commands take them: separated by commas, if need be in quotes."""
+    return ",".join(f'"{name}"' if "," in name else name for name in names)
 
 
 def described(columns: Sequence[str], inputs: Sequence[str]) -> str:

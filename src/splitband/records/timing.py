@@ -145,7 +145,7 @@ class Spacing:
 
     `grid_rows`: grid index of each row of the file, `(time,)`, None if no rows are missing;
     `newest_first`: whether its rows are to be reversed; `note`: how the stamps were interpreted, if
-    that is not certain.
+    that is not certain; `jitter`: the largest deviation of a step of the stamps, in s.
     """
 
     step: float
@@ -153,6 +153,7 @@ class Spacing:
     grid_rows: NDArray[np.int_] | None = None
     newest_first: bool = False
     note: str = ""
+    jitter: float = 0.0
 
 
 def spacing(
@@ -207,6 +208,7 @@ def spacing(
         rows if len(rows) <= rows[-1] else None,
         newest_first,
         read.note and f"{what} {read.note}",
+        float(np.abs(np.diff(stamps) - step).max()),
     )
 
 

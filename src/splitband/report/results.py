@@ -13,22 +13,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from splitband.checks.inspection import Inspection
 from splitband.checks.model import ModelCheck
 from splitband.checks.responses import Responses
 from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
 from splitband.comparison.running import RunningComparison
 from splitband.forecasters import saving
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.prediction import time_header
-from splitband.records import Record
 from splitband.records.timing import as_json
 from splitband.report.environment import environment
 from splitband.report.page import NAME as PAGE
 from splitband.report.page.parts import Usage
 from splitband.report.predictions import Predicted, predicted
-from splitband.report.table import Table
 from splitband.report.tables import columns, tried
 from splitband.runtime.deadlines import now
 from splitband.runtime.files import replacing
@@ -193,14 +191,12 @@ def save_check(
         write_facts(new, facts | {"environment": environment()})
 
 
-def save_spectrum(
-    shown: Record, bands: Bands, tables: Sequence[Table], facts: Facts, folder: Path, used: Usage
-) -> None:
-    """Write results.json with these facts, and the page of a spectrum, over earlier ones."""
+def save_inspection(found: Inspection, facts: Facts, folder: Path, used: Usage) -> None:
+    """Write results.json, with `facts` first, and the page of an inspection, over earlier ones."""
     page = _page()
     with staged(folder) as new:
-        page.write(page.pages.of_spectrum(shown, bands, tables, facts, used), new / PAGE)
-        write_facts(new, facts)
+        page.write(page.pages.of_inspection(found, used), new / PAGE)
+        write_facts(new, facts | found.as_json())
 
 
 def _test_facts(comparison: Comparison) -> Iterator[dict[str, Any]]:

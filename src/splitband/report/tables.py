@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from splitband.checks.responses import Responses
+from splitband.checks.simulator import SimulatorCheck
 from splitband.comparison.methods import NAMES
 from splitband.comparison.recommendation import COVERAGE, RULE, Trial
 from splitband.comparison.result import Comparison
@@ -23,7 +24,7 @@ from splitband.forecasters.linear import Linear
 from splitband.linear.uncertainty import NORMAL
 from splitband.metrics import channel_rmse, fit_percent, leaving
 from splitband.records import Record
-from splitband.report.numbers import complex_in_words, percent
+from splitband.report.numbers import complex_in_words, number, percent
 from splitband.report.predictions import Protocol, predicted, run_of, what_was_known
 from splitband.report.table import Column, Table, Unit
 from splitband.runtime.arrays import Array
@@ -325,3 +326,19 @@ def of_poles(fitted: Linear) -> Table:
     ]
     title = "Poles in the z plane; after ±: half of the 95 % interval"
     return Table(title, listed, dict.fromkeys(names.values(), ""), "pole")
+
+
+def of_oracle(found: SimulatorCheck) -> Table:
+    """Return the table of the oracle check at each cut-off."""
+    of = {f"{check.cutoff:g} Hz": check for check in found.oracle}
+    perfect = {name: check.perfect_network for name, check in of.items()}
+    without = {name: check.no_network for name, check in of.items()}
+    columns = [
+        Column("perfect network", "record", perfect, ranked=False),
+        Column("no network", "record", without, ranked=False),
+    ]
+    title = (
+        "Oracle check: RMSE of a hybrid with a perfect network (measured high band, simulated low "
+        f"band) and with none; the simulator alone has RMSE {number(found.total_rmse)}"
+    )
+    return Table(title, columns, dict.fromkeys(of, ""), "cut-off", f"{found.cutoff:g} Hz")

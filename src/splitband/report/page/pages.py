@@ -1,34 +1,31 @@
-"""Lay out the pages of comparisons, checks and spectra."""
+"""Lay out the pages of comparisons, checks and inspections."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from splitband.checks.inspection import Inspection
 from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
 from splitband.checks.responses import SHARE, Responses, respond_over_range
 from splitband.comparison.result import Comparison
-from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import Forecaster, parts_of, titled
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
 from splitband.metrics import tenths
 from splitband.models.labels import SIMULATOR
-from splitband.records import Record
 from splitband.report import tables, words
 from splitband.report.environment import environment
-from splitband.report.numbers import complex_in_words, number, percent
+from splitband.report.numbers import complex_in_words, percent
 from splitband.report.page import plots
 from splitband.report.page.charts import Chart
 from splitband.report.page.parts import Method, Page, Section, Usage, method_styles
 from splitband.report.predictions import Predicted, predicted, what_was_known
-from splitband.report.table import Table
 from splitband.report.tables import ordered
 from splitband.runtime.arrays import Array
 
@@ -279,17 +276,18 @@ def of_check(
     return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
 
 
-def of_spectrum(
-    record: Record, bands: Bands, tables: Sequence[Table], facts: Mapping[str, Any], used: Usage
-) -> Page:
-    """Return the page of a spectrum; `facts` are the content of results.json."""
-    sentences = [words.sentence(text) for text in facts["in_words"]]
-    items = [words.sentence(text) for text in (*facts["warnings"], *words.of_gaps(record))]
+def of_inspection(found: Inspection, used: Usage) -> Page:
+    """Return the page of an inspection of a record."""
+    record, bands = found.record, found.bands
+    facts = [(c.name, f"{c.role}: {c.range}; {', '.join(c.reasons)}") for c in found.columns]
+    items = [words.sentence(text) for text in (*found.warnings, *words.of_gaps(record))]
     drawn = plots.spectrum(record, bands.cutoff, {})
     drawn += [plots.cutoffs(bands.choice)] if bands.choice else []
-    title = f"Cut-off: {number(bands.cutoff)} Hz, order {bands.order}"
-    sections = [Section("answer", title, sentences, items, tables, drawn), _settings([], used)]
-    return Page(f"{record.name or 'a record'}: spectrum", words.lead(record), sections)
+    listed = [] if found.simulator is None else [tables.of_oracle(found.simulator)]
+    said = [words.sentence(text) for text in found.in_words()]
+    answer = Section("answer", "What it holds", said, items, listed, drawn, facts=facts)
+    sections = [answer, *_next_steps(used), _settings([], used)]
+    return Page(record.name or "a record", words.lead(record), sections)
 
 
 def _next_steps(used: Usage) -> list[Section]:

@@ -1,0 +1,84 @@
+"""Define `splitband inspect`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from splitband.checks.inspection import Inspection, holds_words
+from splitband.checks.inspection import inspect as inspected
+from splitband.cli import options, printing, records
+from splitband.cli.usage import command_of, comparing, usage
+from splitband.forecasters.bands import Bands
+from splitband.records.named import RECORDS
+from splitband.records.signals import listed
+from splitband.report import results
+from splitband.report.tables import of_oracle
+from splitband.simulators.open_simulator import open_simulator, simulated
+
+
+@options.with_groups
+def inspect(
+    context: typer.Context,
+    record: options.RecordArgument,
+    reading: options.RecordOptions,
+    simulator: options.SimulatorOptions,
+    train: Annotated[
+        int | None, options.plain("Choose a cut-off on the first N samples.", "N", "three quarters")
+    ] = None,
+    out: Annotated[
+        Path | None, options.plain("Folder for a page with the spectrum, and results.json.", "DIR")
+    ] = None,
+    cutoff: options.Cutoff = None,
+    order: options.Order = None,
+) -> None:
+    """Show what a record holds, and the command to run.
+
+    Prints the columns with their ranges, which of them are likely inputs and why, dead times,
+    warnings, the strongest frequencies, and whether there are two bands to split; then the command
+    that compares models of the record. Nothing is trained. Missing values are masked.
+
+    With a simulator, also its coherence with the record and the oracle check: the RMSE that a
+    hybrid could reach at each cut-off. The cut-off is the one that `compare` chooses with the same
+    --train.
+    """
+    reading = replace(reading, gaps="mask")
+    whole = records.load_record(record, reading, inputs_by=holds_words)
+    opened = records.runnable(simulator, whole, reading.time_column)
+    if opened is None and whole.y_sim is not None:  # a named record's own can run for longer
+        opened = open_simulator(record, whole)
+    if opened is not None:
+        whole = simulated(whole, opened, longer=True)
+    trained = RECORDS[record].train if train is None and record in RECORDS else train
+    found = inspected(whole, trained, Bands(cutoff, order))
+    asked = command_of(context)
+    reads = {name: value for name, value in vars(reading).items() if name != "gaps"}
+    named = {name: of if name == "gaps" else listed(of) for name, of in found.options.items()}
+    runs = comparing(record, reads | vars(simulator) | named)
+    _show(found, runs)
+    if out is None:
+        printing.as_json(asked | found.as_json() | {"run": runs})
+        return
+    used = replace(usage(asked["command"], asked["arguments"]), commands=[("Run", runs)])
+    results.save_inspection(found, asked | {"run": runs}, out, used)
+    printing.results_of(out)
+
+
+def _show(found: Inspection, runs: str) -> None:
+    """Print the columns, sentences, warnings and the command."""
+    shown = Table("column", "likely", "range", "missing", "why", title=found.record.name)
+    for column in found.columns:
+        missing = str(column.missing or "")
+        shown.add_row(column.name, column.role, column.range, missing, ", ".join(column.reasons))
+    printing.console.print(shown)
+    if found.simulator is not None:
+        printing.table(of_oracle(found.simulator))
+    for line in found.in_words():
+        printing.console.print(line)
+    for warning in found.warnings:
+        printing.warn(warning)
+    printing.console.print(f"run:\n    {runs}", soft_wrap=True)
