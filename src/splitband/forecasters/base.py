@@ -343,7 +343,7 @@ class Forecaster(WithRepr, ABC):
         Raises
         ------
         ValueError
-            For a forecaster without a step form, such as one of your own that defines no `step_form`, a
+            For a forecaster without a step form, such as one of your own that defines none, a
             calibrated delay or clock, or a grey box whose simulator is no equation.
         """
         return stream_of(self, history, other_record)
