@@ -75,10 +75,11 @@ from benchmarks.families import SAMPLES, STEP, Array, Generator
 from splitband import models
 from splitband.comparison.defaults import chosen_bands, high_bands
 from splitband.comparison.plan import plan
-from splitband.comparison.request import TRAINING_SHARE, PlanRequest
+from splitband.comparison.request import PlanRequest
 from splitband.comparison.run import run
 from splitband.filters import Band
 from splitband.forecasters.bands import OPEN
+from splitband.forecasters.held_out import TRAINING_SHARE
 from splitband.forecasters.network import Network
 from splitband.metrics import rmse
 from splitband.models.base import Signals
