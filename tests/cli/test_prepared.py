@@ -89,6 +89,8 @@ def test_like_and_check_prepare_a_record_alike(
     call("check model --record clean.csv", Path("checked"))
     call("fit clean.csv --like model", Path("again"))
     said = capsys.readouterr().out
+    # Beside the other methods, of which it is a usual one.
+    call("compare clean.csv --like model --train 1000", Path("compared"))
     level = pd.read_csv("train.csv")["tank"].mean()
     assert said.count(f"tank (minus {level:.6g}); 1203 samples") == 2
     assert results(Path("checked"))["fit"]["simulation"]["tank"] > 99
