@@ -58,7 +58,8 @@ rounding. No choice on 39 drawn records depends on it."""
 LEAST = 0.02
 """Least share of the residual that the past of a column explains. As in `linear.delays`."""
 PLAIN = 0.25
-"""Explained over unexplained variance that is plain. No choice on 39 drawn records depends on it."""
+"""Explained over unexplained variance that is plain. No choice on 39 drawn records depends on
+it."""
 LEAD = 8.0
 """Ratio of explained to unexplained variance in one direction, over the other, of a column that
 leads. No choice on 39 drawn records depends on it."""
