@@ -46,11 +46,11 @@ def as_float(value: Any) -> float:
     return number if np.isfinite(number) else np.nan
 
 
-def positive_seconds(value: Any) -> float:
+def positive_seconds(value: Any, what: str = "sampling_time") -> float:
     """Return a sampling time as a float; raises ValueError unless it is finite and positive."""
     seconds = as_float(value)
     if not seconds > 0:
-        raise InputError(f"sampling_time must be a positive number of seconds: got {value!r}")
+        raise InputError(f"{what} must be a positive number of seconds: got {value!r}")
     return seconds
 
 
