@@ -38,7 +38,7 @@ from splitband.linear.delays import delayed, input_delays
 from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template, WithSize
 from splitband.records import Record, check_alike
-from splitband.records.signals import first_after, last_before, refilled
+from splitband.records.signals import covered, first_after, last_before, refilled
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -259,7 +259,7 @@ class Network(Forecaster):
                 "depends on the time since the first one began"
             )
         first, settings = records[0], self._settings_for(records[0], records[1:])
-        complete = first.complete
+        complete = first.covered
         if not complete.all() and first_after(complete, settings.warmup) is None:
             raise InputError(
                 f"warmup must fit between the gaps of the {len(first)} training samples, "
@@ -332,7 +332,7 @@ class Network(Forecaster):
 
         The samples before the run are the measured ones.
         """
-        complete = np.asarray(~np.isnan(known.y).any(axis=1))
+        complete = covered(known.y)
         start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
         if start is None or not complete[:start].all():
             raise InputError(
@@ -340,7 +340,9 @@ class Network(Forecaster):
             )
         steps = len(known.y) + known.steps - start
         begun = replace(known, y=known.y[:start], steps=steps)
-        return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
+        return np.concatenate(
+            [refilled(begun.y, begun.y), total([*self.extrapolate(begun).values()])]
+        )
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
@@ -506,7 +508,7 @@ class Network(Forecaster):
                 f"one that was measured, got {last}"
             )
         complete = np.asarray(measured.all(axis=1))
-        start = last_before(complete, length, last)
+        start = last_before(covered(y), length, last)
         if start is None or (~complete[start:last]).sum() > MOST_FILLED:
             start = max(length, last - MOST_FILLED)
         begin = start - length

@@ -111,7 +111,10 @@ def periods_of(signals: Mapping[str, Array], asked: Periods) -> dict[str, float]
 
 
 def limits_of(
-    signals: Mapping[str, Array], deviations: float, columns: Sequence[str], outputs: Sequence[str]
+    signals: Mapping[str, Array],
+    columns: Sequence[str],
+    outputs: Sequence[str],
+    deviations: float = 5.0,
 ) -> Limits:
     """Return limits of `deviations` robust standard deviations around the medians of outputs."""
     found = dict[str, tuple[float, float]]()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pandas.api.types import is_numeric_dtype
 
 from splitband.records.preparation import (
+    Limits,
     Periods,
     Reading,
     going_on,
@@ -83,7 +84,7 @@ JOINED = "time [s]"
 _ROW_NUMBERS = "record index row sample scan number seq # no no. nr nr."
 """Names of columns that number the rows, in small letters."""
 _Names: TypeAlias = str | int | Sequence[str | int]
-_Source: TypeAlias = "str | os.PathLike[str] | pd.DataFrame | pd.Series[Any]"
+Source: TypeAlias = "str | os.PathLike[str] | pd.DataFrame | pd.Series[Any]"
 Joined: TypeAlias = Mapping[Any, float | None] | Sequence[str | os.PathLike[str]] | str
 """Files, with what to add to their stamps in s, or without."""
 
@@ -105,11 +106,11 @@ class _Picked(NamedTuple):
 
 
 @overload
-def read(path: _Source, *, runs: None = None, **options: Any) -> Record: ...
+def read(path: Source, *, runs: None = None, **options: Any) -> Record: ...
 @overload
-def read(path: _Source, *, runs: str, **options: Any) -> list[Record]: ...
+def read(path: Source, *, runs: str, **options: Any) -> list[Record]: ...
 def read(  # noqa: PLR0913
-    path: _Source,
+    path: Source,
     *,
     columns: _Names | None = None,
     inputs: _Names | None = (),
@@ -121,10 +122,11 @@ def read(  # noqa: PLR0913
     gaps: Gaps = "refuse",
     missing: str | Sequence[str] = (),
     unwrap: Periods = (),
-    clip_outliers: str | Sequence[str] = (),
+    clip_outliers: str | Sequence[str] | Limits = (),
     long: Sequence[str] = (),
     join: Joined = (),
     runs: str | None = None,
+    reading: Reading | None = None,
     skip_rows: int = 0,
     header_row: int | None = None,
 ) -> Record | list[Record]:
@@ -183,7 +185,9 @@ def read(  # noqa: PLR0913
         default. {"pump.csv": 1.5} adds 1.5 s to its stamps. Without a number a column that both
         have shows the offset, if there is one.
     runs : column that names the run of each row, or the time stamps where they begin again: a list
-        of records is returned.
+        of records is returned, which are read as the first one is.
+    reading : `Record.reading` of another record of the system, which decides `missing`, `step`,
+        `hold` and `unwrap` where they are not given; then `Record.like` prepares alike.
     skip_rows : lines at the top of a text file that are left out.
     header_row : line of a text file with the names, from 1, also among `skip_rows`; 0 if there are
         no names.
@@ -214,6 +218,10 @@ def read(  # noqa: PLR0913
         raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
     if step not in (None, "auto"):
         positive_seconds(step, "step")
+    if reading is not None:
+        words, hold = words or reading.missing, reading.hold if hold is None else hold
+        step = reading.grid if step is None else step
+        unwrap = unwrap or (reading if step is not None else ())
     how = _How(
         columns, inputs, time_column, sampling_time, fallback_sampling_time, step, hold, gaps,
         words, unwrap, clip_outliers,
@@ -240,6 +248,10 @@ def read(  # noqa: PLR0913
                 raise type(error)(f"run {run}: {error}" if run else f"{error}") from error
             records.append(record)
             notes += more
+            if how.step == "auto":
+                how = replace(how, step=record.sampling_time)
+            how = replace(how, hold=record.reading.hold, unwrap=record.reading)
+            how = replace(how, clip_outliers=record.reading.limits)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
     for note in dict.fromkeys(notes):
@@ -260,8 +272,8 @@ class _How:
     hold: str | Sequence[str] | None
     gaps: Gaps
     missing: tuple[str, ...]
-    unwrap: Periods
-    clip_outliers: str | Sequence[str]
+    unwrap: Periods | Reading
+    clip_outliers: str | Sequence[str] | Limits
 
 
 def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
@@ -277,10 +289,16 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
     signals = {c: _values(c, table[c]) for c in names}
     _check_finite(signals, how.step is None and how.gaps == "refuse", picked)
     signals = {c: np.where(np.isfinite(x), x, np.nan) for c, x in signals.items()}
-    periods = periods_of(signals, how.unwrap)
+    if isinstance(how.unwrap, Reading):
+        periods = {c: period for c, period in how.unwrap.periods.items() if c in signals}
+    else:
+        periods = periods_of(signals, how.unwrap)
     signals |= {c: going_on(signals[c], period) for c, period in periods.items()}
-    asked = [how.clip_outliers] if isinstance(how.clip_outliers, str) else how.clip_outliers
-    limits = limits_of(signals, 5.0, asked, picked.measured)
+    limits = how.clip_outliers
+    if not isinstance(limits, Mapping):
+        limits = limits_of(
+            signals, [limits] if isinstance(limits, str) else limits, picked.measured
+        )
     signals |= {c: np.clip(signals[c], *pair) for c, pair in limits.items()}
     read_as = [f"words of column {c!r} are read as {s}" for c, s in switches.items() if s]
     left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""

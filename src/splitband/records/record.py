@@ -31,6 +31,7 @@ from splitband.records.signals import (
     ReadingWarning,
     as_float,
     channel_names,
+    covered,
     described,
     filled,
     numbered,
@@ -256,7 +257,7 @@ class Record:
             raise InputError(f"deviations must be above 0, got {deviations}")
         if limits is None:
             columns = self.columns if columns is None else columns
-            limits = limits_of(self.signals, deviations, columns, self.columns)
+            limits = limits_of(self.signals, columns, self.columns, deviations)
         return clipped(self, Reading(limits=limits_given(self, limits)))
 
     def resample(self, sampling_time: float) -> Record:
@@ -360,6 +361,14 @@ class Record:
     def complete(self) -> Flags:
         """Return a mask of the samples at which every channel was measured, (time,)."""
         return np.asarray(~np.isnan(self.y_with_gaps).any(axis=1))
+
+    @property
+    def covered(self) -> Flags:
+        """Return a mask of the samples that a warm-up may hold, (time,).
+
+        Every channel was measured there or, where it is slower than others, just before and after.
+        """
+        return covered(self.y_with_gaps)
 
     @property
     def ny(self) -> int:

@@ -240,6 +240,26 @@ def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
     return whole, known
 
 
+def covered(y: Array) -> Flags:
+    """Return a mask of the samples that a warm-up may hold, `(time,)`; `y` has NaN in gaps.
+
+    Every channel is measured there, or between two samples that are as far apart as its samples
+    usually are: a channel that is slower than the others is interpolated in a warm-up.
+    """
+    known = np.isfinite(y)
+    if known.all():
+        return np.ones(len(y), np.bool_)
+    index = np.arange(len(y))
+    for channel in known.T:
+        own = np.flatnonzero(channel)
+        if len(own) < 2 or (usual := np.median(np.diff(own))) < 2:
+            continue
+        at = np.clip(np.searchsorted(own, index), 1, len(own) - 1)
+        near = own[at] - own[at - 1] <= 1.75 * usual
+        channel |= near & (own[0] <= index) & (index <= own[-1])
+    return np.asarray(known.all(axis=1))
+
+
 def refilled(y: Array, seen: Array) -> Array:
     """Return `seen` with its gaps (NaN) filled; a channel without values is that of `y`."""
     whole, known = np.array(y), np.isfinite(seen).any(axis=0)

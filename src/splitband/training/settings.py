@@ -228,10 +228,16 @@ def recipe_settings(
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
     """Return the first samples of all windows, counted over the records."""
     lengths = [len(record) for record in records]
-    complete = np.concatenate([record.complete for record in records])
+    complete, covered = (
+        np.concatenate([getattr(record, mask) for record in records])
+        for mask in ("complete", "covered")
+    )
     something = np.concatenate([(~np.isnan(record.y_with_gaps)).any(axis=1) for record in records])
     inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
-    warm = _counts(complete, 0, warmup) == warmup
+    warm = _counts(covered, 0, warmup) == warmup
+    # A warm-up ends with a measured sample, as in a prediction: it is interpolated before it only.
+    ends = warm & (_counts(complete, warmup - 1, warmup) > 0)
+    warm = ends if ends.any() else warm
     return np.flatnonzero(inside & warm & (_counts(something, warmup, window) > 0))
 
 
