@@ -25,8 +25,8 @@ from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
 from splitband.records import Record, read
 from splitband.records.alignment import sampled_like
+from splitband.records.columns import ColumnError
 from splitband.records.named import RECORDS
-from splitband.records.reading import ColumnError
 from splitband.records.signals import described, row_ranges, same_names
 from splitband.records.timing import near_sampling
 from splitband.runtime.arrays import Array
@@ -189,23 +189,22 @@ def load_further(
     found = []
     how: dict[str, Any] = {"columns": record.columns, "inputs": record.inputs}
     how |= {"gaps": reading.gaps, "runs": reading.runs}
-    of_files = [_beside(file, option, record, reading, **how) for file in files]
-    runs = [each if isinstance(each, list) else [each] for each in of_files]
-    for i, (file, more) in enumerate(
-        (f, r) for f, part in zip(files, runs, strict=True) for r in part
-    ):
-        more = more.like(record)
-        named = file if reading.runs is None else f"{file}, {more.name}"
-        announce(more, named)
-        more = sampled_like(more, record.sampling_time, named)
-        if reading.runs is None:
-            more = replace(more, name=file if option == "--more" else Path(file).stem)
-        if simulators:
-            own = replace(options, simulator=simulators[i])
-            beside = simulator_of(own, more, reading.time_column)
-            check_runs_as_it_is(f"{option}-simulator", simulators[i], beside)
-            more = simulated(more, beside, longer=True)
-        found.append(more)
+    of_files = [(file, _beside(file, option, record, reading, **how)) for file in files]
+    for i, (file, read_of) in enumerate(of_files):
+        for each in read_of if isinstance(read_of, list) else [read_of]:
+            several = reading.runs is not None
+            named = f"{file}, {each.name}" if several else file
+            more = each.like(record)
+            announce(more, named)
+            more = sampled_like(more, record.sampling_time, named)
+            called = each.name if several else file if option == "--more" else Path(file).stem
+            more = replace(more, name=called)
+            if simulators:
+                own = replace(options, simulator=simulators[i])
+                beside = simulator_of(own, more, reading.time_column)
+                check_runs_as_it_is(f"{option}-simulator", simulators[i], beside)
+                more = simulated(more, beside, longer=True)
+            found.append(more)
     return found
 
 

@@ -67,7 +67,7 @@ class Even:
     @property
     def times(self) -> Array:
         """Return the times of the grid in s, `(samples,)`."""
-        return self.start + self.step * np.arange(self.samples)
+        return np.asarray(self.start + self.step * np.arange(self.samples))
 
     @classmethod
     def of_rows(cls, rows: int) -> Even:

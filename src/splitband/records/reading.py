@@ -1,21 +1,31 @@
-"""Read records from tables: choose the columns, find the time stamps, check every cell."""
+"""Read records from tables: check every cell, and put the samples on an even grid."""
 
 from __future__ import annotations
 
 import math
 import os
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args, overload
+from typing import Any, Literal, TypeAlias, get_args, overload
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.api.types import is_numeric_dtype
 
+from splitband.records.columns import (
+    NAMELESS,
+    ColumnError,
+    Names,
+    Picked,
+    available,
+    listed,
+    pick,
+    times_in,
+    values_of,
+)
+from splitband.records.combining import JOINED, Joined, join_files, split_runs, wide
 from splitband.records.preparation import (
     Limits,
     Periods,
@@ -32,34 +42,18 @@ from splitband.records.rates import (
     is_sparse,
     jitter,
     last_of_each,
-    offset_of,
     own_step,
     regular,
 )
 from splitband.records.record import Record
 from splitband.records.remedies import Table, check_other_clock
 from splitband.records.signals import (
-    Column,
     Gaps,
     ReadingWarning,
-    has_number,
-    is_text,
     numbers,
     positive_seconds,
     require_finite,
     switch_states,
-    unit_of,
-)
-from splitband.records.stamps import (
-    TIME_NAMES,
-    also_time,
-    is_clock_number,
-    is_day,
-    is_time,
-    is_time_of_day,
-    joined,
-    readings,
-    time_name,
 )
 from splitband.records.tables import check_size, known, load, of_frame
 from splitband.records.text import Layout
@@ -67,54 +61,25 @@ from splitband.records.timing import (
     Spacing,
     Times,
     same_sampling,
-    seconds_between,
     spacing,
-    times_of,
     whole_multiple,
 )
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
-_NAMELESS = "y"
-"""Name of the channel of a file with a single column and no header."""
-_EXPECTED = "expected"
-"""Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
-JOINED = "time [s]"
-"""Name of the time column of joined files."""
-_ROW_NUMBERS = "record index row sample scan number seq # no no. nr nr."
-"""Names of columns that number the rows, in small letters."""
-_Names: TypeAlias = str | int | Sequence[str | int]
 Source: TypeAlias = "str | os.PathLike[str] | pd.DataFrame | pd.Series[Any]"
-Joined: TypeAlias = Mapping[Any, float | None] | Sequence[str | os.PathLike[str]] | str
-"""Files, with what to add to their stamps in s, or without."""
-
-
-class ColumnError(InputError):
-    """Report that a requested column is missing, or that no column is left to model."""
-
-
-class _Picked(NamedTuple):
-    """Hold the names of the columns of a record; `stamps` are one, none, or a date and a time."""
-
-    stamps: list[str]
-    known: list[str]
-    measured: list[str]
-    left_out: list[str]
-    """Other columns with content, each with the reason for leaving it out."""
-    forgotten: str
-    """Columns that may be inputs, in words."""
 
 
 @overload
 def read(path: Source, *, runs: None = None, **options: Any) -> Record: ...
 @overload
 def read(path: Source, *, runs: str, **options: Any) -> list[Record]: ...
-def read(  # noqa: PLR0913
+def read(  # type: ignore[misc]  # noqa: PLR0913
     path: Source,
     *,
-    columns: _Names | None = None,
-    inputs: _Names | None = (),
-    time_column: _Names | None = None,
+    columns: Names | None = None,
+    inputs: Names | None = (),
+    time_column: Names | None = None,
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
     step: float | Literal["auto"] | None = None,
@@ -210,7 +175,7 @@ def read(  # noqa: PLR0913
     (3, 0.5, ('x',), ('force',))
     """
     kind = type(path).__name__
-    path = path.to_frame(path.name or _NAMELESS) if isinstance(path, pd.Series) else path
+    path = path.to_frame(path.name or NAMELESS) if isinstance(path, pd.Series) else path
     frame = path if isinstance(path, pd.DataFrame) else None
     path = Path(kind) if isinstance(path, pd.DataFrame) else Path(path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
@@ -221,10 +186,10 @@ def read(  # noqa: PLR0913
     if reading is not None:
         words, hold = words or reading.missing, reading.hold if hold is None else hold
         step = reading.grid if step is None else step
-        unwrap = unwrap or (reading if step is not None else ())
+    by = reading if reading is not None and step is not None and not unwrap else unwrap
     how = _How(
         columns, inputs, time_column, sampling_time, fallback_sampling_time, step, hold, gaps,
-        words, unwrap, clip_outliers,
+        words, by, clip_outliers,
     )  # fmt: skip
     try:
         layout = Layout(skip_rows, header_row, words)
@@ -234,11 +199,11 @@ def read(  # noqa: PLR0913
             layout.check_no_lines(f"a {path}")
             table = known(of_frame(frame), layout)
         notes = list[str]()
-        table = _wide(table, long) if long else table
+        table = wide(table, long) if long else table
         if join:
-            table, notes = _joined(table, join, path.parent if frame is None else Path(), how)
+            table, notes = join_files(table, join, time_column, how.expected, words)
             how = replace(how, time_column=JOINED, step=how.step or "auto")
-        parts = _runs(table, runs, time_column) if runs is not None else {"": table}
+        parts = split_runs(table, runs, time_column) if runs is not None else {"": table}
         called = path.stem.removesuffix(".csv") if frame is None else ""
         records = []
         for run, part in parts.items():
@@ -263,9 +228,9 @@ def read(  # noqa: PLR0913
 class _How:
     """Hold the options of `read` that say how a table becomes a record."""
 
-    columns: _Names | None
-    inputs: _Names | None
-    time_column: _Names | None
+    columns: Names | None
+    inputs: Names | None
+    time_column: Names | None
     sampling_time: float | None
     fallback_sampling_time: float | None
     step: float | Literal["auto"] | None
@@ -275,18 +240,70 @@ class _How:
     unwrap: Periods | Reading
     clip_outliers: str | Sequence[str] | Limits
 
+    @property
+    def expected(self) -> float | None:
+        """Return the sampling time of the file, if the caller knows it."""
+        return self.sampling_time or self.fallback_sampling_time
+
 
 def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
     """Return the record of a table, and what a user should know of its reading."""
-    picked = _picked(table, how.columns, how.inputs, how.time_column)
+    picked = pick(table, how.columns, how.inputs, how.time_column)
     names = picked.measured + picked.known
     switches = {c: switch_states(table[c]) for c in names}
     table = table | {c: table[c].map(states) for c, states in switches.items() if states}
-    times = _times(table, picked.stamps, how.sampling_time or how.fallback_sampling_time)
-    spaced, even = _spacing(times, table, how), None
+    times = times_in(table, picked.stamps, how.expected)
+    spaced = _spacing(times, table, how)
     if times is not None and times.newest_first:
         table = {name: column.iloc[::-1] for name, column in table.items()}
-    signals = {c: _values(c, table[c]) for c in names}
+    signals, found = _signals(table, picked, how)
+    read_as = [f"words of column {c!r} are read as {s}" for c, s in switches.items() if s]
+    left_out = f"left out: {listed(picked.left_out)}" if picked.left_out else ""
+    notes = ["" if times is None else times.note, *read_as, left_out, picked.forgotten]
+    sparse = [c for c, x in signals.items() if is_sparse(x)]
+    notes += [_slower(c, signals[c]) for c in picked.measured if c in sparse]
+    to_fill = picked.known
+    if spaced is None:
+        assert times is not None
+        even, signals, said = _gridded(times, signals, len(picked.known), how.step)
+        step, start = even.step, times.stamp(even.start)
+        found, notes = replace(found, grid=step), [*notes, *said]
+    else:
+        step, start, rows = spaced.step, spaced.start, len(signals[names[0]])
+        if spaced.grid_rows is not None:
+            rows = int(spaced.grid_rows[-1]) + 1
+            check_size(8 * rows * len(names))
+            signals = {c: _spread(x, rows, spaced.grid_rows) for c, x in signals.items()}
+        if times is not None and how.time_column is None:
+            check_other_clock(table, picked.stamps[-1], step * (rows - 1))
+        even, to_fill = Even.of_rows(rows), [c for c in picked.known if c in sparse]
+    held = _held(signals, to_fill, how.hold)
+    between = [c for c in to_fill if c not in held]
+    own, signals = signals, {**signals}
+    signals |= {c: even.held(own[c]) for c in held} | {c: even.between(own[c]) for c in between}
+    if spaced is None:
+        signals |= {c: even.measured(own[c]) for c in picked.measured}
+    for what, which in {"held": held, "interpolated": between}.items():
+        if which:
+            notes.append(f"inputs {what} between their values: {listed(which)}; --hold decides")
+    record = Record.with_gaps(
+        np.column_stack([signals[c] for c in picked.measured]),
+        step,
+        u=np.column_stack([signals[c] for c in picked.known]) if picked.known else None,
+        columns=(NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
+        inputs=tuple(picked.known),
+        name=called,
+        start=start,
+        reading=replace(found, hold=tuple(held) if to_fill else None),
+    )
+    if how.step is not None and how.step != "auto":
+        record = record.resample(how.step)
+    return record, [*filter(None, notes)]
+
+
+def _signals(table: Table, picked: Picked, how: _How) -> tuple[dict[str, Array], Reading]:
+    """Return the columns with NaN in gaps, unwrapped and limited, and by what."""
+    signals = {c: values_of(c, table[c]) for c in picked.measured + picked.known}
     _check_finite(signals, how.step is None and how.gaps == "refuse", picked)
     signals = {c: np.where(np.isfinite(x), x, np.nan) for c, x in signals.items()}
     if isinstance(how.unwrap, Reading):
@@ -300,62 +317,10 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
             signals, [limits] if isinstance(limits, str) else limits, picked.measured
         )
     signals |= {c: np.clip(signals[c], *pair) for c, pair in limits.items()}
-    read_as = [f"words of column {c!r} are read as {s}" for c, s in switches.items() if s]
-    left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    notes = ["" if times is None else times.note, *read_as, left_out, picked.forgotten]
-    sparse = [c for c in names if is_sparse(signals[c])]
-    notes += [_slower(c, signals[c]) for c in picked.measured if c in sparse]
-    if spaced is None:
-        assert times is not None
-        even, signals, said = _gridded(times, signals, len(picked.known), how.step)
-        step, start = even.step, times.stamp(even.start)
-        notes += said
-    else:
-        rows = len(signals[names[0]])
-        if spaced.grid_rows is not None:
-            rows = int(spaced.grid_rows[-1]) + 1
-            check_size(8 * rows * len(names))
-            signals = {c: _spread(x, rows, spaced.grid_rows) for c, x in signals.items()}
-        step, start = spaced.step, spaced.start
-        if times is not None and how.time_column is None:
-            check_other_clock(table, picked.stamps[-1], step * (rows - 1))
-    to_fill = [c for c in picked.known if even is not None or c in sparse]
-    held = _held(signals, to_fill, how.hold)
-    fill = even or Even.of_rows(len(signals[names[0]]))
-    own, signals = signals, {**signals}
-    for c in to_fill:
-        signals[c] = fill.held(own[c]) if c in held else fill.between(own[c])
-    if even is not None:
-        signals |= {c: even.measured(own[c]) for c in picked.measured}
-    for what, which in (("held", held), ("interpolated", [c for c in to_fill if c not in held])):
-        if which:
-            notes.append(
-                f"inputs {what} between their values: {_listed(which)} (--hold names them)"
-            )
-    names_of = (_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured)
-    reading = Reading(
-        missing=how.missing,
-        grid=None if even is None else step,
-        hold=tuple(held) if to_fill else None,
-        periods=periods,
-        limits=limits,
-    )
-    record = Record.with_gaps(
-        np.column_stack([signals[c] for c in picked.measured]),
-        step,
-        u=np.column_stack([signals[c] for c in picked.known]) if picked.known else None,
-        columns=names_of,
-        inputs=tuple(picked.known),
-        name=called,
-        start=start,
-        reading=reading,
-    )
-    if how.step not in (None, "auto"):
-        record = record.resample(how.step)
-    return record, [*filter(None, notes)]
+    return signals, Reading(missing=how.missing, periods=periods, limits=limits)
 
 
-def _check_finite(signals: Mapping[str, Array], refuse: bool, picked: _Picked) -> None:
+def _check_finite(signals: Mapping[str, Array], refuse: bool, picked: Picked) -> None:
     """Raise ValueError for a column without values and, to `refuse`, for one with gaps."""
     gaps = any(not np.isfinite(x).all() for x in signals.values())
     hint = "; gaps='mask' (--gaps mask) goes around them" if gaps else ""
@@ -390,8 +355,8 @@ def _held(signals: Mapping[str, Array], names: list[str], hold: Any) -> list[str
     """Return which of the inputs are held between their values."""
     if hold is not None:
         asked = [hold] if isinstance(hold, str) else [*hold]
-        asked = of_channels("hold", dict.fromkeys(asked), [*signals])
-        return [c for c in names if c in asked]
+        chosen = of_channels("hold", dict.fromkeys(asked), [*signals])
+        return [c for c in names if c in chosen]
     return [c for c in names if not is_smooth(signals[c][np.isfinite(signals[c])])]
 
 
@@ -427,282 +392,6 @@ def _gridded(
     return even, signals, notes
 
 
-def _wide(table: Table, long: Sequence[str]) -> Table:
-    """Return a table of one measurement a row with a column for each signal."""
-    if len(long) not in (3, 4):
-        raise InputError(f"long must name tag, time stamps and value, got {', '.join(long)}")
-    tag, *stamps, value = (_find(table, each)[0] for each in long)
-    what = f"time column {','.join(stamps)!r}"
-    first = joined(table[stamps[0]], table[stamps[1]]) if len(stamps) == 2 else table[stamps[0]]
-    seconds = readings(what, stamps[0], first)[0].seconds
-    cells = pd.DataFrame(
-        {"tag": table[tag].astype(str).array, "at": seconds, "value": table[value].array}
-    )
-    cells = cells.drop_duplicates(["at", "tag"], keep="last")
-    wide = cells.pivot(index="at", columns="tag", values="value").infer_objects()
-    rows = pd.Series(np.arange(len(seconds)), index=seconds).groupby(level=0).first()
-    found = {c: table[c].iloc[rows.loc[wide.index]].reset_index(drop=True) for c in stamps}
-    return found | {str(c): wide[c].reset_index(drop=True) for c in wide}
-
-
-def _runs(table: Table, runs: str, time_column: _Names | None) -> dict[str, Table]:
-    """Return the tables of the runs that a column names, or that begin where it goes back."""
-    key = _find(table, runs)[0]
-    column = table[key]
-    clock = is_time(key) or (time_column not in (None, "") and key in _stamps(table, time_column))
-    if clock:
-        seconds = readings(f"time column {key!r}", key, column)[0].seconds
-        column = pd.Series(np.cumsum(np.diff(seconds, prepend=seconds[0]) < 0))
-    names = pd.Series(column.array).astype(str)
-    rows = {str(name): np.flatnonzero(names == name) for name in pd.unique(names.dropna())}
-    long = {c: x for c, x in table.items() if len(x) == len(column) and (clock or c != key)}
-    return {name: {c: x.iloc[at] for c, x in long.items()} for name, at in rows.items()}
-
-
-def _joined(table: Table, join: Joined, folder: Path, how: _How) -> tuple[Table, list[str]]:
-    """Return a table with the columns of further files, at the stamps of all; see `read`."""
-    files = [join] if isinstance(join, str | os.PathLike) else join
-    offsets = dict(files) if isinstance(files, Mapping) else dict.fromkeys(files)
-    expected = how.sampling_time or how.fallback_sampling_time
-    main, times, notes = *_own(table, how.time_column, expected, "the record"), list[str]()
-    parts = [main]
-    for file, offset in offsets.items():
-        path = Path(file)
-        try:
-            other, clock = _own(load(path, Layout(0, None, how.missing)), None, None, str(path))
-        except InputError as error:
-            raise type(error)(f"{path}: {error}") from error
-        both = [c for c in other.columns if c in main.columns]
-        try:
-            begin = seconds_between(times.stamp(0.0), clock.stamp(0.0))
-        except InputError:
-            begin = None
-        if offset is None and both:
-            first, second = (frame[both[0]].dropna() for frame in (main, other))
-            args = (
-                each.to_numpy(np.float64) for each in (first.index, first, second.index, second)
-            )
-            shift = offset_of(*args)
-            notes.append(
-                f"{path.name}: {shift - (begin or 0.0):+.4g} s are added to its stamps, by column "
-                f"{both[0]!r}, which both have"
-            )
-        elif begin is None:
-            raise InputError(
-                f"join must give the offset of {path}, or a column that both have: one file has "
-                "dates, the other seconds"
-            )
-        else:
-            shift = begin + (offset or 0.0)
-        parts.append(other.drop(columns=both).set_axis(other.index + shift))
-    whole = pd.concat(parts, axis=1).sort_index()
-    named = {str(c): whole[c].reset_index(drop=True) for c in whole}
-    seconds = whole.index.to_numpy(np.float64)
-    if times.date is None:
-        stamps: Any = seconds
-    else:
-        stamps = times.date + pd.to_timedelta(np.rint(1e9 * seconds).astype(np.int64), unit="ns")
-    return {JOINED: pd.Series(stamps)} | named, notes
-
-
-def _own(
-    table: Table, time_column: _Names | None, expected: float | None, what: str
-) -> tuple[pd.DataFrame, Times]:
-    """Return the columns of a table over its times in s, and these times."""
-    picked = _picked(table, None, (), time_column)
-    times = _times(table, picked.stamps, expected)
-    if times is None:
-        raise InputError(f"{what} must have time stamps to be joined")
-    times.check_increasing(repeated=True)
-    columns = {c: table[c].array for c in picked.measured}
-    words = {c: x.array for c, x in table.items() if c not in columns and switch_states(x)}
-    frame = pd.DataFrame(columns | words, index=None)
-    frame = frame.iloc[::-1] if times.newest_first else frame
-    return frame.set_axis(times.seconds)[last_of_each(times.seconds)], times
-
-
-def _picked(
-    table: Table, columns: _Names | None, inputs: _Names | None, time_column: _Names | None
-) -> _Picked:
-    """Choose the columns of a record by the options of `read`."""
-    known = [] if inputs is None else _find(table, inputs)
-    stamps = _stamps(table, time_column)
-    picked = stamps + known + ([] if columns is None else _find(table, columns))
-    rows = _common_length(table, picked)
-    timed = [c for c in table if c not in picked and len(table[c]) == rows and is_time(c)]
-    timed = [c for c in timed if "abscissa" in table[c].attrs] or timed
-    if time_column is None:
-        if len(timed) > 1:  # T is a temperature then, unless it increases
-            timed = [c for c in timed if also_time(c, table[c])]
-        words = {c: time_name(c)[0] for c in timed}
-        # Beside a date in each row, T is a temperature that happens to rise.
-        dated = any(w == "date" and table[c].is_unique for c, w in words.items())
-        timed.sort(key=lambda c: (dated and words[c] == "t", TIME_NAMES.index(words[c])))
-        _check_alike(table, timed)
-        stamps = _dated(table, timed)
-    reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
-    usable = [c for c, reason in reasons.items() if not reason]
-    if columns is not None:
-        measured, left_out = _find(table, columns), []
-    else:
-        measured = usable
-        ignored = timed if time_column == "" else []
-        left_out = _in_words({c: r for c, r in reasons.items() if c not in ignored})
-    if not measured:
-        why = f"left out: {_listed(left_out)}" if left_out else _available(table)
-        raise ColumnError(f"there is no numeric column to model: {why}")
-    _check_orientation(known + measured, rows)
-    forgotten = ""
-    if inputs is None and usable and (columns is not None or len(usable) > 1):
-        what = "taken as outputs" if columns is None else "not used"
-        forgotten = f"{what}: {_listed(usable)}; --inputs names those that act on the system"
-    return _Picked(stamps, known, measured, left_out, forgotten)
-
-
-def _stamps(table: Table, asked: _Names | None) -> list[str]:
-    """Return the keys of the time columns that were asked for; "Date,Time" names two."""
-    if asked is None or asked == "":
-        return []
-    if isinstance(asked, str) and asked.strip() not in table and "," in asked:
-        asked = asked.split(",")
-    found = _find(table, asked)
-    if len(found) > 2:
-        raise InputError(f"time_column must be one column, or a date and a time: got {len(found)}")
-    return found[::-1] if len(found) == 2 and is_time_of_day(table[found[0]]) else found
-
-
-def _dated(table: Table, timed: Sequence[str]) -> list[str]:
-    """Return the first of the time columns, after one with the dates of its times of the day."""
-    days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
-    if days and is_clock_number(timed[0], table[timed[0]]):
-        raise InputError(
-            f"{timed[0]!r} beside {days[0]!r} can be read as seconds or as times of the day (930 "
-            f"as 09:30): time_column={timed[0]!r} (--time-column) takes seconds; write times of "
-            "the day as 09:30"
-        )
-    if not timed or not is_time_of_day(table[timed[0]]):
-        return list(timed[:1])
-    return [*days[:1], timed[0]]
-
-
-def _check_alike(table: Table, timed: Sequence[str]) -> None:
-    """Raise ValueError for structures with time stamps of their own: they are several records."""
-    for other in timed[1:]:
-        if "." in timed[0] + other and not table[other].equals(table[timed[0]]):
-            raise InputError(
-                f"{timed[0]!r} and {other!r} are different time stamps: time_column "
-                "(--time-column) and columns (--columns) choose one record"
-            )
-
-
-def _reason(name: str, column: Column, rows: int) -> str:
-    """Return the reason why a column is not a channel; empty if it is one."""
-    if why := column.attrs.get("unread", column.attrs.get("left out", "")):
-        return str(why)
-    if len(column) != rows:
-        return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
-    unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
-    numbered = unnamed or re.sub(r".*\.(?=.)| \[.*", "", name.lower()) in _ROW_NUMBERS.split()
-    if numbered and is_numeric_dtype(column) and (column.diff().iloc[1:].abs() == 1).all():
-        return _EXPECTED
-    if unnamed:
-        return "no name" if column.notna().any() else _EXPECTED
-    if also_time(name, column):
-        return "another time column"
-    known = column.dropna()
-    reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
-    return "" if has_number(column) else reason
-
-
-def _in_words(reasons: Mapping[str, str]) -> list[str]:
-    """Return the columns that are left out, each with its reason; those of a matrix are one."""
-    by_matrix: dict[tuple[str, str], list[str]] = {}
-    for name, reason in reasons.items():
-        if reason and reason != _EXPECTED:
-            by_matrix.setdefault((re.sub(r"\[\d+\]$", "", name), reason), []).append(name)
-    return [
-        f"{names[0]!r} ({reason})"
-        if len(names) == 1
-        else f"{matrix!r} ({reason} in each of its {len(names)} columns: transpose it if rows are "
-        "its channels)"
-        for (matrix, reason), names in by_matrix.items()
-    ]
-
-
-def _check_orientation(names: Sequence[str], rows: int) -> None:
-    """Raise ValueError for more unnamed columns than rows: the table may be transposed."""
-    numbered = [name for name in names if re.fullmatch(r"\d+|.*\[\d+\]", name)]
-    if len(numbered) > rows:
-        raise InputError(
-            f"it must have more samples than channels: it has {rows} rows of {len(numbered)} "
-            "columns without names; transpose it"
-        )
-
-
-def _values(name: str, column: Column) -> Array:
-    try:
-        return numbers(f"column {name!r}", column)
-    except InputError as error:
-        words = "; missing (--missing) names words for missing values"
-        if is_text(column) and not has_number(column):
-            states = dict(zip(column.dropna().astype(str).unique()[:4], range(4), strict=False))
-            words = f"; numbers may stand for words, in pandas table[{name!r}].map({states})"
-        raise InputError(f"{error}{words if is_text(column) else ''}") from None
-
-
-def _common_length(table: Table, picked: Sequence[str]) -> int:
-    """Return the number of rows of the picked columns, by default of the longest column."""
-    if twice := [column for column in picked if picked.count(column) > 1]:
-        raise InputError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
-    lengths = {column: len(table[column]) for column in picked or table}
-    rows = lengths[picked[0]] if picked else max(lengths.values(), default=0)
-    if other := [column for column in picked if lengths[column] != rows]:
-        raise InputError(
-            f"columns must have the same length: {picked[0]!r} has {rows} rows, "
-            f"{other[0]!r} has {lengths[other[0]]}"
-        )
-    if rows < 2:
-        raise InputError(f"a record must have at least 2 rows: it has {rows}; {_available(table)}")
-    return rows
-
-
-def _find(table: Table, wanted: _Names) -> list[str]:
-    """Return the keys of the wanted columns; a matrix stands for all of its columns."""
-    all_keys = []
-    for column in [wanted] if isinstance(wanted, str | int) else wanted:
-        name = str(column).strip()
-        if name == _NAMELESS and list(table) == ["0"]:
-            name = "0"
-        keys = [name] if name in table else []
-        bare = [key for key in table if unit_of(key) and key.rpartition(" ")[0] == name]
-        keys = keys or (bare if len(bare) == 1 else [])
-        while name not in table and (key := f"{name}[{len(keys)}]") in table:
-            keys.append(key)
-        if not keys:
-            raise ColumnError(f"column {name!r} is unknown: {_available(table)}")
-        if why := table[keys[0]].attrs.get("unread"):
-            raise ColumnError(f"column {name!r} cannot be read: {why}")
-        all_keys += keys
-    return all_keys
-
-
-def _available(table: Table) -> str:
-    return f"the columns are {_listed([repr(name) for name in table]) or 'none'}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
-
-
-def _times(table: Table, stamps: Sequence[str], expected: float | None) -> Times | None:
-    """Return the times of the rows by their stamps; None without any."""
-    if not stamps:
-        return None
-    what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
-    column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-    return times_of(what, column, expected, table, [*stamps])
-
-
 def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:
     """Return the grid of the time stamps; without stamps, the step from the caller or the file.
 
@@ -734,6 +423,6 @@ def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:
     if given is None:
         raise InputError(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "
-            f"or time_column (--time-column); {_available(table)}"
+            f"or time_column (--time-column); {available(table)}"
         )
     return Spacing(given)

@@ -41,8 +41,8 @@ def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str
     tags = [c for c in codes if _names_signals(codes[c], seconds, c in values, read.date)]
     runs = [c for c in codes if np.array_equal(np.flatnonzero(np.diff(codes[c])), back)]
     tag, value = [*tags, *runs, ""][0], next((c for c in values if c not in tags + runs), "value")
-    parts = tag, *names, value
-    wide = f"long={parts} (--long {','.join(parts)}) gives each its column"
+    long = tag, *names, value
+    wide = f"long={long} (--long {','.join(long)}) gives each its column"
     if tags:
         return f"column {tag!r} names several signals, one measurement a row: {wide}"
     usual = usual or (

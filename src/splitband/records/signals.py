@@ -250,13 +250,13 @@ def covered(y: Array) -> Flags:
     if known.all():
         return np.ones(len(y), np.bool_)
     index = np.arange(len(y))
-    for channel in known.T:
+    for i, channel in enumerate(known.T):
         own = np.flatnonzero(channel)
         if len(own) < 2 or (usual := np.median(np.diff(own))) < 2:
             continue
         at = np.clip(np.searchsorted(own, index), 1, len(own) - 1)
         near = own[at] - own[at - 1] <= 1.75 * usual
-        channel |= near & (own[0] <= index) & (index <= own[-1])
+        known[:, i] |= near & (own[0] <= index) & (index <= own[-1])
     return np.asarray(known.all(axis=1))
 
 
