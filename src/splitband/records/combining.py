@@ -38,7 +38,9 @@ def wide(table: Table, long: Sequence[str]) -> Table:
         {"tag": table[tag].astype(str).array, "at": seconds, "value": table[value].array}
     )
     cells = cells.drop_duplicates(["at", "tag"], keep="last")
-    wide = cells.pivot(index="at", columns="tag", values="value").infer_objects()
+    wide = cells.pivot(index="at", columns="tag", values="value")[
+        pd.unique(cells["tag"])
+    ].infer_objects()
     rows = pd.Series(np.arange(len(seconds)), index=seconds).groupby(level=0).first()
     found: Table = {c: table[c].iloc[rows.loc[wide.index]].reset_index(drop=True) for c in stamps}
     return found | {str(c): wide[c].reset_index(drop=True) for c in wide}

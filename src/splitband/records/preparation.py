@@ -58,6 +58,13 @@ class Reading:
         """Return what the values of samples depend on; it is the same for records alike."""
         return self.periods, self.limits, self.levels, self.slopes, self.begin
 
+    @property
+    def sentences(self) -> list[str]:
+        """Return what was done with the times of the samples, in words."""
+        said = [] if self.grid is None else [f"uneven stamps put on a grid of {self.grid:g} s"]
+        said += [] if self.step is None else [f"means of samples every {self.step:g} s"]
+        return said + ([f"{', '.join(self.hold)} held between values"] if self.hold else [])
+
     def label(self, name: str) -> str:
         """Return the name of a channel with its unit, as "tank (minus 20.3)"."""
         said = [f"unwrapped by {self.periods[name]:.6g}"] if name in self.periods else []

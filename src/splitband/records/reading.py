@@ -59,6 +59,7 @@ from splitband.records.tables import check_size, known, load, of_frame
 from splitband.records.text import Layout
 from splitband.records.timing import (
     Spacing,
+    Stamp,
     Times,
     same_sampling,
     spacing,
@@ -254,6 +255,7 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
     table = table | {c: table[c].map(states) for c, states in switches.items() if states}
     times = times_in(table, picked.stamps, how.expected)
     spaced = _spacing(times, table, how)
+    start: Stamp | None
     if times is not None and times.newest_first:
         table = {name: column.iloc[::-1] for name, column in table.items()}
     signals, found = _signals(table, picked, how)
@@ -267,7 +269,7 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
         assert times is not None
         even, signals, said = _gridded(times, signals, len(picked.known), how.step)
         step, start = even.step, times.stamp(even.start)
-        found, notes = replace(found, grid=step), [*notes, *said]
+        found, notes = replace(found, grid=step), [*notes, said]
     else:
         step, start, rows = spaced.step, spaced.start, len(signals[names[0]])
         if spaced.grid_rows is not None:
@@ -369,7 +371,7 @@ def _spread(x: Array, rows: int, at: NDArray[np.int_]) -> Array:
 
 def _gridded(
     times: Times, signals: Mapping[str, Array], inputs: int, asked: Any
-) -> tuple[Even, dict[str, Array], list[str]]:
+) -> tuple[Even, dict[str, Array], str]:
     """Return an even grid for stamps that are not even, and the signals at different stamps."""
     times.check_increasing(repeated=True)
     last = last_of_each(times.seconds)
@@ -385,11 +387,11 @@ def _gridded(
     notes = [
         f"put on an even grid of {step:g} s: steps of the stamps are about {usual:g} s, and differ "
         f"from that by up to {off:.2g} %"
-        + (f"; samples are means over {factor} steps" if factor > 1 else "")
     ]
+    notes += [f"samples are means over {factor} steps"] if factor > 1 else []
     if not last.all():
-        notes.append(f"of {(~last).sum()} rows that stand twice the last counts")
-    return even, signals, notes
+        notes.append(f"of rows of one time the last counts ({(~last).sum()} are left out)")
+    return even, signals, "; ".join(notes)
 
 
 def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:

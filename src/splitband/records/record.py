@@ -337,6 +337,7 @@ class Record:
             f"{len(self)} samples every {self.sampling_time:.6g} s",
             described(*self.labels),
             *([f"{missing} with gaps"] if missing else []),
+            *self.reading.sentences,
             *(["a simulator's output"] if self.y_sim is not None else []),
         ]
         return f"<Record {self.name or 'without a name'}: {'; '.join(parts)}>"
