@@ -12,6 +12,8 @@ from splitband.runtime.errors import InputError
 
 NEAR = 1.75
 """Steps between two samples at most for values between them: a lost sample leaves two. By eye."""
+_OFTEN = 0.9
+"""Share of steps up to `NEAR` times the median from which on stamps are regular. By eye."""
 _SPARSE = 0.5
 """Share of cells with a value below which a column is slower than the others. Most are empty."""
 
@@ -89,7 +91,7 @@ class Even:
         phase = step * np.angle(turns) / (2 * np.pi)
         if abs(turns) < 0.9999:
             phase = step * np.round(10 * phase / step) / 10
-        if abs(turns) < 0.5:  # events keep no phase
+        if abs(turns) < 0.3:  # events keep no phase
             phase = seconds[0] % step
         first = np.ceil((begin - phase) / step - 0.5)
         count = int(np.floor((seconds[-1] - phase) / step + 0.5) - first) + 1
@@ -112,7 +114,7 @@ class Even:
     def held(self, x: Array) -> Array:
         """Return an input that is held from stamp to stamp: its mean over the step that begins.
 
-        That is what drives the plant until the next sample; NaN before the first stamp.
+        That is what drives the plant until the next sample; NaN where it is not known.
         """
         seen = np.isfinite(x)
         own, x, little = self.seconds[seen], x[seen], 1e-6 * self.step
@@ -122,15 +124,26 @@ class Even:
         integral = np.concatenate([[0.0], np.cumsum(x * np.diff(knots))])
         ends = np.interp(self.times[:, None] + [0.0, self.step], knots, integral)
         means = np.where(first == last, x[np.maximum(first, 0)], np.diff(ends)[:, 0] / self.step)
-        early = self.times < own[0] - 0.5 * self.step
-        return np.where(early, np.nan, np.where(first < 0, x[0], means))
+        return self._known(own, np.where(first < 0, x[0], means))
 
     def between(self, x: Array) -> Array:
-        """Return an input interpolated between its stamps; NaN before the first."""
+        """Return an input interpolated between its stamps; NaN where it is not known."""
         seen = np.isfinite(x)
         own = self.seconds[seen]
-        values = np.interp(self.times, own, x[seen])
-        return np.where(self.times < own[0] - 0.5 * self.step, np.nan, values)
+        return self._known(own, np.interp(self.times, own, x[seen]))
+
+    def _known(self, own: Array, values: Array) -> Array:
+        """Return values of an input, NaN before its stamps and where some of them are missing.
+
+        Stamps at all distances are those of changes, of which none is missing.
+        """
+        steps = np.diff(own)
+        usual = float(np.median(steps)) if len(steps) else np.inf
+        often = len(steps) > 0 and np.mean(steps <= NEAR * usual) > _OFTEN
+        longest = NEAR * max(usual, self.step) if often else np.inf
+        last = own[np.maximum(np.searchsorted(own, self.times + 1e-6 * self.step, "right") - 1, 0)]
+        unknown = (self.times - last > longest) | (self.times < own[0] - 0.5 * self.step)
+        return np.where(unknown, np.nan, values)
 
 
 # ---------------------------------------------------------------- tables
