@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.records.signals import usual_distance
 from splitband.runtime.arrays import Array
 
 CONFIDENCE = 0.99
@@ -219,11 +220,10 @@ def _at_own_rate(
     e: Array, y: Array, inputs: dict[str, Array]
 ) -> tuple[Array, Array, dict[str, Array]]:
     """Return every k-th sample of an output that has one in k, and means of the inputs between."""
-    measured = np.flatnonzero(~np.isnan(e))
-    k = int(np.median(np.diff(measured))) if len(measured) > 1 else 1
-    if k < 2:
+    measured = ~np.isnan(e)
+    if (k := usual_distance(measured)) < 2:
         return e, y, inputs
-    first = measured[0] % k
+    first = int(measured.argmax()) % k
     after = (len(e) - 1 - first) % k
     ends = {name: x[: len(x) - after] for name, x in inputs.items()}
     means = {name: x[len(x) % k :].reshape(-1, k).mean(axis=1) for name, x in ends.items()}

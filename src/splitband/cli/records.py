@@ -261,6 +261,8 @@ def inputs_ahead(
         if named.start is None:
             coming = replace(coming[since:], start=known.grid.after(steps).start)
     else:
+        if known.reading.hold is None and files.hold is None:
+            files = replace(files, hold=",".join(f'"{each}"' for each in inputs))
         coming = _beside(file, "--future-inputs", known, files, columns=inputs)
     return inputs_after(known, coming, steps, f"--future-inputs {file}", files.time_column != "")
 

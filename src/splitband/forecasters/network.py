@@ -259,8 +259,8 @@ class Network(Forecaster):
                 "depends on the time since the first one began"
             )
         first, settings = records[0], self._settings_for(records[0], records[1:])
-        complete = first.covered
-        if not complete.all() and first_after(complete, settings.warmup) is None:
+        known = first.y_with_gaps
+        if first.measured is not None and first_after(known, settings.warmup) is None:
             raise InputError(
                 f"warmup must fit between the gaps of the {len(first)} training samples, "
                 f"got {settings.warmup}"
@@ -332,9 +332,8 @@ class Network(Forecaster):
 
         The samples before the run are the measured ones.
         """
-        complete = covered(known.y)
-        start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
-        if start is None or not complete[:start].all():
+        start = len(known.y) if self._short(known) else first_after(known.y, self.warmup)
+        if start is None or not covered(known.y)[:start].all():
             raise InputError(
                 f"history must begin with {self.warmup} measured samples for {self.name}"
             )
@@ -508,7 +507,7 @@ class Network(Forecaster):
                 f"one that was measured, got {last}"
             )
         complete = np.asarray(measured.all(axis=1))
-        start = last_before(covered(y), length, last)
+        start = last_before(y, length, last)
         if start is None or (~complete[start:last]).sum() > MOST_FILLED:
             start = max(length, last - MOST_FILLED)
         begin = start - length

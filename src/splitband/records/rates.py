@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splitband.records.signals import usual_distance
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
 
@@ -42,9 +43,8 @@ def is_sparse(x: Array) -> bool:
 
 def regular(known: Flags) -> int:
     """Return every how many rows a column has a value; 0 where the distance varies."""
-    apart = np.diff(np.flatnonzero(known))
-    usual = int(np.median(apart)) if len(apart) else 0
-    return usual if usual and np.mean(apart == usual) > 0.8 else 0
+    usual, apart = usual_distance(known), np.diff(np.flatnonzero(known))
+    return usual if len(apart) and np.mean(apart == usual) > 0.8 else 0
 
 
 def is_smooth(x: Array) -> bool:

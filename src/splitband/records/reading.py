@@ -135,11 +135,11 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
         the stamps they are means, see `Record.resample`. Of rows of one time the last counts. A
         column that is slower than others is measured at its own stamps alone. Other files of the
         system are read by what `Record.reading` keeps of this.
-    hold : inputs that are held from stamp to stamp, as commands are, where they have to be filled;
-        others are interpolated. By default those that their neighbours do not tell better than the
-        value before, with a `ReadingWarning` that names them. A held input has its mean over the
-        step that begins at a sample. An input with a value in fewer than half of the rows, as if it
-        is logged on change, is filled without `step`, too.
+    hold : columns that are held from stamp to stamp, as commands are, where they have to be filled;
+        other inputs are interpolated. By default those inputs that their neighbours do not tell
+        better than the value before. A held input has its mean over the step that begins at a
+        sample. An input with a value in fewer than half of the rows, as one that is logged on
+        change, is filled without `step`, too. A `ReadingWarning` names them.
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
         both as not measured, see `Record.with_gaps`.
     missing : words or numbers that stand for a missing value: ["Bad", "-9999"].
@@ -185,11 +185,11 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     if step not in (None, "auto"):
         positive_seconds(step, "step")
     if reading is not None:
-        words, hold = words or reading.missing, reading.hold if hold is None else hold
-        step = reading.grid if step is None else step
+        words, step = words or reading.missing, reading.grid if step is None else step
     by = reading if reading is not None and step is not None and not unwrap else unwrap
+    held = reading if reading is not None and hold is None else hold
     how = _How(
-        columns, inputs, time_column, sampling_time, fallback_sampling_time, step, hold, gaps,
+        columns, inputs, time_column, sampling_time, fallback_sampling_time, step, held, gaps,
         words, by, clip_outliers,
     )  # fmt: skip
     try:
@@ -216,7 +216,7 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
             notes += more
             if how.step == "auto":
                 how = replace(how, step=record.sampling_time)
-            how = replace(how, hold=record.reading.hold, unwrap=record.reading)
+            how = replace(how, hold=record.reading, unwrap=record.reading)
             how = replace(how, clip_outliers=record.reading.limits)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
@@ -235,7 +235,7 @@ class _How:
     sampling_time: float | None
     fallback_sampling_time: float | None
     step: float | Literal["auto"] | None
-    hold: str | Sequence[str] | None
+    hold: str | Sequence[str] | Reading | None
     gaps: Gaps
     missing: tuple[str, ...]
     unwrap: Periods | Reading
@@ -264,7 +264,6 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
     notes = ["" if times is None else times.note, *read_as, left_out, picked.forgotten]
     sparse = [c for c, x in signals.items() if is_sparse(x)]
     notes += [_slower(c, signals[c]) for c in picked.measured if c in sparse]
-    to_fill = picked.known
     if spaced is None:
         assert times is not None
         even, signals, said = _gridded(times, signals, len(picked.known), how.step)
@@ -278,13 +277,12 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
             signals = {c: _spread(x, rows, spaced.grid_rows) for c, x in signals.items()}
         if times is not None and how.time_column is None:
             check_other_clock(table, picked.stamps[-1], step * (rows - 1))
-        even, to_fill = Even.of_rows(rows), [c for c in picked.known if c in sparse]
-    held = _held(signals, to_fill, how.hold)
-    between = [c for c in to_fill if c not in held]
+        even = Even.of_rows(rows)
+    held, between = _to_fill(signals, picked, None if spaced is None else sparse, how.hold)
     own, signals = signals, {**signals}
     signals |= {c: even.held(own[c]) for c in held} | {c: even.between(own[c]) for c in between}
     if spaced is None:
-        signals |= {c: even.measured(own[c]) for c in picked.measured}
+        signals |= {c: even.measured(own[c]) for c in picked.measured if c not in held}
     for what, which in {"held": held, "interpolated": between}.items():
         if which:
             notes.append(f"inputs {what} between their values: {listed(which)}; --hold decides")
@@ -296,7 +294,7 @@ def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
         inputs=tuple(picked.known),
         name=called,
         start=start,
-        reading=replace(found, hold=tuple(held) if to_fill else None),
+        reading=replace(found, hold=tuple(held) if held or between else None),
     )
     if how.step is not None and how.step != "auto":
         record = record.resample(how.step)
@@ -353,13 +351,24 @@ def _slower(name: str, x: Array) -> str:
     )
 
 
-def _held(signals: Mapping[str, Array], names: list[str], hold: Any) -> list[str]:
-    """Return which of the inputs are held between their values."""
-    if hold is not None:
-        asked = [hold] if isinstance(hold, str) else [*hold]
-        chosen = of_channels("hold", dict.fromkeys(asked), [*signals])
-        return [c for c in names if c in chosen]
-    return [c for c in names if not is_smooth(signals[c][np.isfinite(signals[c])])]
+def _to_fill(
+    signals: Mapping[str, Array], picked: Picked, sparse: list[str] | None, hold: Any
+) -> tuple[list[str], list[str]]:
+    """Return which signals are to be held between their values, and which inputs interpolated.
+
+    With `sparse`, only those; an output is held where it is asked for, as in a file of inputs.
+    """
+    asked = hold.hold if isinstance(hold, Reading) else hold
+    chosen = [asked] if isinstance(asked, str) else asked
+    if chosen is not None and not isinstance(hold, Reading):
+        chosen = of_channels("hold", dict.fromkeys(chosen), [*signals])
+    outputs = [c for c in picked.measured if chosen is not None and c in chosen]
+    names = [c for c in [*picked.known, *outputs] if sparse is None or c in sparse]
+    if chosen is None:
+        held = [c for c in names if not is_smooth(signals[c][np.isfinite(signals[c])])]
+    else:
+        held = [c for c in names if c in chosen]
+    return held, [c for c in names if c not in held]
 
 
 def _spread(x: Array, rows: int, at: NDArray[np.int_]) -> Array:

@@ -31,7 +31,6 @@ from splitband.records.signals import (
     ReadingWarning,
     as_float,
     channel_names,
-    covered,
     described,
     filled,
     numbered,
@@ -362,14 +361,6 @@ class Record:
     def complete(self) -> Flags:
         """Return a mask of the samples at which every channel was measured, (time,)."""
         return np.asarray(~np.isnan(self.y_with_gaps).any(axis=1))
-
-    @property
-    def covered(self) -> Flags:
-        """Return a mask of the samples that a warm-up may hold, (time,).
-
-        Every channel was measured there or, where it is slower than others, just before and after.
-        """
-        return covered(self.y_with_gaps)
 
     @property
     def ny(self) -> int:
