@@ -197,3 +197,25 @@ def test_clocks_of_joined_files_need_an_offset(tmp_path: Path) -> None:
     other.to_csv(tmp_path / "pump.csv", index=False)
     with pytest.raises(sb.InputError, match="only one of them has dates"):
         sb.read(tmp_path / "rig.csv", join=tmp_path / "pump.csv")
+
+
+def test_words_are_held_between_changes_in_a_file_of_their_own_and_in_runs(tmp_path: Path) -> None:
+    """The oracle is pandas.get_dummies; the first run lacks a word that the second one has."""
+    words = np.repeat(np.resize(["auto", "heat", "auto", "cool"], 12), 10)
+    y, time = np.sin(np.arange(120.0)), np.arange(120.0)
+    expected = pd.get_dummies(pd.Series(words), drop_first=True).to_numpy(np.float64)
+    changed = np.arange(0, 120, 10)
+    logged = pd.DataFrame({"time [s]": time[changed], "mode": words[changed]})
+    logged.to_csv(tmp_path / "mode.csv", index=False)
+    table = pd.DataFrame({"time": time, "y": y})
+    with pytest.warns(ReadingWarning):
+        joined = sb.read(table, inputs="mode", join=str(tmp_path / "mode.csv"))
+    assert joined.inputs == ("mode=cool", "mode=heat")
+    np.testing.assert_array_equal(joined.u, expected)
+    first, second = (table.assign(mode=words, run=run) for run in "ab")
+    first["mode"] = first["mode"].replace("cool", "heat")
+    with pytest.warns(ReadingWarning):
+        runs = sb.read(pd.concat([first, second]), inputs="mode", runs="run")
+    assert [run.inputs for run in runs] == [joined.inputs] * 2
+    np.testing.assert_array_equal(runs[1].u, expected)
+    assert runs[0].reading.categories == {"mode": ("auto", "cool", "heat")}

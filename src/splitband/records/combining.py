@@ -13,7 +13,7 @@ import pandas as pd
 from splitband.records.columns import Names, find, pick, stamps_asked, times_in
 from splitband.records.rates import last_of_each, offset_of
 from splitband.records.remedies import Table
-from splitband.records.signals import categories_of
+from splitband.records.signals import categories_of, has_number
 from splitband.records.stamps import is_time, joined, readings
 from splitband.records.tables import load
 from splitband.records.text import Layout
@@ -120,13 +120,15 @@ def _own(
     table: Table, time_column: Names | None, expected: float | None, what: str
 ) -> tuple[pd.DataFrame, Times]:
     """Return the columns of a table over its times in s, and these times."""
-    picked = pick(table, None, (), time_column)
+    words = [c for c, x in table.items() if not is_time(c) and categories_of(x)]
+    counted = any(has_number(x) for c, x in table.items() if not is_time(c))
+    picked = pick(table, None if counted or not words else words, (), time_column)
     times = times_in(table, picked.stamps, expected)
     if times is None:
         raise InputError(f"{what} must have time stamps to be joined")
     times.check_increasing(repeated=True)
     columns = {c: table[c].array for c in picked.measured}
-    words = {c: x.array for c, x in table.items() if c not in columns and categories_of(x)}
-    frame = pd.DataFrame(columns | words, index=None)
+    columns |= {c: table[c].array for c in words if c not in picked.stamps}
+    frame = pd.DataFrame(columns)
     frame = frame.iloc[::-1] if times.newest_first else frame
     return frame.set_axis(times.seconds)[last_of_each(times.seconds)], times
