@@ -87,7 +87,7 @@ def test_several_runs_in_one_file_are_several_records(tmp_path: Path, column: st
     assert [len(record) for record in records] == [60] * 8
     model = sb.Linear().fit(*records[1:])
     test = records[0]
-    found = model.predict(40, test[:20], u=test.u[20:], other_record=True)  # type: ignore[index]
+    found = model.predict(40, test[:20], u=test.u[20:], other_record=True)
     assert sb.fit_percent(test.y[20:], found.y)[0] > 99
 
 
