@@ -144,7 +144,8 @@ def test_inputs_that_are_given_stay_and_a_set_point_is_held() -> None:
     target = held(rng, 100)
     y = lag(0.95, target) + 0.01 * rng.normal(size=N)
     logged = np.where(np.diff(target, prepend=np.nan) != 0, target, np.nan)
-    found = inspected(goal=logged, p=y)
+    with pytest.warns(ReadingWarning, match="column 'goal' has a value in 30 of 3000 rows"):
+        found = inspected(goal=logged, p=y)
     assert found.record.inputs == ("goal",)
     np.testing.assert_array_equal(found.record.u[:, 0], target)  # type: ignore[index]
     given = sb.Record(target, 0.1, u=y, columns=("goal",), inputs=("p",))

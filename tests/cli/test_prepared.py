@@ -42,7 +42,7 @@ def other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> pd.DataFrame:
     return run
 
 
-@pytest.mark.parametrize("prepared", ["--detrend", "--resample 0.5 --detrend"])
+@pytest.mark.parametrize("prepared", ["--detrend", "--step 0.5 --detrend"])
 def test_a_history_of_another_mean_is_prepared_by_the_levels_of_the_training(
     other: pd.DataFrame, prepared: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -50,7 +50,7 @@ def test_a_history_of_another_mean_is_prepared_by_the_levels_of_the_training(
     capsys.readouterr()
     call(AHEAD.replace("history.csv", "clean.csv"), Path("ahead.csv"))
     said = capsys.readouterr().out
-    k = 5 if "resample" in prepared else 1
+    k = 5 if "step" in prepared else 1
     levels = pd.read_csv("train.csv").mean()
     assert f"tank (minus {levels['tank']:.6g}); {1203 // k} samples every {0.1 * k:g} s" in said
     assert f"20 samples of tank (minus {levels['tank']:.6g}) after clean.csv" in said

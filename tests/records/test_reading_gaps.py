@@ -82,7 +82,7 @@ def test_what_is_no_gap_is_refused(tmp_path: Path) -> None:
     assert words.replace("1", "0") in message(path, columns="y", inputs="dead", gaps="mask")
     assert "row 1 holds 'broken'" in message(path, columns="word", gaps="mask")
     with pytest.raises(ValueError, match="gaps must be one of refuse, mask, got 'drop'"):
-        read(path, gaps="drop")  # type: ignore[arg-type]
+        read(path, gaps="drop")
 
 
 @pytest.mark.parametrize("rate", [30, 60])

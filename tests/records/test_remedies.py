@@ -23,13 +23,20 @@ CSV = "time,u,y\n" + "".join(f"{i / 10},{i % 3},{i * i}\n" for i in range(30))
 
 def told(said: str, **names: Any) -> Any:
     """Run the line of pandas that a message names."""
-    parts = re.split(r"in pandas | gives |; |, or| leaves| adds", said)
-    line = next(part for part in parts if part.startswith(("table", "[run")))
+    parts = re.split(r"in pandas | gives |; |, or| puts| adds", said)
+    line = next(part for part in parts if part.startswith("table"))
     scope = {"pd": pd, **names}
     if re.match(r"table\[.*\] = ", line):
         exec(line, scope)
         return scope["table"]
     return eval(line, scope)
+
+
+def option(said: str, name: str) -> dict[str, Any]:
+    """Return the argument of `read` that a message names."""
+    found = re.search(rf"{name}=(\(.*?\)|'.*?'|[\d.e-]+)", said)
+    assert found is not None
+    return {name: eval(found[1])}
 
 
 @pytest.mark.parametrize("by_tag", [False, True])
@@ -43,7 +50,7 @@ def test_a_long_table_is_made_wide(tmp_path: Path, by_tag: bool, tags: Sequence[
     said = message(path)
     assert "column 'tag' names several signals, one measurement a row" in said
     assert "ignores" not in said
-    found = sb.read(told(said, table=pd.read_csv(path)))
+    found = sb.read(path, **option(said, "long"))
     assert (len(found), found.sampling_time) == (40, 60)
     order = [found.columns.index(str(tag)) for tag in tags]
     np.testing.assert_allclose(
@@ -61,9 +68,7 @@ def test_signals_that_are_logged_when_they_change(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("column", ["run", "day", None])
-def test_several_runs_are_given_as_files_of_their_own(
-    tmp_path: Path, column: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_several_runs_in_one_file_are_several_records(tmp_path: Path, column: str | None) -> None:
     g, parts = np.random.default_rng(1), []
     for i in range(8):
         u = np.repeat(g.uniform(-1, 1, 3), 20)
@@ -77,18 +82,12 @@ def test_several_runs_are_given_as_files_of_their_own(
     assert "the clock begins again (7 times), so the file holds several runs" in said
     assert ("which column" in said) == (column is not None)
     assert ("if it names signals" in said) == (column == "day")
-    assert "--more" in said
     assert "ignores" not in said
-    monkeypatch.chdir(tmp_path)
-    line = re.search(r"\[run.*?\)\]", said)
-    assert line is not None
-    eval(line[0], {"table": pd.read_csv("runs.csv")})
-    files = sorted(path for path in tmp_path.glob("run*.csv") if path.stem != "runs")
-    records = [sb.read(file, columns="x", inputs="u") for file in files]
+    records = sb.read(tmp_path / "runs.csv", inputs="u", **option(said, "runs"))
     assert [len(record) for record in records] == [60] * 8
     model = sb.Linear().fit(*records[1:])
     test = records[0]
-    found = model.predict(40, test[:20], u=test.u[20:], other_record=True)  # type: ignore[index]
+    found = model.predict(40, test[:20], u=test.u[20:], other_record=True)
     assert sb.fit_percent(test.y[20:], found.y)[0] > 99
 
 
@@ -104,10 +103,14 @@ def test_stamps_of_a_clock_that_is_changed(tmp_path: Path, begin: str, step: int
 
 
 def test_rows_that_stand_twice_and_rows_out_of_order(tmp_path: Path) -> None:
-    for rows in ([0, 1, 2, 2, 3, 4, 5, 6], [0, 1, 3, 2, 4, 5, 6]):
-        path = text_file(tmp_path, "t,y\n" + "".join(f"{row},{row**2}\n" for row in rows))
-        found = sb.read(told(message(path), table=pd.read_csv(path)))
-        np.testing.assert_array_equal(found.y[:, 0], np.arange(7.0) ** 2)
+    twice, mixed = [0, 1, 2, 2, 3, 4, 5, 6], [0, 1, 3, 2, 4, 5, 6]
+    path = text_file(tmp_path, "t,y\n" + "".join(f"{t},{i}\n" for i, t in enumerate(twice)))
+    with pytest.warns(ReadingWarning, match="of rows of one time the last counts"):
+        found = sb.read(path, **option(message(path), "step"))
+    np.testing.assert_array_equal(found.y[:, 0], [0, 1, 3, 4, 5, 6, 7])
+    path = text_file(tmp_path, "t,y\n" + "".join(f"{row},{row**2}\n" for row in mixed))
+    found = sb.read(told(message(path), table=pd.read_csv(path)))
+    np.testing.assert_array_equal(found.y[:, 0], np.arange(7.0) ** 2)
 
 
 def test_serial_days_beside_fractions_are_added(tmp_path: Path) -> None:
@@ -251,14 +254,14 @@ def test_words_become_a_column_each_but_the_first_in_other_files_too(tmp_path: P
     kept = found.reading.categories
     table["mode"], table["fan"] = "heat", "on"
     with pytest.warns(ReadingWarning):
-        alike = sb.read(table, inputs=found.inputs, columns="y", categories=kept)
+        alike = sb.read(table, inputs=found.inputs, columns="y", reading=found.reading)
     assert (alike.inputs, alike.reading.categories) == (found.inputs, kept)
     np.testing.assert_array_equal(alike.u, np.tile([0, 1, 1], (40, 1)))
     table.loc[3, "mode"] = "dry"
     with pytest.raises(
         sb.InputError, match=r"'mode' must hold one of auto, cool, heat: row 3 .*dry"
     ):
-        sb.read(table, inputs=found.inputs, categories=kept)
+        sb.read(table, inputs=found.inputs, reading=found.reading)
 
 
 def test_words_of_an_output_need_numbers(tmp_path: Path) -> None:

@@ -191,7 +191,7 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record to its end, from a warm-up on its first samples; None for a short one."""
     warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
-    begin = first_after(record.complete, max(warmup, 2))
+    begin = first_after(record.y_with_gaps, max(warmup, 2))
     if begin is None or len(record) - begin < 2 * LAGS:
         return None
     other = not forecaster.anchored

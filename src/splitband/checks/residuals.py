@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from splitband.records.signals import usual_distance
 from splitband.runtime.arrays import Array
 
 CONFIDENCE = 0.99
@@ -199,18 +200,35 @@ def residual_tests(
     """Test the residuals `(time, ny)` by output, NaN in gaps.
 
     The inputs `u` may begin earlier, and end with the residuals. Powers of the `simulated` outputs,
-    `(time, ny)`, are tested with the inputs.
+    `(time, ny)`, are tested with the inputs. An output that is slower than others is tested at its
+    own rate.
     """
     tests = []
     simulated = np.zeros_like(residuals) if simulated is None else simulated
-    for column, e, y in zip(columns, residuals.T, simulated.T, strict=True):
+    for column, own, of_model in zip(columns, residuals.T, simulated.T, strict=True):
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
-        driven = {name: x for name, x in pairs if np.ptp(x[-len(e) - MAX_LAG :]) > 0}
+        driven = {name: x for name, x in pairs if np.ptp(x[-len(own) - MAX_LAG :]) > 0}
+        e, y, driven = _at_own_rate(own, of_model, driven)
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
         white = _whiteness(e)
         unrelated = bool(driven) and white.p < 1 - CONFIDENCE and _unrelated(e + y, driven)
         tests.append(ResidualTests(column, white, tested, p, _size(e, y), unrelated))
     return tuple(tests)
+
+
+def _at_own_rate(
+    e: Array, y: Array, inputs: dict[str, Array]
+) -> tuple[Array, Array, dict[str, Array]]:
+    """Return every k-th sample of an output that has one in k, and means of the inputs between."""
+    measured = ~np.isnan(e)
+    if (k := usual_distance(measured)) < 2:
+        return e, y, inputs
+    first = int(measured.argmax()) % k
+    after = (len(e) - 1 - first) % k
+    ends = {name: x[: len(x) - after] for name, x in inputs.items()}
+    means = {name: x[len(x) % k :].reshape(-1, k).mean(axis=1) for name, x in ends.items()}
+    fewer = min(map(len, means.values()), default=len(e))
+    return e[first::k][-fewer:], y[first::k][-fewer:], means
 
 
 def _size(e: Array, simulated: Array) -> float | None:
@@ -269,6 +287,8 @@ def _wanders(y: Array) -> bool:
     """
     x, samples = _centred(y)
     past, rows = _own_past(x, ~np.isnan(y), 1 + int(4 * (samples / 100) ** 0.25))
+    if not past.size:  # no sample follows another
+        return False
     constant = np.ones((len(past), 1))
     regressors = np.hstack([past[:, :1], np.diff(past, axis=1), constant])
     change, inverse = x[rows] - past[:, 0], np.linalg.pinv(regressors)

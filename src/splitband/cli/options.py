@@ -108,6 +108,18 @@ def periods(given: list[str]) -> dict[str, float | None]:
         raise InputError(f"--unwrap must be NAME or NAME=PERIOD, got {', '.join(given)}") from None
 
 
+def joined(given: list[str]) -> dict[str, float | None]:
+    """Return the files of --join and what to add to their stamps, None where nothing is given."""
+    found = dict[str, float | None]()
+    for each in given:
+        file, _, offset = each.rpartition("@")
+        try:
+            found |= {file: float(offset)} if file else {each: None}
+        except ValueError:
+            found[each] = None  # a name with @
+    return found
+
+
 def seconds(duration: str, option: str = "--budget") -> float:
     """Return the length of a duration such as 90s, 10m or 1h; raises ValueError for other text."""
     number, unit = duration.strip()[:-1], duration.strip()[-1:].lower()
@@ -163,6 +175,11 @@ def _training_samples(value: str) -> int | Literal["all"]:
         return "all" if value == "all" else int(value)
     except ValueError:
         raise typer.BadParameter("must be a whole number of samples or all") from None
+
+
+def _grid_step(value: str) -> float | Literal["auto"]:
+    """Return the number of --step, or "auto"."""
+    return _or_auto(float, "a number of seconds")(value) or "auto"
 
 
 _hertz = _or_auto(float, "a frequency in Hz")
@@ -264,6 +281,22 @@ class FileOptions:
     )
     gaps: Gaps = _record("Refuse missing values and rows, or mask them.", default="refuse")
     missing: str | None = _record("Words or numbers for a missing value: Bad,-9999.", "WORDS")
+    step: Any = _record(  # float, "auto" or None
+        "Put uneven stamps on an even grid, or take means over a longer step; auto: the stamps' "
+        "usual step.",
+        "SECONDS|auto",
+        "as measured",
+        parser=_grid_step,
+    )
+    hold: str | None = _record(
+        "Inputs that keep their value where they have to be filled; others are interpolated.",
+        "NAMES",
+        "as they look",
+    )
+    long: str | None = _record(
+        "The file has one measurement a row: columns of its signal, time stamps and value.",
+        "TAG,TIME,VALUE",
+    )
     skip_rows: int = _record(
         "Lines at the top of a text file to leave out.", "N", False, default=0, min=0
     )
@@ -288,8 +321,16 @@ class RecordOptions(FileOptions):
     clip_outliers: str | None = _record(
         "Limit these outputs to five robust deviations from their medians.", "NAMES"
     )
-    resample: float | None = _record(
-        "Take means over this time, a multiple of the sampling time.", "SECONDS", "as measured"
+    join: list[str] | None = _record(
+        "Put another file of the same run beside it by time stamps, after adding to these; "
+        "repeatable.",
+        "FILE[@SECONDS]",
+        "no offset, or that of a column that both have",
+    )
+    runs: str | None = _record(
+        "Column that numbers several runs in one file, or its time column if that begins again: "
+        "the others are as --more.",
+        "NAME",
     )
     detrend: bool = _record(
         "Subtract the means of outputs and inputs; results are without them.", default=False

@@ -11,15 +11,22 @@ from typing import Any
 import numpy as np
 
 from splitband.cli import printing
-from splitband.cli.options import FileOptions, RecordOptions, SimulatorOptions, names, periods
+from splitband.cli.options import (
+    FileOptions,
+    RecordOptions,
+    SimulatorOptions,
+    joined,
+    names,
+    periods,
+)
 from splitband.comparison.methods import BASES
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.loading import give_simulator
 from splitband.forecasters.prediction import inputs_after
 from splitband.records import Record, read
 from splitband.records.alignment import sampled_like
+from splitband.records.columns import ColumnError
 from splitband.records.named import RECORDS
-from splitband.records.reading import ColumnError
 from splitband.records.signals import described, row_ranges, same_names
 from splitband.records.timing import near_sampling
 from splitband.runtime.arrays import Array
@@ -34,12 +41,22 @@ from splitband.simulators.open_simulator import (
 
 
 def load_record(
+    name: str, reading: RecordOptions, inputs_by: Callable[[Any], bool] | None = None
+) -> Record:
+    """Return a named record, or read a file with a single run; see `load_records`."""
+    record, *others = load_records(name, reading, inputs_by=inputs_by)
+    if others:
+        raise InputError(f"--runs must be left out here, where one record is asked for, got {name}")
+    return record
+
+
+def load_records(
     name: str,
     reading: RecordOptions,
     like: Forecaster | None = None,
     inputs_by: Callable[[Any], bool] | None = None,
-) -> Record:
-    """Return a named record, or read a file, and print its channels and inputs.
+) -> list[Record]:
+    """Return a named record, or read a file, and print channels and inputs of each of its runs.
 
     `inputs_by` says which columns are inputs where none are named; then nothing is printed.
 
@@ -54,7 +71,7 @@ def load_record(
                     f"--{option.replace('_', '-')} is for files; {name} is a named record, got "
                     f"{value}"
                 )
-        record = RECORDS[name].make()
+        found = [RECORDS[name].make()]
     else:
         columns: Any = None if reading.columns is None else names(reading.columns)
         inputs: Any = inputs_by if reading.inputs is None else names(reading.inputs)
@@ -63,21 +80,23 @@ def load_record(
         if trained is not None and columns is None:
             columns = [each for each in trained.columns if each not in (inputs or ())]
         rule = f"RECORD must be a file or one of {', '.join(RECORDS)}"
-        how = {"sampling_time": reading.sampling_time, "unwrap": periods(reading.unwrap or [])}
-        record = _read(name, rule, reading, trained, columns=columns or None, inputs=inputs, **how)
-        if reading.clip_outliers:
-            record = record.clip_outliers(columns=names(reading.clip_outliers))
-        record = record.resample(reading.resample) if reading.resample else record
-        record = record.detrend() if reading.detrend else record
-        if record.measured is not None and inputs_by is None:
-            missing = ~record.complete
-            printing.console.print(
-                f"{name}: {missing.sum()} of {len(missing)} samples have missing values "
-                f"and are masked: {row_ranges(missing)}"
-            )
-    record = record if trained is None else record.like(trained)
-    if inputs_by is None:
-        announce(record, name)
+        how: dict[str, Any] = {"sampling_time": reading.sampling_time, "runs": reading.runs}
+        how |= {"unwrap": periods(reading.unwrap)} if reading.unwrap else {}
+        how |= {"join": joined(reading.join or [])}
+        how |= {"clip_outliers": names(reading.clip_outliers or "")}
+        found = _read(name, rule, reading, trained, columns=columns or None, inputs=inputs, **how)
+        found = [found[0].detrend(), *found[1:]] if reading.detrend else found
+        for record in found:
+            if record.measured is not None and inputs_by is None:
+                missing = ~record.complete
+                printing.console.print(
+                    f"{_named(name, record, found)}: {missing.sum()} of {len(missing)} samples "
+                    f"have missing values and are masked: {row_ranges(missing)}"
+                )
+    found = [record.like(trained or found[0]) for record in found]
+    for record in found if inputs_by is None else ():
+        announce(record, _named(name, record, found))
+    record = found[0]
     if trained is not None:
         pairs = ((record.columns, trained.columns), (record.inputs, trained.inputs))
         if not all(same_names(sorted(a), sorted(b)) for a, b in pairs):
@@ -86,7 +105,12 @@ def load_record(
                 f"{described(trained.columns, trained.inputs)}, the record has "
                 f"{described(record.columns, record.inputs)}"
             )
-    return record
+    return found
+
+
+def _named(file: str, record: Record, runs: Sequence[Record]) -> str:
+    """Return the name of a file, with its run where it has several."""
+    return file if len(runs) == 1 else f"{file}, {record.name}"
 
 
 def announce(record: Record, name: str) -> None:
@@ -107,36 +131,37 @@ def _check_file(path: str | Path, rule: str) -> None:
 def _layout(files: FileOptions, model: Record | None = None) -> dict[str, Any]:
     """Return the arguments of `read` that say how a file is laid out, by default as a model's."""
     own = FileOptions.__annotations__.keys() - {"time_column", "gaps"}
-    how: dict[str, Any] = {name: vars(files)[name] for name in own}
-    how["missing"] = names(files.missing or "")
-    if model is not None and files.missing is None:
-        how["missing"] = [*model.reading.missing]
-    return how | ({} if model is None else {"categories": model.reading.categories})
+    found = {name: vars(files)[name] for name in own}
+    listed = {name: names(found[name]) for name in ("hold", "long") if found[name] is not None}
+    found |= {"long": (), "missing": names(files.missing or ""), **listed}
+    return found | {"reading": None if model is None else model.reading}
 
 
 def _read(
     path: str | Path, rule: str, files: FileOptions, model: Record | None, **options: Any
-) -> Record:
-    """Read a file as these options say, and otherwise as the record of a model was read.
+) -> list[Record]:
+    """Read the runs of a file as these options say, and otherwise as a model's record was read.
 
     The error for a missing column names those of the model.
     """
     _check_file(path, rule)
-    options |= {"time_column": files.time_column, "gaps": files.gaps, **_layout(files, model)}
+    options = _layout(files, model) | {"time_column": files.time_column} | options
+    options["gaps"] = files.gaps
     options |= {} if model is None else {"fallback_sampling_time": _step_of(model)}
     try:
-        return read(path, **options)
+        found = read(path, **options)
     except ColumnError as error:
         if model is None:
             raise
         needed = described(model.columns, model.inputs)
         raise ColumnError(f"{error}; the model is for {needed}") from None
+    return found if isinstance(found, list) else [found]
 
 
 def _beside(
     path: str | Path, option: str, record: Record, files: FileOptions, **options: Any
-) -> Record:
-    """Read a file that accompanies a record, not yet prepared like it; see `read_beside`."""
+) -> Any:
+    """Read what accompanies a record, not yet prepared like it; see `read_beside`."""
     _check_file(path, f"{option} must be a file")
     step, options = _step_of(record), options | _layout(files, record)
     return read_beside(path, step, files.time_column, **options)
@@ -165,19 +190,29 @@ def load_further(
             f"{option}-simulator must be given once for each {option}, got {len(simulators)} for "
             f"{len(files)}"
         )
+    if simulators and reading.runs is not None:
+        raise InputError(
+            f"{option}-simulator must be left out with --runs, got {', '.join(simulators)}"
+        )
     found = []
-    how = {"columns": record.columns, "inputs": record.inputs, "gaps": reading.gaps}
-    for i, file in enumerate(files):
-        more = _beside(file, option, record, reading, **how).like(record)
-        announce(more, file)
-        more = sampled_like(more, record.sampling_time, file)
-        more = replace(more, name=file if option == "--more" else Path(file).stem)
-        if simulators:
-            own = replace(options, simulator=simulators[i])
-            beside = simulator_of(own, more, reading.time_column)
-            check_runs_as_it_is(f"{option}-simulator", simulators[i], beside)
-            more = simulated(more, beside, longer=True)
-        found.append(more)
+    how: dict[str, Any] = {"columns": record.columns, "inputs": record.inputs}
+    how |= {"gaps": reading.gaps, "runs": reading.runs}
+    of_files = [(file, _beside(file, option, record, reading, **how)) for file in files]
+    for i, (file, read_of) in enumerate(of_files):
+        for each in read_of if isinstance(read_of, list) else [read_of]:
+            several = reading.runs is not None
+            named = f"{file}, {each.name}" if several else file
+            more = each.like(record)
+            announce(more, named)
+            more = sampled_like(more, record.sampling_time, named)
+            called = each.name if several else file if option == "--more" else Path(file).stem
+            more = replace(more, name=called)
+            if simulators:
+                own = replace(options, simulator=simulators[i])
+                beside = simulator_of(own, more, reading.time_column)
+                check_runs_as_it_is(f"{option}-simulator", simulators[i], beside)
+                more = simulated(more, beside, longer=True)
+            found.append(more)
     return found
 
 
@@ -188,7 +223,7 @@ def history_of(file: Path, option: str, model: Forecaster, files: FileOptions) -
     try:
         own = {"columns": record.columns, "inputs": record.inputs}
         rule = f"{option} must be a file"
-        past = _read(file, rule, files, record, **own)
+        past = _read(file, rule, files, record, **own)[0]
     except ColumnError as error:
         raise ColumnError(
             f"{error}; a simulation begins with {model.warmup or 'some'} measured samples of every "
@@ -234,6 +269,8 @@ def inputs_ahead(
         if named.start is None:
             coming = replace(coming[since:], start=known.grid.after(steps).start)
     else:
+        if known.reading.hold is None and files.hold is None:
+            files = replace(files, hold=",".join(f'"{each}"' for each in inputs))
         coming = _beside(file, "--future-inputs", known, files, columns=inputs)
     return inputs_after(known, coming, steps, f"--future-inputs {file}", files.time_column != "")
 

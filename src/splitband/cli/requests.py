@@ -59,7 +59,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
     """
     reading, simulated = asked.reading, asked.simulator
     model = None if asked.like is None else _like(asked)
-    record = records.load_record(asked.record, reading, model)
+    record, *runs = records.load_records(asked.record, reading, model)
     simulator = records.simulator_of(simulated, record, reading.time_column)
     if simulator is not None and not isinstance(simulator, str) and not is_fitted(simulator):
         record = replace(record, y_sim=None)  # the named one counts
@@ -109,7 +109,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             train,
             chosen,
             horizon=0 if fitting else asked.horizon,
-            others=others,
+            others=[*runs, *others],
             tests=tests,
             initial=test.initial,
             simulator=simulator,

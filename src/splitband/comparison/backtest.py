@@ -214,7 +214,7 @@ def first_origin(record: Record, train: int, warmup: int) -> Origin:
 
     The history has at least 2 samples, as every record.
     """
-    start = first_after(record.complete, max(warmup, 2))
+    start = first_after(record.y_with_gaps, max(warmup, 2))
     if start is None:
         raise InputError(f"warmup must fit between the gaps of the record, got {warmup} samples")
     return Origin(train, start)

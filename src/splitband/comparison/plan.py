@@ -367,7 +367,7 @@ def _check_test(test: Record, plan: Plan) -> None:
     if samples is None:
         name = "warmup"
         samples = max(plan.settings.warmup, *(f.warmup for f in plan.methods))
-    begin = first_after(test.complete, max(whole(name, samples), 2))
+    begin = first_after(test.y_with_gaps, max(whole(name, samples), 2))
     if begin in (None, len(test)):
         raise InputError(
             f"{name} must fit into the test record {test.name} of {len(test)} samples, with "

@@ -528,7 +528,7 @@ class Forecaster(WithRepr, ABC):
         measured = ~np.isnan(record.y_with_gaps)
         first = min(int(np.flatnonzero(channel)[-1]) for channel in measured.T)
         if self.warmup:
-            start = last_before(record.complete, self.warmup, len(record))
+            start = last_before(record.y_with_gaps, self.warmup, len(record))
             first = min(first, (self.warmup if start is None else start) - self.warmup)
         first -= max(self.delays, default=0)
         return max(0, min(first, len(record) - 2))

@@ -38,7 +38,7 @@ from splitband.linear.delays import delayed, input_delays
 from splitband.models.labels import NETWORK, SIMULATOR
 from splitband.networks.cell import Cell, Template, WithSize
 from splitband.records import Record, check_alike
-from splitband.records.signals import first_after, last_before, refilled
+from splitband.records.signals import covered, first_after, last_before, refilled
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
@@ -259,8 +259,8 @@ class Network(Forecaster):
                 "depends on the time since the first one began"
             )
         first, settings = records[0], self._settings_for(records[0], records[1:])
-        complete = first.complete
-        if not complete.all() and first_after(complete, settings.warmup) is None:
+        known = first.y_with_gaps
+        if first.measured is not None and first_after(known, settings.warmup) is None:
             raise InputError(
                 f"warmup must fit between the gaps of the {len(first)} training samples, "
                 f"got {settings.warmup}"
@@ -332,21 +332,23 @@ class Network(Forecaster):
 
         The samples before the run are the measured ones.
         """
-        complete = np.asarray(~np.isnan(known.y).any(axis=1))
-        start = len(known.y) if self._short(known) else first_after(complete, self.warmup)
-        if start is None or not complete[:start].all():
+        start = len(known.y) if self._short(known) else first_after(known.y, self.warmup)
+        if start is None or not covered(known.y)[:start].all():
             raise InputError(
                 f"history must begin with {self.warmup} measured samples for {self.name}"
             )
         steps = len(known.y) + known.steps - start
         begun = replace(known, y=known.y[:start], steps=steps)
-        return np.concatenate([known.y[:start], total([*self.extrapolate(begun).values()])])
+        return np.concatenate(
+            [refilled(begun.y, begun.y), total([*self.extrapolate(begun).values()])]
+        )
 
     def doubts(self, known: ForecastContext) -> list[str]:
         """Return the doubts of the base, and one for a history shorter than the warm-up."""
         doubts = [] if self._fitted_base is None else self._fitted_base.doubts(known)
         begin = 0 if self._short(known) else self._span(known.y)[0]
-        seen = np.isfinite(known.y[begin:]).any(axis=1).sum()
+        y = known.y[begin:]
+        seen = (np.isfinite(y).any(axis=1) | covered(y)).sum()
         if seen < self.warmup:
             short = (
                 f"the history has {seen} of the {self.warmup} samples of a warm-up: the missing "
@@ -526,7 +528,7 @@ class Network(Forecaster):
                 f"history must have {length} samples for {self.name} to warm up on, up to the last "
                 f"one that was measured, got {last}"
             )
-        start = last_before(complete, length, last)
+        start = last_before(y, length, last)
         if start is None or (~complete[start:last]).sum() > MOST_FILLED:
             start = max(length, last - MOST_FILLED)
         return start - length, start, last

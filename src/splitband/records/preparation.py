@@ -33,7 +33,11 @@ class Reading:
     ----------
     missing : Words and numbers that stand for a missing value in its file.
     categories : Words of columns of its file that are inputs, by column; see `read`.
-    jitter : Largest deviation of a step between its time stamps from the sampling time, in s.
+    jitter : Largest deviation of a step between its time stamps from the sampling time, in s;
+        of stamps that `grid` is for, that of nine in ten steps, gaps aside.
+    grid : Step in s of the even grid that `read(..., step=)` put uneven stamps on; None without.
+    hold : Inputs that are held between their own stamps, of those that had to be filled; the
+        others are interpolated. None where none had to be.
     step : Sampling time in s before `Record.resample`; None without.
     periods : Periods of the outputs and inputs that `Record.unwrap` lets go on, by name.
     limits : Lowest and highest value to which `Record.clip_outliers` limits outputs, by name.
@@ -45,6 +49,8 @@ class Reading:
     missing: tuple[str, ...] = ()
     categories: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     jitter: float = 0.0
+    grid: float | None = None
+    hold: tuple[str, ...] | None = None
     step: float | None = None
     periods: Mapping[str, float] = field(default_factory=dict)
     limits: Limits = field(default_factory=dict)
@@ -61,6 +67,13 @@ class Reading:
     def steps(self) -> tuple[Any, ...]:
         """Return all that was done to samples but their resampling."""
         return *self.units, self.limits
+
+    @property
+    def sentences(self) -> list[str]:
+        """Return what was done with the times of the samples, in words."""
+        said = [] if self.grid is None else [f"uneven stamps put on a grid of {self.grid:g} s"]
+        said += [] if self.step is None else [f"means of samples every {self.step:g} s"]
+        return said + ([f"{', '.join(self.hold)} held between values"] if self.hold else [])
 
     def label(self, name: str) -> str:
         """Return the name of a channel with its unit, as "tank (minus 20.3)"."""
@@ -101,11 +114,11 @@ def of_channels(what: str, given: Mapping[str, Value], names: Sequence[str]) -> 
     return found
 
 
-def periods_of(record: Record, asked: Periods) -> dict[str, float]:
+def periods_of(signals: Mapping[str, Array], asked: Periods) -> dict[str, float]:
     """Return the periods of angles and counters by name, where they are not given as they jump."""
     given = [asked] if isinstance(asked, str) else asked
     given = given if isinstance(given, Mapping) else dict.fromkeys(given)
-    signals, found = record.signals, dict[str, float]()
+    found = dict[str, float]()
     for name, value in of_channels("unwrap", given, [*signals]).items():
         x = signals[name]
         period = period_of(x) if value is None else as_float(value)
@@ -122,10 +135,15 @@ def periods_of(record: Record, asked: Periods) -> dict[str, float]:
     return found
 
 
-def limits_of(record: Record, deviations: float, columns: Sequence[str]) -> Limits:
+def limits_of(
+    signals: Mapping[str, Array],
+    columns: Sequence[str],
+    outputs: Sequence[str],
+    deviations: float = 5.0,
+) -> Limits:
     """Return limits of `deviations` robust standard deviations around the medians of outputs."""
-    signals, found = record.signals, dict[str, tuple[float, float]]()
-    for name in of_channels("clip_outliers", dict.fromkeys(columns), record.columns):
+    found = dict[str, tuple[float, float]]()
+    for name in of_channels("clip_outliers", dict.fromkeys(columns), outputs):
         middle = np.nanmedian(signals[name])
         # The factor turns the median deviation into the standard deviation of a Gaussian.
         reach = deviations * 1.4826 * np.nanmedian(abs(signals[name] - middle))

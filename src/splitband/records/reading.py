@@ -1,93 +1,109 @@
-"""Read records from tables: choose the columns, find the time stamps, check every cell."""
+"""Read records from tables: check every cell, and put the samples on an even grid."""
 
 from __future__ import annotations
 
+import math
 import os
-import re
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args, overload
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.api.types import is_numeric_dtype
 
-from splitband.records.preparation import Periods, Reading
+from splitband.records.columns import (
+    NAMELESS,
+    ColumnError,
+    InputNames,
+    Names,
+    Picked,
+    as_list,
+    available,
+    find,
+    listed,
+    pick,
+    times_in,
+    values_of,
+)
+from splitband.records.combining import JOINED, Joined, join_files, split_runs, wide
+from splitband.records.preparation import (
+    Limits,
+    Periods,
+    Reading,
+    going_on,
+    limits_of,
+    of_channels,
+    periods_of,
+)
+from splitband.records.rates import (
+    NEAR,
+    Even,
+    is_smooth,
+    is_sparse,
+    jitter,
+    last_of_each,
+    own_step,
+    regular,
+)
 from splitband.records.record import Record
 from splitband.records.remedies import Table, check_other_clock
 from splitband.records.signals import (
-    Column,
     Gaps,
     ReadingWarning,
     categories_of,
     category_names,
-    has_number,
     indicators,
     is_text,
     numbers,
+    positive_seconds,
     require_finite,
     switch_of,
-    unit_of,
 )
-from splitband.records.stamps import (
-    TIME_NAMES,
-    also_time,
-    is_clock_number,
-    is_day,
-    is_time,
-    is_time_of_day,
-    joined,
-    time_name,
-)
+from splitband.records.stamps import is_time
 from splitband.records.tables import check_size, known, load, of_frame
 from splitband.records.text import Layout
-from splitband.records.timing import Spacing, same_sampling, spacing
+from splitband.records.timing import (
+    Spacing,
+    Stamp,
+    Times,
+    same_sampling,
+    spacing,
+    whole_multiple,
+)
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
-_NAMELESS = "y"
-"""Name of the channel of a file with a single column and no header."""
-_EXPECTED = "expected"
-"""Reason for leaving out row numbers, scalars and empty columns; these are not reported."""
-_ROW_NUMBERS = "record index row sample scan number seq # no no. nr nr."
-"""Names of columns that number the rows, in small letters."""
-_Names: TypeAlias = str | int | Sequence[str | int]
+Source: TypeAlias = "str | os.PathLike[str] | pd.DataFrame | pd.Series[Any]"
 
 
-class ColumnError(InputError):
-    """Report that a requested column is missing, or that no column is left to model."""
-
-
-class _Picked(NamedTuple):
-    """Hold the names of the columns of a record; `stamps` are one, none, or a date and a time."""
-
-    stamps: list[str]
-    known: list[str]
-    measured: list[str]
-    left_out: list[str]
-    """Other columns with content, each with the reason for leaving it out."""
-    forgotten: str
-    """Columns that may be inputs, in words."""
-
-
-def read(  # noqa: PLR0913
-    path: str | os.PathLike[str] | pd.DataFrame | pd.Series[Any],
+@overload
+def read(path: Source, *, runs: None = None, **options: Any) -> Record: ...
+@overload
+def read(path: Source, *, runs: str, **options: Any) -> list[Record]: ...
+def read(  # type: ignore[misc]  # noqa: PLR0913
+    path: Source,
     *,
-    columns: _Names | None = None,
-    inputs: _Names | Callable[[Column], bool] | None = (),
-    time_column: _Names | None = None,
+    columns: Names | None = None,
+    inputs: InputNames = (),
+    time_column: Names | None = None,
     sampling_time: float | None = None,
     fallback_sampling_time: float | None = None,
+    step: float | Literal["auto"] | None = None,
+    hold: str | Sequence[str] | None = None,
     gaps: Gaps = "refuse",
     missing: str | Sequence[str] = (),
-    categories: Mapping[str, Sequence[str]] | None = None,
     unwrap: Periods = (),
+    clip_outliers: str | Sequence[str] | Limits = (),
+    long: Sequence[str] = (),
+    join: Joined = (),
+    runs: str | None = None,
+    reading: Reading | None = None,
     skip_rows: int = 0,
     header_row: int | None = None,
-) -> Record:
+) -> Record | list[Record]:
     """Read a record from CSV, TSV, Parquet, NPZ, NPY, MAT (up to v7.2), text, or from pandas.
 
     Columns are chosen by name, or by position from 0 in a text or NPY file without names; a single
@@ -123,12 +139,32 @@ def read(  # noqa: PLR0913
     sampling_time : seconds; by default from the stamps, otherwise a scalar `sampling_time`, `dt`
         or `Ts` of the file. It may deviate from the stamps by half a step over the record.
     fallback_sampling_time : seconds, for a file without any of these.
+    step : seconds between the samples of the record, whatever the stamps are; "auto" takes the
+        usual distance of the fastest column. Outputs are interpolated between samples that are at
+        most 1.75 of their steps apart, and not measured elsewhere. Over a longer step than that of
+        the stamps they are means, see `Record.resample`. Of rows of one time the last counts. A
+        column that is slower than others is measured at its own stamps alone. Other files of the
+        system are read by what `Record.reading` keeps of this.
+    hold : columns that are held from stamp to stamp, as commands are, where they have to be filled;
+        other inputs are interpolated. By default those inputs that their neighbours do not tell
+        better than the value before. A held input has its mean over the step that begins at a
+        sample. An input with a value in fewer than half of the rows, as one that is logged on
+        change, is filled without `step`, too. A `ReadingWarning` names them.
     gaps : "refuse" values that are not finite, and missing rows between the stamps; "mask" marks
         both as not measured, see `Record.with_gaps`.
     missing : words or numbers that stand for a missing value: ["Bad", "-9999"].
-    categories : words of columns that are inputs, the first of which has no column of its own, by
-        default all words of the file; those of another record: `record.reading.categories`.
     unwrap : angles and counters, with their periods: {"heading": 360}; see `Record.unwrap`.
+    clip_outliers : outputs that are limited; see `Record.clip_outliers`.
+    long : columns of a table with one measurement a row: the name of the signal, its time stamps,
+        its value: ("tag", "time", "value").
+    join : further files of the same run, put beside this one by time stamps; step="auto" by
+        default. {"pump.csv": 1.5} adds 1.5 s to its stamps. Without a number a column that both
+        have shows the offset, if there is one.
+    runs : column that names the run of each row, or the time stamps where they begin again: a list
+        of records is returned, which are read as the first one is.
+    reading : `Record.reading` of another record of the system, which decides `missing`, `step`,
+        `hold` and `unwrap` where they are not given, and the words of inputs; then `Record.like`
+        prepares alike.
     skip_rows : lines at the top of a text file that are left out.
     header_row : line of a text file with the names, from 1, also among `skip_rows`; 0 if there are
         no names.
@@ -151,12 +187,22 @@ def read(  # noqa: PLR0913
     (3, 0.5, ('x',), ('force',))
     """
     kind = type(path).__name__
-    path = path.to_frame(path.name or _NAMELESS) if isinstance(path, pd.Series) else path
+    path = path.to_frame(path.name or NAMELESS) if isinstance(path, pd.Series) else path
     frame = path if isinstance(path, pd.DataFrame) else None
     path = Path(kind) if isinstance(path, pd.DataFrame) else Path(path)
     words = (missing,) if isinstance(missing, str) else tuple(map(str, missing))
     if gaps not in get_args(Gaps):
         raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
+    if step not in (None, "auto"):
+        positive_seconds(step, "step")
+    if reading is not None:
+        words, step = words or reading.missing, reading.grid if step is None else step
+    by = reading if reading is not None and step is not None and not unwrap else unwrap
+    held = reading if reading is not None and hold is None else hold
+    how = _How(
+        columns, inputs, time_column, sampling_time, fallback_sampling_time, step, held, gaps,
+        words, by, clip_outliers, {} if reading is None else reading.categories,
+    )  # fmt: skip
     try:
         layout = Layout(skip_rows, header_row, words)
         if frame is None:
@@ -164,56 +210,92 @@ def read(  # noqa: PLR0913
         else:
             layout.check_no_lines(f"a {path}")
             table = known(of_frame(frame), layout)
-        asked = {str(name) for names in (columns, inputs) for name in _as_list(names)}
-        given = {c: tuple(map(str, of)) for c, of in (categories or {}).items() if c in table}
-        table |= _indicators(table, {c: of for c, of in given.items() if is_text(table[c])}, asked)
-        picked = _picked(table, columns, inputs, time_column)
-        states = {
-            c: given.get(c) or categories_of(table[c]) for c in picked.known if is_text(table[c])
-        }
-        states |= {c: switch_of(table[c]) for c in picked.measured}
-        states = {c: of for c, of in states.items() if of}
-        table |= _indicators(table, states)
-        named_by = [category_names(c, states[c]) if c in states else (c,) for c in picked.known]
-        picked = picked._replace(known=[name for names in named_by for name in names])
-        spaced = _spacing(table, picked.stamps, sampling_time, fallback_sampling_time, gaps)
-        if spaced.newest_first:
-            table = {name: column.iloc[::-1] for name, column in table.items()}
-        y = _matrix(table, picked.measured, gaps, spaced.grid_rows)
-        u = _matrix(table, picked.known, gaps, spaced.grid_rows) if picked.known else None
-        if time_column is None and picked.stamps:
-            check_other_clock(table, picked.stamps[-1], spaced.step * (len(y) - 1))
-        names = (_NAMELESS,) if list(table) == ["0"] else tuple(picked.measured)
+        notes = list[str]()
+        table = wide(table, long) if long else table
+        if join:
+            table, notes = join_files(table, join, time_column, how.expected, words)
+            how = replace(how, time_column=JOINED, step=how.step or "auto")
+        key = [] if runs is None else find(table, runs)
+        table, how = _worded(table, how, key)
+        notes += [_read_as(c, of) for c, of in how.categories.items()]
+        parts = split_runs(table, runs, time_column) if runs is not None else {"": table}
         called = path.stem.removesuffix(".csv") if frame is None else ""
-        named = {"columns": names, "inputs": tuple(picked.known), "name": called}
-        taken = {*picked.known, *picked.measured}
-        kept = {c: of for c, of in (given | states).items() if taken & {*category_names(c, of)}}
-        how = {"start": spaced.start, "reading": Reading(words, kept, spaced.jitter)}
-        record = Record.with_gaps(y, spaced.step, u=u, **named, **how)
-        record = record.unwrap(unwrap) if unwrap else record
+        records = []
+        for run, part in parts.items():
+            try:
+                record, more = _record(part, how, " ".join(filter(None, (called, run))))
+            except InputError as error:
+                raise type(error)(f"run {run}: {error}" if run else f"{error}") from error
+            records.append(record)
+            notes += more
+            if how.step == "auto":
+                how = replace(how, step=record.sampling_time)
+            how = replace(how, hold=record.reading, unwrap=record.reading)
+            how = replace(how, clip_outliers=record.reading.limits)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from error
-    left_out = f"left out: {_listed(picked.left_out)}" if picked.left_out else ""
-    read_as = [_read_as(c, of) for c, of in kept.items()]
-    for note in filter(None, (spaced.note, *read_as, left_out, picked.forgotten)):
+    for note in dict.fromkeys(notes):
         warnings.warn(f"{path}: {note}", ReadingWarning, stacklevel=2)
-    return record
+    return records[0] if runs is None else records
 
 
-def _as_list(names: _Names | Callable[[Column], bool] | None) -> Sequence[str | int]:
-    """Return the names that were given."""
-    if isinstance(names, str | int):
-        return [names]
-    return () if names is None or callable(names) else names
+@dataclass(frozen=True)
+class _How:
+    """Hold the options of `read` that say how a table becomes a record."""
+
+    columns: Names | None
+    inputs: InputNames
+    time_column: Names | None
+    sampling_time: float | None
+    fallback_sampling_time: float | None
+    step: float | Literal["auto"] | None
+    hold: str | Sequence[str] | Reading | None
+    gaps: Gaps
+    missing: tuple[str, ...]
+    unwrap: Periods | Reading
+    clip_outliers: str | Sequence[str] | Limits
+    categories: Mapping[str, tuple[str, ...]]
+
+    @property
+    def expected(self) -> float | None:
+        """Return the sampling time of the file, if the caller knows it."""
+        return self.sampling_time or self.fallback_sampling_time
 
 
-def _indicators(
-    table: Table, words: Mapping[str, Sequence[str]], asked: Collection[str] | None = None
-) -> Table:
-    """Return the columns of 0 and 1 for columns of words, all of them or those asked for."""
+def _worded(table: Table, how: _How, runs: Sequence[str]) -> tuple[Table, _How]:
+    """Return a table with numbers for words of inputs and switches, and what is to be read of it.
+
+    This is done before runs are split: one of them may lack a word. `runs`: what names them.
+    """
+    asked = {str(name) for names in (how.columns, how.inputs) for name in as_list(names)}
+    states = {c: of for c, of in how.categories.items() if c in table and is_text(table[c])}
+    states = {c: of for c, of in states.items() if asked & {*category_names(c, of)}}
+    found = _numbered(table, states)
+    inputs: list[str] | None = None
+    if callable(how.inputs):
+        inputs = [c for c in found if c not in runs and not is_time(c) and how.inputs(found[c])]
+    elif how.inputs is not None:
+        inputs = find(found, how.inputs)
+    texts = [c for c in inputs or () if is_text(found[c])]
+    own = {c: how.categories.get(c) or categories_of(found[c]) for c in texts}
+    if how.columns is not None:
+        own |= {c: switch_of(found[c]) for c in find(found, how.columns)}
+    own = {c: of for c, of in own.items() if of}
+    named = {c: category_names(c, of) for c, of in own.items()}
+    hold = how.hold
+    if hold is not None and not isinstance(hold, Reading):
+        hold = [each for c in as_list(hold) for each in named.get(str(c), (str(c),))]
+    if inputs is not None:
+        inputs = [each for c in inputs for each in named.get(c, (c,))]
+    how = replace(how, inputs=inputs, hold=hold, categories=states | own)
+    return _numbered(found, own), how
+
+
+def _numbered(table: Table, words: Mapping[str, Sequence[str]]) -> Table:
+    """Return a table with columns of 0 and 1 in place of columns of words."""
     parts = [indicators(name, table[name], of) for name, of in words.items()]
-    found = {name: part for each in parts for name, part in each.items()}
-    return found if asked is None else {n: part for n, part in found.items() if n in asked}
+    rest = {name: column for name, column in table.items() if len(words.get(name, "12")) == 2}
+    return rest | {name: part for each in parts for name, part in each.items()}
 
 
 def _read_as(name: str, words: Sequence[str]) -> str:
@@ -227,224 +309,184 @@ def _read_as(name: str, words: Sequence[str]) -> str:
     )
 
 
-def _picked(
-    table: Table,
-    columns: _Names | None,
-    inputs: _Names | Callable[[Column], bool] | None,
-    time_column: _Names | None,
-) -> _Picked:
-    """Choose the columns of a record by the options of `read`."""
-    if callable(inputs):
-        known = [c for c in table if not is_time(c) and inputs(table[c])]
+def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
+    """Return the record of a table, and what a user should know of its reading."""
+    picked = pick(table, how.columns, how.inputs, how.time_column)
+    names = picked.measured + picked.known
+    times = times_in(table, picked.stamps, how.expected)
+    spaced = _spacing(times, table, how)
+    start: Stamp | None
+    if times is not None and times.newest_first:
+        table = {name: column.iloc[::-1] for name, column in table.items()}
+    signals, found = _signals(table, picked, how)
+    left_out = f"left out: {listed(picked.left_out)}" if picked.left_out else ""
+    notes = ["" if times is None else times.note, left_out, picked.forgotten]
+    sparse = [c for c, x in signals.items() if is_sparse(x)]
+    notes += [_slower(c, signals[c]) for c in picked.measured if c in sparse]
+    if spaced is None:
+        assert times is not None
+        even, signals, varies, said = _gridded(times, signals, len(picked.known), how.step)
+        step, start = even.step, times.stamp(even.start)
+        found, notes = replace(found, grid=step, jitter=varies), [*notes, said]
     else:
-        known = [] if inputs is None else _find(table, inputs)
-    stamps = _stamps(table, time_column)
-    picked = stamps + known + ([] if columns is None else _find(table, columns))
-    rows = _common_length(table, picked)
-    timed = [c for c in table if c not in picked and len(table[c]) == rows and is_time(c)]
-    timed = [c for c in timed if "abscissa" in table[c].attrs] or timed
-    if time_column is None:
-        if len(timed) > 1:  # T is a temperature then, unless it increases
-            timed = [c for c in timed if also_time(c, table[c])]
-        words = {c: time_name(c)[0] for c in timed}
-        # Beside a date in each row, T is a temperature that happens to rise.
-        dated = any(w == "date" and table[c].is_unique for c, w in words.items())
-        timed.sort(key=lambda c: (dated and words[c] == "t", TIME_NAMES.index(words[c])))
-        _check_alike(table, timed)
-        stamps = _dated(table, timed)
-    reasons = {c: _reason(c, table[c], rows) for c in table if c not in picked + stamps}
-    usable = [c for c, reason in reasons.items() if not reason]
-    if columns is not None:
-        measured, left_out = _find(table, columns), []
+        step, start, rows = spaced.step, spaced.start, len(signals[names[0]])
+        found = replace(found, jitter=spaced.jitter)
+        if spaced.grid_rows is not None:
+            rows = int(spaced.grid_rows[-1]) + 1
+            check_size(8 * rows * len(names))
+            signals = {c: _spread(x, rows, spaced.grid_rows) for c, x in signals.items()}
+        if times is not None and how.time_column is None:
+            check_other_clock(table, picked.stamps[-1], step * (rows - 1))
+        even = Even.of_rows(rows)
+    held, between = _to_fill(signals, picked, None if spaced is None else sparse, how.hold)
+    own, signals = signals, {**signals}
+    signals |= {c: even.held(own[c]) for c in held} | {c: even.between(own[c]) for c in between}
+    if spaced is None:
+        signals |= {c: even.measured(own[c]) for c in picked.measured if c not in held}
+    for what, which in {"held": held, "interpolated": between}.items():
+        if which:
+            notes.append(f"inputs {what} between their values: {listed(which)}; --hold decides")
+    record = Record.with_gaps(
+        np.column_stack([signals[c] for c in picked.measured]),
+        step,
+        u=np.column_stack([signals[c] for c in picked.known]) if picked.known else None,
+        columns=(NAMELESS,) if list(table) == ["0"] else tuple(picked.measured),
+        inputs=tuple(picked.known),
+        name=called,
+        start=start,
+        reading=replace(found, hold=tuple(held) if held or between else None),
+    )
+    if how.step is not None and how.step != "auto":
+        record = record.resample(how.step)
+    return record, [*filter(None, notes)]
+
+
+def _signals(table: Table, picked: Picked, how: _How) -> tuple[dict[str, Array], Reading]:
+    """Return the columns with NaN in gaps, unwrapped and limited, and by what."""
+    signals = {c: values_of(c, table[c]) for c in picked.measured + picked.known}
+    _check_finite(signals, how.step is None and how.gaps == "refuse", picked)
+    signals = {c: np.where(np.isfinite(x), x, np.nan) for c, x in signals.items()}
+    if isinstance(how.unwrap, Reading):
+        periods = {c: period for c, period in how.unwrap.periods.items() if c in signals}
     else:
-        measured = usable
-        ignored = timed if time_column == "" else []
-        left_out = _in_words({c: r for c, r in reasons.items() if c not in ignored})
-    if not measured:
-        why = f"left out: {_listed(left_out)}" if left_out else _available(table)
-        raise ColumnError(f"there is no numeric column to model: {why}")
-    _check_orientation(known + measured, rows)
-    forgotten = ""
-    if inputs is None and usable and (columns is not None or len(usable) > 1):
-        what = "taken as outputs" if columns is None else "not used"
-        forgotten = f"{what}: {_listed(usable)}; --inputs names those that act on the system"
-    return _Picked(stamps, known, measured, left_out, forgotten)
-
-
-def _stamps(table: Table, asked: _Names | None) -> list[str]:
-    """Return the keys of the time columns that were asked for; "Date,Time" names two."""
-    if asked is None or asked == "":
-        return []
-    if isinstance(asked, str) and asked.strip() not in table and "," in asked:
-        asked = asked.split(",")
-    found = _find(table, asked)
-    if len(found) > 2:
-        raise InputError(f"time_column must be one column, or a date and a time: got {len(found)}")
-    return found[::-1] if len(found) == 2 and is_time_of_day(table[found[0]]) else found
-
-
-def _dated(table: Table, timed: Sequence[str]) -> list[str]:
-    """Return the first of the time columns, after one with the dates of its times of the day."""
-    days = [c for c in timed[1:] if time_name(c)[0] == "date" and is_day(table[c])]
-    if days and is_clock_number(timed[0], table[timed[0]]):
-        raise InputError(
-            f"{timed[0]!r} beside {days[0]!r} can be read as seconds or as times of the day (930 "
-            f"as 09:30): time_column={timed[0]!r} (--time-column) takes seconds; write times of "
-            "the day as 09:30"
+        periods = periods_of(signals, how.unwrap)
+    signals |= {c: going_on(signals[c], period) for c, period in periods.items()}
+    limits = how.clip_outliers
+    if not isinstance(limits, Mapping):
+        limits = limits_of(
+            signals, [limits] if isinstance(limits, str) else limits, picked.measured
         )
-    if not timed or not is_time_of_day(table[timed[0]]):
-        return list(timed[:1])
-    return [*days[:1], timed[0]]
+    signals |= {c: np.clip(signals[c], *pair) for c, pair in limits.items()}
+    return signals, Reading(how.missing, how.categories, periods=periods, limits=limits)
 
 
-def _check_alike(table: Table, timed: Sequence[str]) -> None:
-    """Raise ValueError for structures with time stamps of their own: they are several records."""
-    for other in timed[1:]:
-        if "." in timed[0] + other and not table[other].equals(table[timed[0]]):
-            raise InputError(
-                f"{timed[0]!r} and {other!r} are different time stamps: time_column "
-                "(--time-column) and columns (--columns) choose one record"
-            )
-
-
-def _reason(name: str, column: Column, rows: int) -> str:
-    """Return the reason why a column is not a channel; empty if it is one."""
-    if why := column.attrs.get("unread", column.attrs.get("left out", "")):
-        return str(why)
-    if len(column) != rows:
-        return _EXPECTED if len(column) == 1 else f"{len(column)} rows instead of {rows}"
-    unnamed = name.startswith("Unnamed: ")  # an index or a trailing separator
-    numbered = unnamed or re.sub(r".*\.(?=.)| \[.*", "", name.lower()) in _ROW_NUMBERS.split()
-    if numbered and is_numeric_dtype(column) and (column.diff().iloc[1:].abs() == 1).all():
-        return _EXPECTED
-    if unnamed:
-        return "no name" if column.notna().any() else _EXPECTED
-    if also_time(name, column):
-        return "another time column"
-    known = column.dropna()
-    reason = f"no numbers: {str(known.iloc[0])[:40]!r}" if len(known) else "empty"
-    if 1 < len(categories_of(column)) < len(known) / 2:
-        reason += "; its words can be an input: --inputs"
-    return "" if has_number(column) else reason
-
-
-def _in_words(reasons: Mapping[str, str]) -> list[str]:
-    """Return the columns that are left out, each with its reason; those of a matrix are one."""
-    by_matrix: dict[tuple[str, str], list[str]] = {}
-    for name, reason in reasons.items():
-        if reason and reason != _EXPECTED:
-            by_matrix.setdefault((re.sub(r"\[\d+\]$", "", name), reason), []).append(name)
-    return [
-        f"{names[0]!r} ({reason})"
-        if len(names) == 1
-        else f"{matrix!r} ({reason} in each of its {len(names)} columns: transpose it if rows are "
-        "its channels)"
-        for (matrix, reason), names in by_matrix.items()
-    ]
-
-
-def _check_orientation(names: Sequence[str], rows: int) -> None:
-    """Raise ValueError for more unnamed columns than rows: the table may be transposed."""
-    numbered = [name for name in names if re.fullmatch(r"\d+|.*\[\d+\]", name)]
-    if len(numbered) > rows:
-        raise InputError(
-            f"it must have more samples than channels: it has {rows} rows of {len(numbered)} "
-            "columns without names; transpose it"
-        )
-
-
-def _matrix(
-    table: Table, names: Sequence[str], gaps: Gaps, grid_rows: NDArray[np.int_] | None
-) -> Array:
-    """Check every cell of some columns, and return them as a matrix, with NaN in missing rows."""
-    matrix = np.column_stack([_values(name, table[name]) for name in names])
-    for name, values in zip(names, matrix.T, strict=True):
-        if not np.isfinite(values).any():
+def _check_finite(signals: Mapping[str, Array], refuse: bool, picked: Picked) -> None:
+    """Raise ValueError for a column without values and, to `refuse`, for one with gaps."""
+    gaps = any(not np.isfinite(x).all() for x in signals.values())
+    hint = "; gaps='mask' (--gaps mask) goes around them" if gaps else ""
+    for name, x in signals.items():
+        known = np.isfinite(x)
+        if not known.any():
             raise ColumnError(f"column {name!r} must hold finite values: it has none")
-    for name, values in zip(names if gaps == "refuse" else (), matrix.T, strict=False):
+        if not refuse or (is_sparse(x) and (name in picked.known or regular(known))):
+            continue
         try:
-            require_finite(f"column {name!r}", values[:, None])
+            require_finite(f"column {name!r}", x[:, None])
         except InputError as error:
-            hint = "; gaps='mask' (--gaps mask) goes around them"
-            raise InputError(f"{error}{'' if np.isfinite(matrix).all() else hint}") from None
-    if grid_rows is None:
-        return matrix
-    rows = int(grid_rows[-1]) + 1
-    check_size(8 * rows * len(names))
-    spread = np.full((rows, len(names)), np.nan)
-    spread[grid_rows] = matrix
+            if is_sparse(x):
+                hint += (
+                    f", and inputs={name!r} (--inputs {name}) takes it for an input of which only "
+                    "changes are logged"
+                )
+            raise InputError(f"{error}{hint}") from None
+
+
+def _slower(name: str, x: Array) -> str:
+    """Say that an output has values in few rows."""
+    known = np.isfinite(x)
+    every = f", every {regular(known)}" if regular(known) else ""
+    return (
+        f"column {name!r} has a value in {known.sum()} of {len(x)} rows{every}: it is measured "
+        "there alone"
+    )
+
+
+def _to_fill(
+    signals: Mapping[str, Array], picked: Picked, sparse: list[str] | None, hold: Any
+) -> tuple[list[str], list[str]]:
+    """Return which signals are to be held between their values, and which inputs interpolated.
+
+    With `sparse`, only those; an output is held where it is asked for, as in a file of inputs.
+    """
+    asked = hold.hold if isinstance(hold, Reading) else hold
+    chosen = [asked] if isinstance(asked, str) else asked
+    if chosen is not None and not isinstance(hold, Reading):
+        chosen = of_channels("hold", dict.fromkeys(chosen), [*signals])
+    outputs = [c for c in picked.measured if chosen is not None and c in chosen]
+    names = [c for c in [*picked.known, *outputs] if sparse is None or c in sparse]
+    if chosen is None:
+        held = [c for c in names if not is_smooth(signals[c][np.isfinite(signals[c])])]
+    else:
+        held = [c for c in names if c in chosen]
+    return held, [c for c in names if c not in held]
+
+
+def _spread(x: Array, rows: int, at: NDArray[np.int_]) -> Array:
+    """Return a column with NaN in the missing rows."""
+    spread = np.full(rows, np.nan)
+    spread[at] = x
     return spread
 
 
-def _values(name: str, column: Column) -> Array:
-    try:
-        return numbers(f"column {name!r}", column)
-    except InputError as error:
-        words = "; missing (--missing) names words for missing values"
-        if is_text(column) and not has_number(column):
-            states = dict(zip(column.dropna().astype(str).unique()[:4], range(4), strict=False))
-            words = f"; numbers may stand for words, in pandas table[{name!r}].map({states})"
-        raise InputError(f"{error}{words if is_text(column) else ''}") from None
+def _gridded(
+    times: Times, signals: Mapping[str, Array], inputs: int, asked: Any
+) -> tuple[Even, dict[str, Array], float, str]:
+    """Return an even grid for stamps that are not even, and the signals at different stamps.
+
+    Then by how many s steps of the stamps differ, and what was done, in words.
+    """
+    times.check_increasing(repeated=True)
+    last = last_of_each(times.seconds)
+    seconds, signals = times.seconds[last], {c: x[last] for c, x in signals.items()}
+    fastest = max((seconds[np.isfinite(x)] for x in signals.values()), key=len)
+    usual = own_step(fastest)
+    step = usual if asked == "auto" else float(asked)
+    factor = max(1, math.ceil(step / usual - 0.2))
+    check_size(8 * len(signals) * int(np.ptp(seconds) * factor / step + 1))
+    near = NEAR * max(step / factor, min(step, usual))
+    even = Even.of(seconds, [*signals.values()], inputs, step / factor, near)
+    off = jitter(fastest, usual)
+    notes = [
+        f"put on an even grid of {step:g} s: steps of the stamps are about {usual:g} s, and differ "
+        f"from that by up to {100 * off:.2g} %"
+    ]
+    notes += [f"samples are means over {factor} steps"] if factor > 1 else []
+    if not last.all():
+        notes.append(f"of rows of one time the last counts ({(~last).sum()} are left out)")
+    return even, signals, off * usual, "; ".join(notes)
 
 
-def _common_length(table: Table, picked: Sequence[str]) -> int:
-    """Return the number of rows of the picked columns, by default of the longest column."""
-    if twice := [column for column in picked if picked.count(column) > 1]:
-        raise InputError(f"column {twice[0]!r} is asked for twice, in columns, inputs or time")
-    lengths = {column: len(table[column]) for column in picked or table}
-    rows = lengths[picked[0]] if picked else max(lengths.values(), default=0)
-    if other := [column for column in picked if lengths[column] != rows]:
-        raise InputError(
-            f"columns must have the same length: {picked[0]!r} has {rows} rows, "
-            f"{other[0]!r} has {lengths[other[0]]}"
-        )
-    if rows < 2:
-        raise InputError(f"a record must have at least 2 rows: it has {rows}; {_available(table)}")
-    return rows
+def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:
+    """Return the grid of the time stamps; without stamps, the step from the caller or the file.
 
-
-def _find(table: Table, wanted: _Names) -> list[str]:
-    """Return the keys of the wanted columns; a matrix stands for all of its columns."""
-    all_keys = []
-    for column in _as_list(wanted):
-        name = str(column).strip()
-        if name == _NAMELESS and list(table) == ["0"]:
-            name = "0"
-        keys = [name] if name in table else []
-        bare = [key for key in table if unit_of(key) and key.rpartition(" ")[0] == name]
-        keys = keys or (bare if len(bare) == 1 else [])
-        while name not in table and (key := f"{name}[{len(keys)}]") in table:
-            keys.append(key)
-        if not keys:
-            raise ColumnError(f"column {name!r} is unknown: {_available(table)}")
-        if why := table[keys[0]].attrs.get("unread"):
-            raise ColumnError(f"column {name!r} cannot be read: {why}")
-        all_keys += keys
-    return all_keys
-
-
-def _available(table: Table) -> str:
-    return f"the columns are {_listed([repr(name) for name in table]) or 'none'}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
-
-
-def _spacing(
-    table: Table, stamps: Sequence[str], given: float | None, fallback: float | None, gaps: Gaps
-) -> Spacing:
-    """Return the grid of the time stamps; without stamps, the step from the caller or the file."""
-    if stamps:
-        what, column = f"time column {','.join(stamps)!r}", table[stamps[-1]]
-        column = joined(table[stamps[0]], column) if len(stamps) == 2 else column
-        spaced = spacing(what, column, gaps, given or fallback, table, [*stamps])
+    None for uneven stamps that are to be put on a grid.
+    """
+    given, fallback = how.sampling_time, how.fallback_sampling_time
+    if times is not None and how.step is not None:
+        try:
+            spaced = spacing(times, "refuse", given or fallback)
+        except InputError:
+            return None
+        longer = how.step == "auto" or whole_multiple(how.step, spaced.step)
+        return spaced if longer else None
+    if times is not None:
+        spaced = spacing(times, how.gaps, given or fallback)
         if given is None:
             return spaced
-        rows = len(column) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1
+        rows = len(times.seconds) if spaced.grid_rows is None else int(spaced.grid_rows[-1]) + 1
         if not (given > 0 and same_sampling(given, spaced.step, rows)):
             raise InputError(
-                f"sampling_time (--sampling-time) is {given} s, but {what} steps by "
+                f"sampling_time (--sampling-time) is {given} s, but {times.what} steps by "
                 f"{spaced.step} s; time_column='' (--time-column '') ignores the stamps"
             )
         return replace(spaced, step=given)
@@ -455,6 +497,6 @@ def _spacing(
     if given is None:
         raise InputError(
             "there is no time column: pass sampling_time (--sampling-time) in seconds, "
-            f"or time_column (--time-column); {_available(table)}"
+            f"or time_column (--time-column); {available(table)}"
         )
     return Spacing(given)

@@ -50,6 +50,7 @@ from splitband.records.timing import (
     seconds_of,
     stamp_after,
     stamps_at,
+    whole_multiple,
 )
 from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.errors import InputError
@@ -233,7 +234,7 @@ class Record:
         periods : Periods of outputs and inputs, by name: {"heading": 360}. None, or a name alone,
             takes the period that the jumps show, which `reading.periods` reports.
         """
-        return unwrapped(self, Reading(periods=periods_of(self, periods)))
+        return unwrapped(self, Reading(periods=periods_of(self.signals, periods)))
 
     def clip_outliers(
         self,
@@ -255,7 +256,7 @@ class Record:
             raise InputError(f"deviations must be above 0, got {deviations}")
         if limits is None:
             columns = self.columns if columns is None else columns
-            limits = limits_of(self, deviations, columns)
+            limits = limits_of(self.signals, columns, self.columns, deviations)
         return clipped(self, Reading(limits=limits_given(self, limits)))
 
     def resample(self, sampling_time: float) -> Record:
@@ -266,7 +267,7 @@ class Record:
         the beginning. The time stamp of a mean is that of its last sample.
         """
         factor = round(positive_seconds(sampling_time) / self.sampling_time)
-        if factor < 1 or not near_sampling(sampling_time, factor * self.sampling_time):
+        if not whole_multiple(sampling_time, self.sampling_time):
             raise InputError(
                 f"sampling_time must be a whole multiple of {self.sampling_time:g} s, "
                 f"got {sampling_time:g}"
@@ -310,7 +311,10 @@ class Record:
         near = near_sampling(self.sampling_time, other.sampling_time)
         if self.reading.steps == wanted.steps and (near or wanted.step is None):
             return self
-        if self.reading.steps != Reading().steps:
+        periods = {name: p for name, p in wanted.periods.items() if name in self.signals}
+        limits = {name: ends for name, ends in wanted.limits.items() if name in self.signals}
+        done = Reading(), Reading(periods=periods), Reading(periods=periods, limits=limits)
+        if self.reading.steps not in [each.steps for each in done]:
             raise InputError(
                 f"{self.name or 'the record'} must be given as it was measured, to be prepared "
                 f"like {other.name or 'the other'} ({wanted}), got {self.reading}"
@@ -324,7 +328,8 @@ class Record:
                 f"{self.name or 'the record'} must have the names of {other.name or 'the other'}, "
                 f"{', '.join(other.signals)}, got {', '.join(unknown)}"
             )
-        found = clipped(unwrapped(found, wanted), wanted)
+        found = found if self.reading.periods else unwrapped(found, wanted)
+        found = found if self.reading.limits else clipped(found, wanted)
         found = found if near or wanted.step is None else found.resample(other.sampling_time)
         return detrended(found, wanted)
 
@@ -339,6 +344,7 @@ class Record:
             f"{len(self)} samples every {self.sampling_time:.6g} s",
             described(*self.labels),
             *([f"{missing} with gaps"] if missing else []),
+            *self.reading.sentences,
             *(["a simulator's output"] if self.y_sim is not None else []),
         ]
         return f"<Record {self.name or 'without a name'}: {'; '.join(parts)}>"

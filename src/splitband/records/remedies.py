@@ -41,15 +41,14 @@ def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str
     tags = [c for c in codes if _names_signals(codes[c], seconds, c in values, read.date)]
     runs = [c for c in codes if np.array_equal(np.flatnonzero(np.diff(codes[c])), back)]
     tag, value = [*tags, *runs, ""][0], next((c for c in values if c not in tags + runs), "value")
-    wide = f"table.pivot(index={[*names]}, columns={tag!r}, values={value!r}).reset_index()"
+    long = tag, *names, value
+    wide = f"long={long} (--long {','.join(long)}) gives each its column"
     if tags:
-        return (
-            f"column {tag!r} names several signals, one measurement a row: in pandas {wide} gives "
-            "each its column"
-        )
+        return f"column {tag!r} names several signals, one measurement a row: {wide}"
     usual = usual or (
-        f"in pandas table.sort_values({time!r}).drop_duplicates({time!r}) leaves out rows that "
-        f"stand twice; where each is a sample of its own, {IGNORE}"
+        f"step='auto' (--step auto) takes the last of rows that stand twice; in pandas "
+        f"table.sort_values({time!r}) puts rows in order; where each is a sample of its own, "
+        f"{IGNORE}"
     )
     step = np.median(steps[steps > 0]) if len(back) < len(steps) else 0.0
     off = np.abs(steps - step)[np.abs(steps - step) > 0.01 * step]
@@ -66,14 +65,13 @@ def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str
     if is_time(tag) and tag in values:
         days = f"{{{tag!r}: table[{tag!r}] + table.pop({time!r})}}"
         return f"it begins again with each {tag!r}: in pandas table.assign(**{days}) adds them"
-    key, apart = f"table[{time!r}].diff().lt(0).cumsum()", ""
+    key, apart = time, ""
     if runs:
-        key, apart = repr(tag), f", which column {tag!r} tells apart"
-        apart += "" if tag in values else f" (if it names signals, {wide} gives each its column)"
+        key, apart = tag, f", which column {tag!r} tells apart"
+        apart += "" if tag in values else f" (if it names signals, {wide})"
     return (
-        f"the clock begins again ({len(back)} times), so the file holds several runs{apart}: in "
-        f"pandas [run.to_csv(f'run{{i}}.csv', index=False) for i, run in table.groupby({key})] "
-        "gives each a file, and --more reads the others"
+        f"the clock begins again ({len(back)} times), so the file holds several runs{apart}: "
+        f"runs={key!r} (--runs {key}) reads each as a record of its own"
     )
 
 

@@ -48,11 +48,11 @@ def as_float(value: Any) -> float:
     return number if np.isfinite(number) else np.nan
 
 
-def positive_seconds(value: Any) -> float:
+def positive_seconds(value: Any, what: str = "sampling_time") -> float:
     """Return a sampling time as a float; raises ValueError unless it is finite and positive."""
     seconds = as_float(value)
     if not seconds > 0:
-        raise InputError(f"sampling_time must be a positive number of seconds: got {value!r}")
+        raise InputError(f"{what} must be a positive number of seconds: got {value!r}")
     return seconds
 
 
@@ -305,21 +305,54 @@ def row_ranges(rows: Flags, most: int = 6) -> str:
     return f"row{'s' if len(gaps) > 1 or gaps[0][0] != gaps[0][1] else ''} {named}{more}"
 
 
-def last_before(complete: Flags, length: int, at: int) -> int | None:
-    """Return the last index up to `at` directly after `length` complete samples, or None."""
-    ends = _ends(complete[:at], length)
+def last_before(y: Array, length: int, at: int) -> int | None:
+    """Return the last of the `warm_ends` up to `at`, or None."""
+    ends = warm_ends(y[:at], length)
     return int(ends[-1]) if len(ends) else None
 
 
-def first_after(complete: Flags, length: int) -> int | None:
-    """Return the first index directly after `length` complete samples, or None."""
-    ends = _ends(complete, length)
+def first_after(y: Array, length: int) -> int | None:
+    """Return the first of the `warm_ends`, or None."""
+    ends = warm_ends(y, length)
     return int(ends[0]) if len(ends) else None
 
 
-def _ends(complete: Flags, length: int) -> NDArray[Any]:
-    count = np.concatenate([[0], np.cumsum(complete)])
-    return np.flatnonzero(count[length:] - count[:-length] == length) + length
+def warm_ends(y: Array, length: int) -> NDArray[Any]:
+    """Return the indices directly after `length` samples that a warm-up may hold.
+
+    `y` has NaN in gaps. The last sample is a measured one, as the next one of a slow channel is not
+    known at an origin; where channels are never measured together, it is any.
+    """
+    count = np.concatenate([[0], np.cumsum(covered(y))])
+    ends = np.flatnonzero(count[length:] - count[:-length] == length) + length
+    measured = ends[np.asarray(np.isfinite(y).all(axis=1))[ends - 1]]
+    return measured if len(measured) else ends
+
+
+def usual_distance(known: Flags) -> int:
+    """Return every how many samples one is usually known; 1 for fewer than two."""
+    at = np.flatnonzero(known)
+    return int(np.median(np.diff(at))) if len(at) > 1 else 1
+
+
+def covered(y: Array) -> Flags:
+    """Return a mask of the samples that a warm-up may hold, `(time,)`; `y` has NaN in gaps.
+
+    Every channel is measured there, or between two samples that are as far apart as its samples
+    usually are: a channel that is slower than the others is interpolated in a warm-up.
+    """
+    known = np.isfinite(y)
+    if known.all():
+        return np.ones(len(y), np.bool_)
+    index = np.arange(len(y))
+    for i, channel in enumerate(known.T):
+        if (usual := usual_distance(channel)) < 2:
+            continue
+        own = np.flatnonzero(channel)
+        at = np.clip(np.searchsorted(own, index), 1, len(own) - 1)
+        near = own[at] - own[at - 1] <= 1.75 * usual
+        known[:, i] |= near & (own[0] <= index) & (index <= own[-1])
+    return np.asarray(known.all(axis=1))
 
 
 # ---------------------------------------------------------------- names

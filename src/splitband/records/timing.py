@@ -14,6 +14,7 @@ import pandas as pd
 import scipy
 from numpy.typing import NDArray
 
+from splitband.records.rates import jitter, own_step
 from splitband.records.remedies import IGNORE, Table, remedy
 from splitband.records.signals import Column, Gaps, as_float, in_file, stretches
 from splitband.records.stamps import last_place, readings
@@ -103,6 +104,11 @@ def near_sampling(step: float, other: float) -> bool:
     return abs(step - other) <= 0.01 * other
 
 
+def whole_multiple(step: float, other: float) -> bool:
+    """Return whether a step is another one, or two, three, ... of them, to 1 %."""
+    return step > 0.5 * other and near_sampling(step, round(step / other) * other)
+
+
 def same_sampling(step: float, other: float, samples: int) -> bool:
     """Return whether two grids with the same start and length end within half a step."""
     return abs(step - other) * samples < 0.5 * min(step, other)
@@ -140,32 +146,63 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
+class Times:
+    """Hold the times of the rows of a file, oldest first: `seconds`, since a `date` if any.
+
+    `what`: the column in messages; `column`: its cells; `grain`: resolution of their number type in
+    s; `newest_first`: whether the rows of the file are reversed; `note`: how the stamps were
+    interpreted, if that is not certain; `todo`: what to do about stamps that are not even, in
+    words, after what is usual.
+    """
+
+    what: str
+    column: Column
+    seconds: Array
+    grain: float
+    date: pd.Timestamp | None
+    newest_first: bool
+    note: str
+    todo: Callable[[str], str]
+
+    def stamp(self, seconds: float) -> Stamp:
+        """Return these seconds as a stamp of the file's clock."""
+        return seconds if self.date is None else stamp_after(self.date, seconds)
+
+    def check_increasing(self, repeated: bool = False, gaps: Gaps = "refuse") -> None:
+        """Raise ValueError for stamps that do not increase; some may be `repeated`."""
+        steps, stamps = np.diff(self.seconds), self.seconds
+        if (back := np.flatnonzero(steps < 0 if repeated else steps <= 0)).size:
+            row = int(back[0]) + 1
+            place = in_file(self.column, row) if gaps == "refuse" else ""
+            raise InputError(
+                f"{self.what} must increase: row {row} ({stamps[row]:.10g} s) follows "
+                f"{stamps[row - 1]:.10g} s{place}; {self.todo('')}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
 class Spacing:
     """Describe the even grid that the rows of a file lie on: its step in s and its start, if known.
 
     `grid_rows`: grid index of each row of the file, `(time,)`, None if no rows are missing;
-    `newest_first`: whether its rows are to be reversed; `note`: how the stamps were interpreted, if
-    that is not certain; `jitter`: the largest deviation of a step of the stamps, in s.
+    `jitter`: the largest deviation of a step of the stamps, in s.
     """
 
     step: float
     start: Stamp | None = None
     grid_rows: NDArray[np.int_] | None = None
-    newest_first: bool = False
-    note: str = ""
     jitter: float = 0.0
 
 
-def spacing(
-    what: str, column: Column, gaps: Gaps, expected: float | None, table: Table, names: list[str]
-) -> Spacing:
-    """Return the even grid of time stamps; `expected` is the sampling time that a user gave.
+def times_of(
+    what: str, column: Column, expected: float | None, table: Table, names: list[str]
+) -> Times:
+    """Return the times of a column of stamps; `expected` is the sampling time that a user gave.
 
     They are in the columns `names` of a `table`, whose others may tell what is wrong with them.
 
-    Raises ValueError for cells that are not stamps, for stamps that do not increase evenly
-    (`reading.read` states the tolerance), and for stamps with several readings of different steps,
-    none of which is the expected one.
+    Raises ValueError for cells that are not stamps, and for stamps with several readings of
+    different steps, none of which is the expected one.
     """
     found = readings(what, names[0], column)
     newest_first = found[0].step < 0
@@ -184,37 +221,42 @@ def spacing(
         )
     read = found[0]
     raw = replace(read, seconds=read.seconds[::-1] if newest_first else read.seconds)
-    todo = partial(remedy, table, names, raw)
-    rows, stamps = np.arange(len(column)), read.seconds
-    in_order = column if gaps == "refuse" else None
-    if (back := np.flatnonzero(np.diff(stamps) <= 0)).size:
-        row = int(back[0]) + 1
-        raise InputError(
-            f"{what} must increase: row {row} ({stamps[row]:.10g} s) follows "
-            f"{stamps[row - 1]:.10g} s{'' if in_order is None else in_file(column, row)}; "
-            + todo("")
-        )
-    cut = _cut_to_units(what, stamps, expected)
-    if gaps == "mask":
-        rows, stamps = _on_grid(what, stamps, cut)
-    unit = cut[1] if cut else max(last_place(read.seconds), read.grain)
-    if not cut and unit > 0.99 * np.median(np.diff(stamps)):
-        unit = 0.0  # rounding this coarse could hide a missing row
-    _check_steps(what, stamps, unit, in_order, todo)
-    step, start = _line(what, stamps, unit, read.grain)
-    return Spacing(
-        step,
-        start if read.date is None else stamp_after(read.date, start),
-        rows if len(rows) <= rows[-1] else None,
+    return Times(
+        what,
+        column,
+        read.seconds,
+        read.grain,
+        read.date,
         newest_first,
         read.note and f"{what} {read.note}",
+        partial(remedy, table, names, raw),
+    )
+
+
+def spacing(times: Times, gaps: Gaps, expected: float | None) -> Spacing:
+    """Return the even grid that times lie on; `expected` is the sampling time that a user gave.
+
+    Raises ValueError for times that do not increase evenly (`reading.read` states the tolerance).
+    """
+    times.check_increasing(gaps=gaps)
+    what, stamps = times.what, times.seconds
+    rows, cut = np.arange(len(stamps)), _cut_to_units(what, stamps, expected)
+    if gaps == "mask":
+        rows, stamps = _on_grid(what, stamps, cut)
+    unit = cut[1] if cut else max(last_place(times.seconds), times.grain)
+    if not cut and unit > 0.99 * np.median(np.diff(stamps)):
+        unit = 0.0  # rounding this coarse could hide a missing row
+    _check_steps(times, stamps, unit, gaps)
+    step, start = _line(what, stamps, unit, times.grain)
+    return Spacing(
+        step,
+        times.stamp(start),
+        rows if len(rows) <= rows[-1] else None,
         float(np.abs(np.diff(stamps) - step).max()),
     )
 
 
-def _check_steps(
-    what: str, stamps: Array, unit: float, column: Column | None, todo: Callable[[str], str]
-) -> None:
+def _check_steps(times: Times, stamps: Array, unit: float, gaps: Gaps) -> None:
     """Raise ValueError for steps that differ by more than 1 % and the `unit` of the last place."""
     steps = np.diff(stamps)
     median, mean = float(np.median(steps)), float(steps.mean())
@@ -225,13 +267,23 @@ def _check_steps(
     exact = 0.01 * median + 4 * float(np.spacing(np.abs(stamps).max()))
     if not (bad := np.flatnonzero((off > exact) & ~rounded)).size:
         return
-    gaps = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
-    row = int((gaps if gaps.size else bad)[0]) + 1
-    mask = "gaps='mask' (--gaps mask) excludes missing rows; "
+    lost = bad[off[bad] > 1.001 * unit]  # report true gaps first: they shift the other rows
+    row = int((lost if lost.size else bad)[0]) + 1
+    refuse = gaps == "refuse"
+    mask = "gaps='mask' (--gaps mask) excludes missing rows; " if refuse else ""
     raise InputError(
-        f"{what} must be even: expected a step of {median:.6g} s at row {row}, found "
-        f"{steps[row - 1]:.6g} s{in_file(column, row) if column is not None else ''}; "
-        + todo((mask if column is not None else "") + IGNORE)
+        f"{times.what} must be even: expected a step of {median:.6g} s at row {row}, found "
+        f"{steps[row - 1]:.6g} s{in_file(times.column, row) if refuse else ''}; "
+        + times.todo(f"{mask}{way_out(times.seconds)}")
+    )
+
+
+def way_out(seconds: Array) -> str:
+    """Return how to read uneven stamps, with the step that they suggest and their jitter."""
+    step = own_step(seconds)
+    return (
+        f"step={step:g} (--step {step:g}) puts the samples on an even grid: steps differ from that "
+        f"by up to {100 * jitter(seconds, step):.2g} %, gaps aside; {IGNORE}"
     )
 
 
@@ -249,7 +301,7 @@ def _line(what: str, stamps: Array, unit: float, grain: float) -> tuple[float, f
     if wander.max() > 0.5 * (step + unit):
         raise InputError(
             f"{what} must be even: its stamps wander by {wander.max() / step:.2g} samples from an "
-            f"even step of {step:.6g} s, at row {int(wander.argmax())}; {IGNORE}"
+            f"even step of {step:.6g} s, at row {int(wander.argmax())}; {way_out(stamps)}"
         )
     if abs(first) < 1e-6 * step:
         return step, float(stamps[0])
@@ -314,7 +366,8 @@ def _on_grid(
     if missing > MOST_MISSING * (missing + len(stamps)):
         raise InputError(
             f"{what} must have a stamp for one row in ten at least: {missing:.0f} rows of "
-            f"{usual:.6g} s are missing, most of them after row {int(np.argmax(steps))}"
+            f"{usual:.6g} s are missing, most of them after row {int(np.argmax(steps))}; "
+            f"{way_out(stamps)}"
         )
     if not gap.any():
         return index, stamps

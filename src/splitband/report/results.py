@@ -111,6 +111,7 @@ def results(comparison: Comparison) -> dict[str, Any]:
             "units": list(record.units),
             "inputs": record.nu,
             "gaps": 0 if record.measured is None else int((~record.complete).sum()),
+            "reading": asdict(record.reading),
             "truth": "measured" if record.y_true is None else "noise-free",
         },
         **({"tests": [*_test_facts(comparison)]} if comparison.tests else {}),

@@ -329,11 +329,11 @@ def of_inputs(beyond: Sequence[Extrapolation], record: Record) -> list[str]:
 
 
 def of_gaps(record: Record) -> list[str]:
-    """Return a sentence on missing samples, if any."""
-    missing = int((~record.complete).sum())
-    if not missing:
-        return []
-    return [
+    """Return sentences on samples that are not as they were logged, or missing, if any."""
+    missing, said = int((~record.complete).sum()), record.reading.sentences
+    gaps = (
         f"{missing:,} of {len(record):,} samples have missing values: curves break there, and "
         "errors leave them out."
-    ]
+    )
+    read = f"The record was read with {'; '.join(said)}."
+    return [*([read] if said else []), *([gaps] if missing else [])]

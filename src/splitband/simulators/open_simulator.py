@@ -12,8 +12,8 @@ import numpy as np
 
 from splitband.records import Grid, Record, read
 from splitband.records.alignment import log
+from splitband.records.columns import ColumnError
 from splitband.records.preparation import check_level, going_on, in_turn
-from splitband.records.reading import ColumnError
 from splitband.records.timing import in_words
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from splitband.records import Record
+from splitband.records.signals import usual_distance, warm_ends
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
@@ -213,11 +214,14 @@ def recipe_settings(
     if training.measured is None or samples < settings.window:
         return settings
     tried = []
+    # A warm-up ends with a sample of the slowest channel.
+    slowest = max(usual_distance(known) for known in training.measured.T)
+    enough = ENOUGH_WINDOWS / slowest * (samples - settings.window + 1)
     for part in (1, 2, 4):
         warmup = max(settings.warmup // part, 1)
         starts = window_starts([training], settings.window, warmup)
         tried.append((len(starts), warmup))
-        if len(starts) >= ENOUGH_WINDOWS * (samples - settings.window + 1):
+        if len(starts) >= enough:
             break
     windows, warmup = max(tried)
     if recipe == "default" and windows:
@@ -227,12 +231,16 @@ def recipe_settings(
 
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
     """Return the first samples of all windows, counted over the records."""
-    lengths = [len(record) for record in records]
-    complete = np.concatenate([record.complete for record in records])
-    something = np.concatenate([(~np.isnan(record.y_with_gaps)).any(axis=1) for record in records])
-    inside = np.arange(len(complete)) + window <= np.repeat(np.cumsum(lengths), lengths)
-    warm = _counts(complete, 0, warmup) == warmup
-    return np.flatnonzero(inside & warm & (_counts(something, warmup, window) > 0))
+    found, begin = [], 0
+    for record in records:
+        known = record.y_with_gaps
+        starts = warm_ends(known, warmup) - warmup
+        starts = starts[starts + window <= len(record)]
+        something = np.concatenate([[0], np.cumsum(~np.isnan(known).all(axis=1))])
+        some = something[starts + window] > something[starts + warmup]
+        found.append(begin + starts[some])
+        begin += len(record)
+    return np.concatenate(found)
 
 
 def checked_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
@@ -250,14 +258,6 @@ def checked_starts(records: Sequence[Record], window: int, warmup: int) -> npt.N
             f"warmup must fit between the gaps of the training record, got {warmup} samples"
         )
     return starts
-
-
-def _counts(true: npt.NDArray[np.bool_], begin: int, end: int) -> npt.NDArray[np.int_]:
-    """Count the true values from `begin` to `end` after each index."""
-    count = np.concatenate([[0], np.cumsum(true)])
-    index, last = np.arange(len(true)), len(true)
-    counted = count[np.minimum(index + end, last)] - count[np.minimum(index + begin, last)]
-    return np.asarray(counted)
 
 
 @dataclass(frozen=True)
