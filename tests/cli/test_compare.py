@@ -57,6 +57,8 @@ def test_compare_writes_what_is_needed_to_run_it_again(compared: Path) -> None:
     found = results(compared)
     time = {"samples": SAMPLES, "sampling_time": pytest.approx(DT), "start": 0.0, "gaps": 0}
     channels = {"columns": ["a"], "units": [""], "inputs": 0, "truth": "measured"}
+    reading = found["record"].pop("reading")
+    assert (reading["grid"], reading["hold"], reading["step"]) == (None, None, None)
     assert found["record"] == {"name": "record", **time, **channels}
     settings = found["settings"]
     choice, training = settings["choice"], settings["settings"]
