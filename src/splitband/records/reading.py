@@ -200,9 +200,19 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     by = reading if reading is not None and step is not None and not unwrap else unwrap
     held = reading if reading is not None and hold is None else hold
     how = _How(
-        columns, inputs, time_column, sampling_time, fallback_sampling_time, step, held, gaps,
-        words, by, clip_outliers, {} if reading is None else reading.categories,
-    )  # fmt: skip
+        columns,
+        inputs,
+        time_column,
+        sampling_time,
+        fallback_sampling_time,
+        step,
+        held,
+        gaps,
+        words,
+        by,
+        clip_outliers,
+        {} if reading is None else reading.categories,
+    )
     try:
         layout = Layout(skip_rows, header_row, words)
         if frame is None:
