@@ -220,3 +220,16 @@ def test_words_are_held_between_changes_in_a_file_of_their_own_and_in_runs(tmp_p
     assert [run.inputs for run in runs] == [joined.inputs] * 2
     np.testing.assert_array_equal(runs[1].u, expected)
     assert runs[0].reading.categories == {"mode": ("auto", "cool", "heat")}
+
+
+def test_the_sampling_time_decides_on_the_unit_of_a_joined_file_too(tmp_path: Path) -> None:
+    """Whole steps of 10 may be seconds or milliseconds; the message names the argument."""
+    names = {"a.csv": ("time [s]", "u"), "b.csv": ("time", "y")}
+    for file, columns in names.items():
+        values = {columns[0]: 10 * np.arange(50), columns[1]: np.arange(50) % 7}
+        pd.DataFrame(values).to_csv(tmp_path / file, index=False)
+    joined = {tmp_path / "b.csv": 0.0}
+    with pytest.raises(ValueError, match=r"10 s.*sampling_time \(--sampling-time\)"):
+        sb.read(tmp_path / "a.csv", inputs="u", join=joined)
+    record = sb.read(tmp_path / "a.csv", inputs="u", join=joined, sampling_time=10.0)
+    assert (len(record), record.sampling_time) == (50, 10.0)

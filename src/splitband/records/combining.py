@@ -80,7 +80,7 @@ def join_files(
     for file, offset in offsets.items():
         path = Path(file)
         try:
-            other, clock = _own(load(path, Layout(0, None, missing)), None, None, str(path))
+            other, clock = _own(load(path, Layout(0, None, missing)), None, expected, str(path))
         except InputError as error:
             raise type(error)(f"{path}: {error}") from error
         both = [c for c in other.columns if c in main.columns]
