@@ -53,7 +53,7 @@ class Mean(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the mean."""
-        return np.broadcast_to(self.level, (known.steps, len(self.level)))
+        return np.tile(self.level, (known.steps, 1))
 
     def step_form(self) -> Steps:
         """Return the constant."""
@@ -80,8 +80,7 @@ class Persistence(Forecaster):
         if not measured.any(axis=0).all():
             raise InputError("history must have a measured sample in every channel")
         last = len(known.y) - 1 - measured[::-1].argmax(axis=0)
-        held = np.take_along_axis(known.y, last[None], axis=0)
-        return np.broadcast_to(held, (known.steps, held.shape[1]))
+        return np.tile(np.take_along_axis(known.y, last[None], axis=0), (known.steps, 1))
 
     def step_form(self) -> Steps:
         """Return the last measured value of each channel, held."""

@@ -378,6 +378,4 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
 def total(parts: Sequence[Array]) -> Array:
     """Return the sum of the components, with `OVERFLOWED` where it is not finite."""
     most = OVERFLOWED
-    if len(parts) == 1 and np.isfinite(parts[0]).all():
-        return parts[0]  # of a constant, one row takes the memory of all
     return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
