@@ -20,6 +20,7 @@ from splitband.comparison.plan import Plan
 from splitband.comparison.recommendation import Trial
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.held_out import Origin, distinct_samples
 from splitband.forecasters.intervals import Misfit
 from splitband.forecasters.prediction import Prediction, median_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
@@ -152,8 +153,12 @@ class Comparison:
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:
-        """Return the forecast of each method beyond the training part, with its interval."""
-        intervals = {} if self.trial is None else self.trial.intervals
+        """Return the forecast of each method beyond the training part, with its interval.
+
+        An interval of forecasts `Plan.ahead` is none of this free run.
+        """
+        unknown = self.trial is None or self.plan.ahead is not None
+        intervals = {} if unknown else self.require_trial().intervals
         return {
             name: intervals[name].around(fit.forecast) if name in intervals else fit.forecast
             for name, fit in self.medians.items()
@@ -177,29 +182,63 @@ class Comparison:
     def covers(self, name: str) -> float:
         """Return the share of the forecast's measured samples inside a method's interval, 0 to 1.
 
-        NaN without a forecast.
+        With `Plan.ahead` these are all forecasts from many origins. NaN without a forecast.
         """
-        errors = self._errors_ahead(name)
-        return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
+        errors, _ = self._errors_ahead(name)
+        return self.require_trial().intervals[name].coverage(*errors) if errors else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
-        """Return `covers` for each channel."""
-        return self.require_trial().intervals[name].coverages(self._errors_ahead(name))
+        """Return `covers` for each channel; empty without a forecast."""
+        errors, _ = self._errors_ahead(name)
+        return self.require_trial().intervals[name].coverages(*errors) if errors else ()
 
     def misfits(self, name: str) -> tuple[Misfit, ...]:
         """Return whether a method's interval is too narrow or too wide, for each channel."""
-        return self.require_trial().intervals[name].misfits(self._errors_ahead(name))
+        errors, distinct = self._errors_ahead(name)
+        interval = self.require_trial().intervals[name]
+        return interval.misfits(*errors, distinct=distinct) if errors else ()
 
-    def _errors_ahead(self, name: str) -> Array:
-        return np.asarray(self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead)
+    def from_many_origins(self, name: str) -> list[tuple[Record, Mapping[Origin, Prediction]]]:
+        """Return a method's forecasts `Plan.ahead`: of test records, of what follows the training.
+
+        Each comes with its record; methods that cannot simulate the test records have none of them.
+        """
+        fit = self.medians[name]
+        own = {origin: said for origin, said in fit.forecasts.items() if origin.steps}
+        return [
+            *zip(self.tests, fit.tests_ahead, strict=False),
+            *([(self.record, own)] * bool(own)),
+        ]
+
+    def steps_of_interval(self, name: str) -> int:
+        """Return how many samples a method's interval is judged for; 0 without a forecast."""
+        if self.plan.ahead is not None and self.from_many_origins(name):
+            return self.plan.ahead
+        return len(self.medians[name].ahead)
+
+    def _errors_ahead(self, name: str) -> tuple[list[Array], int | None]:
+        """Return the errors of forecasts after the training part, and the distinct samples."""
+        train, ahead = self.plan.train, self.medians[name].ahead
+        if self.plan.ahead is None:
+            return ([self.record.y_with_gaps[train:] - ahead] if len(ahead) else []), None
+        every = self.from_many_origins(name)
+        errors = [
+            record.y_with_gaps[origin.at : origin.at + origin.steps] - said.y
+            for record, forecasts in every
+            for origin, said in forecasts.items()
+        ]
+        return errors, sum(distinct_samples(forecasts) or 0 for _, forecasts in every)
 
     @cached_property
     def residual_tests(self) -> tuple[ResidualTests, ...]:
         """Return tests of the recommended method's residuals on samples that nothing was fitted to.
 
         These are those of the first test record, as `check` tests them, or else of the forecast.
-        There is none where there are fewer than 2 `LAGS` of them.
+        There is none where there are fewer than 2 `LAGS` of them, and with `Plan.ahead`, as they
+        are residuals of a simulation.
         """
+        if self.plan.ahead is not None:
+            return ()
         fit = self.medians[self.recommended]
         if fit.tests:
             return tests_on(self.trained(), self.tests[0])
@@ -265,5 +304,9 @@ def median_fit(fits: Sequence[Fit]) -> Fit:
         origin: median_of([fit.forecasts[origin] for fit in fits]) for origin in first.forecasts
     }
     tests = [median_of(each) for each in zip(*(f.tests for f in fits), strict=True)]
-    seconds = sum(fit.seconds for fit in fits)
-    return replace(first, forecasts=forecasts, tests=tests, seconds=seconds)
+    tests_ahead = [
+        {origin: median_of([of[origin] for of in each]) for origin in each[0]}
+        for each in zip(*(f.tests_ahead for f in fits), strict=True)
+    ]
+    done = {"tests": tests, "tests_ahead": tests_ahead, "seconds": sum(f.seconds for f in fits)}
+    return replace(first, forecasts=forecasts, **done)

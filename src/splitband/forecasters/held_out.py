@@ -1,11 +1,13 @@
-"""Forecast held-out samples of a training record, whose errors give methods scores and intervals.
+"""Forecast known samples from many origins: held-out ones give methods scores and intervals.
 
-Forecasters are passed to these functions, on which `Forecaster.predict` is built.
+A method is judged by one long forecast from each of a few origins or, for predictive control, by
+forecasts of some samples ahead from many. Forecasters are passed to these functions, on which
+`Forecaster.predict` is built.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -13,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splitband.forecasters.intervals import HeldOut
+from splitband.forecasters.prediction import Prediction, known_of, total
+from splitband.forecasters.steps import NotSteppedError, tick
 from splitband.metrics import ExtrapolationWarning, rmse, spread
 from splitband.records import Record
 from splitband.runtime.arrays import Array
@@ -35,6 +39,8 @@ fit. By eye."""
 FEWEST_FITTED = 20
 """An earlier origin, for the intervals, needs this many measured samples of each channel before it.
 By eye."""
+MOST_ORIGINS = 100
+"""Largest number of origins of forecasts some samples ahead, evenly spaced. Bounds the time."""
 FAILED_FIT_RATIO = 5.0
 """A fit to few samples has failed if the error of its first forecast samples is above this multiple
 of the method's error over as many first samples of the forecasts that are scored. By eye."""
@@ -48,10 +54,12 @@ class Origin:
     ----------
     fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
     at : Index of the first forecast sample; the warm-up is before it.
+    steps : Number of samples to forecast; 0: to the end of the record.
     """
 
     fitted: int
     at: int
+    steps: int = 0
 
 
 def first_held_out(samples: int) -> int:
@@ -68,7 +76,7 @@ def beginning(record: Record, samples: int) -> Record:
 
 def after(record: Record, at: int, steps: int | None = None) -> dict[str, Any]:
     """Return the arguments of `predict` for samples of a record, by default all, from `at` on."""
-    steps = len(record) - at if steps is None else steps
+    steps = steps or len(record) - at
     u = None if record.u is None else record.u[at : at + steps]
     return {"steps": steps, "history": beginning(record, at), "u": u}
 
@@ -101,16 +109,31 @@ def refitted(
             return
 
 
-def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
+def many_origins(fitted: int, first: int, end: int, ahead: int) -> list[Origin]:
+    """Return origins, evenly spaced, of forecasts `ahead` that lie between two samples.
+
+    There are at most `MOST_ORIGINS`, and none where the samples are too few.
+    """
+    last = end - ahead
+    count = min(MOST_ORIGINS, last - first + 1)
+    return [Origin(fitted, int(at), ahead) for at in np.linspace(first, last, max(count, 0))]
+
+
+def held_out_origins(
+    forecaster: Forecaster, record: Record, ahead: int | None = None
+) -> list[Origin]:
     """Return the origins of forecasts of a record's last quarter.
 
-    A network is trained once, and forecasts from the beginning of that quarter, from a third and
+    With `ahead`, these are `many_origins` of a single fit. Without it, a network is trained once, and forecasts from the beginning of that quarter, from a third and
     from two thirds of it, as a method may be lucky from a single origin: persistence is, for
     instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
     the first half, which shows how errors grow. A method that is quicker to fit is refitted for
     each of several origins, some of them earlier.
     """
     samples = len(record)
+    if ahead is not None:
+        fitted = first_held_out(samples)
+        return many_origins(fitted, fitted, samples, ahead)
     held_out = [max(1, round(share * samples)) for share in HELD_OUT_SHARES]
     fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
     measured = np.cumsum(~np.isnan(record.y_with_gaps), axis=0)
@@ -132,7 +155,7 @@ def held_out_errors(
     """
     seen, first = record.y_with_gaps, first_held_out(len(record))
     return [
-        seen[origin.at :] - y[: len(record) - origin.at]
+        seen[origin.at :][: len(y)] - y[: len(record) - origin.at]
         for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
         if (origin.at < first) == earlier
     ]
@@ -153,13 +176,70 @@ def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOu
         if not first_samples([error]) <= most:
             break
         kept.append(error)
-    return HeldOut.of(kept, record.y_with_gaps)
+    return HeldOut.of(kept, record.y_with_gaps, distinct_samples(forecasts))
 
 
-def held_out_of(forecaster: Forecaster) -> HeldOut:
+def distinct_samples(origins: Iterable[Origin]) -> int | None:
+    """Return how many samples several forecasts have in all, if all have as many; else None."""
+    every = [*origins]
+    if not all(origin.steps for origin in every):
+        return None
+    return len({n for origin in every for n in range(origin.at, origin.at + origin.steps)})
+
+
+def forecasts(
+    model: Forecaster, record: Record, origins: Sequence[Origin], other_record: bool = False
+) -> dict[Origin, Prediction]:
+    """Return a model's forecasts of a record, each with the measured samples before its origin.
+
+    Those of a model whose forecasts filter the whole history are made in one run of its step form,
+    as a stream makes them: its state is corrected by every sample, and copied at each origin.
+    """
+    found, many = dict[Origin, Prediction](), [origin for origin in origins if origin.steps]
+    with without_warnings(ExtrapolationWarning):  # the predictions hold them
+        if model.filters_history and many:
+            found |= _in_one_run(model, record, many, other_record)
+        for origin in origins:
+            if origin not in found:
+                known = after(record, origin.at, origin.steps)
+                found[origin] = model.predict(**known, other_record=other_record)
+    return {origin: found[origin] for origin in origins}
+
+
+def _in_one_run(
+    model: Forecaster, record: Record, origins: Sequence[Origin], other_record: bool
+) -> dict[Origin, Prediction]:
+    """Return forecasts by the step form; none without one, or without the output that it needs."""
+    try:
+        steps = model.step_form()
+    except NotSteppedError:
+        return {}
+    if steps.simulated and record.y_sim is None:
+        return {}
+    now, y = origins[0].at, record.y_with_gaps
+    u = np.empty((len(y), 0)) if record.u is None else record.u
+    y_sim = np.empty((len(y) + 1, 0))
+    if steps.simulated and record.y_sim is not None:
+        # The slope at the end of the output is that between its last two samples.
+        y_sim = np.concatenate([record.y_sim, 2 * record.y_sim[-1:] - record.y_sim[-2:-1]])
+    found = dict[Origin, Prediction]()
+    state = steps.begin(known_of(model, 0, beginning(record, now), other_record))
+    for origin in origins:
+        for n in range(now, origin.at):
+            state, _ = tick(steps, state, y[n], u[n], y_sim[n : n + 1 + steps.ahead])
+        now, going, rows = origin.at, state, list[Array]()
+        for n in range(now, now + origin.steps):
+            going, row = steps.advance(going, u[n], y_sim[n : n + 1 + steps.ahead])
+            rows.append(row)
+        grid = replace(record.grid, samples=now).after(origin.steps)
+        found[origin] = Prediction(total([np.stack(rows)]), grid, record.columns)
+    return found
+
+
+def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
     """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
-    They are kept with it. Raises ValueError for a loaded forecaster without them, which does not
+    They are kept with it. `ahead` : see `held_out_origins`. Raises ValueError for a loaded forecaster without them, which does not
     have all of its training records.
     """
     if forecaster.held_out is not None:
@@ -171,13 +251,12 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
             "level must be left out for a model that was saved without held-out errors: request an "
             "interval before it is saved, or fit it with --intervals"
         )
-    shorter, origins = forecaster.for_trial(len(record)), held_out_origins(forecaster, record)
-    forecasts, seed = dict[Origin, Array](), fitted.report.seed
+    shorter = forecaster.for_trial(len(record))
+    origins = held_out_origins(forecaster, record, ahead)
+    found, seed = dict[Origin, Array](), fitted.report.seed
     for model, group in refitted(shorter, record, origins, fitted.others, seed=seed):
-        with without_warnings(ExtrapolationWarning):
-            for origin in group:
-                forecasts[origin] = model.predict(**after(record, origin.at)).y
-    forecaster.held_out = interval_errors(record, forecasts)
+        found |= {origin: said.y for origin, said in forecasts(model, record, group).items()}
+    forecaster.held_out = interval_errors(record, found)
     return forecaster.held_out
 
 

@@ -48,7 +48,8 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     left, errors = [p for s in shown for p in s.residuals()], [p for s in shown for p in s.errors()]
     warnings = (*result.warnings, *words.warnings(result), *words.of_gaps(record))
     warned = [*map(words.sentence, warnings)]
-    why = " ".join(words.why(trial, result.plan.train, listed.labels))
+    plan = result.plan
+    why = " ".join(words.why(trial, plan.train, listed.labels, plan.ahead))
     headline = [(of, "\n".join(facts)) for of, facts in words.headline(result)]
     sections = [
         Section("answer", answer, words.afterwards(result), warned, facts=headline),
@@ -64,7 +65,7 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
         *_trained(result, styles),
         _settings(_flat(_shared(result)), used),
     ]
-    title, at, train = record.name or "a record", shown[0].axis.values, result.plan.train
+    title, at, train = record.name or "a record", shown[0].axis.values, plan.train
     views = {"Whole record": (at[0], at[-1])}
     if first[0].protocol != "test" and train < len(at):
         views |= {"Training part": (at[0], at[train - 1]), "After it": (at[train], at[-1])}
