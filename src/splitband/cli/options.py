@@ -253,7 +253,7 @@ Seeds = Annotated[int | None, _TRAINING(_SEEDS, "N", "1 to 8", min=1)]
 Ahead = Annotated[
     int | None,
     plain(
-        "Make and judge models for N samples ahead of any origin, with the measurements until then.",
+        "Make and judge models for N samples ahead of any origin, with measurements until then.",
         "N",
         "one free run",
         min=1,

@@ -218,7 +218,7 @@ def _finished(found: Fit, spec: BacktestSpec, began: float, *notes: str) -> Fit:
                 (f"not tested on {test.name or 'a test record'}: {error}", *notes),
             )
             break
-    done = {"tests": tests, "tests_ahead": from_many, "seconds": now() - began}
+    done: dict[str, Any] = {"tests": tests, "tests_ahead": from_many, "seconds": now() - began}
     return replace(found, notes=notes, **done)
 
 

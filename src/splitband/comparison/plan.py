@@ -60,7 +60,8 @@ class Plan:
     tests : Records that nothing is fitted to, with distinct names.
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
-    train, horizon, ahead, others, initial, budget, rounds, seed, seeds, refit : See `compare`; decided.
+    train, horizon, ahead, others, initial, budget, rounds, seed, seeds, refit : See `compare`;
+        decided.
     """
 
     record: Record

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -308,5 +308,5 @@ def median_fit(fits: Sequence[Fit]) -> Fit:
         {origin: median_of([of[origin] for of in each]) for origin in each[0]}
         for each in zip(*(f.tests_ahead for f in fits), strict=True)
     ]
-    done = {"tests": tests, "tests_ahead": tests_ahead, "seconds": sum(f.seconds for f in fits)}
-    return replace(first, forecasts=forecasts, **done)
+    both: dict[str, Any] = {"tests": tests, "tests_ahead": tests_ahead}
+    return replace(first, forecasts=forecasts, **both, seconds=sum(f.seconds for f in fits))

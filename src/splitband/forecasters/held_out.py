@@ -124,11 +124,12 @@ def held_out_origins(
 ) -> list[Origin]:
     """Return the origins of forecasts of a record's last quarter.
 
-    With `ahead`, these are `many_origins` of a single fit. Without it, a network is trained once, and forecasts from the beginning of that quarter, from a third and
-    from two thirds of it, as a method may be lucky from a single origin: persistence is, for
-    instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
-    the first half, which shows how errors grow. A method that is quicker to fit is refitted for
-    each of several origins, some of them earlier.
+    With `ahead`, these are `many_origins` of a single fit. Without it, a network is trained once,
+    and forecasts from the beginning of that quarter, from a third and from two thirds of it, as a
+    method may be lucky from a single origin: persistence is, for instance, if the last sample
+    happens to equal the mean. A linear model is fitted once more, to the first half, which shows
+    how errors grow. A method that is quicker to fit is refitted for each of several origins, some
+    of them earlier.
     """
     samples = len(record)
     if ahead is not None:
@@ -239,8 +240,8 @@ def _in_one_run(
 def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
     """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
-    They are kept with it. `ahead` : see `held_out_origins`. Raises ValueError for a loaded forecaster without them, which does not
-    have all of its training records.
+    They are kept with it. `ahead` : See `held_out_origins`. Raises ValueError for a loaded
+    forecaster without them, which does not have all of its training records.
     """
     if forecaster.held_out is not None:
         return forecaster.held_out
