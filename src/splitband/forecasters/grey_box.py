@@ -183,11 +183,6 @@ class GreyBox(Forecaster):
         return adjusted.response(whole.time, whole.u, state)
 
     @property
-    def filters_history(self) -> bool:
-        """Return whether a forecast runs over the whole history: not with a `memory`."""
-        return self.memory == 0
-
-    @property
     def writable(self) -> bool:
         """Return whether a program can hold its simulator: an equation that can be integrated."""
         return isinstance(self.simulator, Ode) and self.simulator.advances

@@ -17,7 +17,7 @@ import numpy as np
 from splitband.forecasters.intervals import HeldOut
 from splitband.forecasters.prediction import Prediction, known_of, total
 from splitband.forecasters.steps import NotSteppedError, tick
-from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.metrics import ExtrapolationWarning, fit_percent, rmse, spread
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, DeadlineError, current, within
@@ -119,6 +119,11 @@ def many_origins(fitted: int, first: int, end: int, ahead: int) -> list[Origin]:
     return [Origin(fitted, int(at), ahead) for at in np.linspace(first, last, max(count, 0))]
 
 
+def horizons(ahead: int) -> list[int]:
+    """Return the samples ahead for which fits are shown: 1, a tenth of `ahead`, and `ahead`."""
+    return sorted({1, max(ahead // 10, 1), ahead})
+
+
 def held_out_origins(
     forecaster: Forecaster, record: Record, ahead: int | None = None
 ) -> list[Origin]:
@@ -207,30 +212,32 @@ def forecasts(
     return {origin: found[origin] for origin in origins}
 
 
+def fit_ahead(record: Record, made: Mapping[Origin, Prediction], steps: int) -> Array:
+    """Return the fit in percent of each output, `(ny,)`, so many samples ahead of the origins."""
+    truth = np.stack([record.truth[origin.at + steps - 1] for origin in made])
+    return np.asarray(fit_percent(truth, np.stack([said.y[steps - 1] for said in made.values()])))
+
+
 def _in_one_run(
     model: Forecaster, record: Record, origins: Sequence[Origin], other_record: bool
 ) -> dict[Origin, Prediction]:
-    """Return forecasts by the step form; none without one, or without the output that it needs."""
+    """Return forecasts by the step form; none without one, and of one that needs a simulator."""
     try:
         steps = model.step_form()
     except NotSteppedError:
         return {}
-    if steps.simulated and record.y_sim is None:
+    if steps.simulated:
         return {}
-    now, y = origins[0].at, record.y_with_gaps
+    now, y, none = origins[0].at, record.y_with_gaps, np.empty((1 + steps.ahead, 0))
     u = np.empty((len(y), 0)) if record.u is None else record.u
-    y_sim = np.empty((len(y) + 1, 0))
-    if steps.simulated and record.y_sim is not None:
-        # The slope at the end of the output is that between its last two samples.
-        y_sim = np.concatenate([record.y_sim, 2 * record.y_sim[-1:] - record.y_sim[-2:-1]])
     found = dict[Origin, Prediction]()
     state = steps.begin(known_of(model, 0, beginning(record, now), other_record))
     for origin in origins:
         for n in range(now, origin.at):
-            state, _ = tick(steps, state, y[n], u[n], y_sim[n : n + 1 + steps.ahead])
+            state, _ = tick(steps, state, y[n], u[n], none)
         now, going, rows = origin.at, state, list[Array]()
         for n in range(now, now + origin.steps):
-            going, row = steps.advance(going, u[n], y_sim[n : n + 1 + steps.ahead])
+            going, row = steps.advance(going, u[n], none)
             rows.append(row)
         grid = replace(record.grid, samples=now).after(origin.steps)
         found[origin] = Prediction(total([np.stack(rows)]), grid, record.columns)

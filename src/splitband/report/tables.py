@@ -20,6 +20,7 @@ from splitband.comparison.recommendation import COVERAGE, RULE, Trial
 from splitband.comparison.result import Comparison
 from splitband.comparison.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
+from splitband.forecasters.held_out import fit_ahead, horizons
 from splitband.forecasters.linear import Linear
 from splitband.linear.uncertainty import NORMAL
 from splitband.metrics import channel_rmse, fit_percent, leaving
@@ -69,9 +70,7 @@ def _horizons(comparison: Comparison) -> dict[str, int]:
     """Return the samples ahead for which fits are shown, by their names; empty for a free run."""
     if (ahead := comparison.plan.ahead) is None:
         return {}
-    every = {"N": ahead, "1": 1, "N/10": ahead // 10}
-    distinct = {samples: name for name, samples in reversed(every.items()) if samples}
-    return {name: samples for samples, name in sorted(distinct.items())}
+    return {{ahead: "N", 1: "1"}.get(samples, "N/10"): samples for samples in horizons(ahead)}
 
 
 def of_trial(
@@ -236,9 +235,7 @@ def _ahead(name: str, comparison: Comparison) -> Iterator[Numbers]:
         for method in comparison.fits:
             for own, forecasts in comparison.from_many_origins(method):
                 if own is record:
-                    truth = np.stack([record.truth[origin.at + steps - 1] for origin in forecasts])
-                    said = np.stack([each.y[steps - 1] for each in forecasts.values()])
-                    fits[method] = fit_percent(truth, said)
+                    fits[method] = fit_ahead(record, forecasts, steps)
         if fits:
             test = "" if record is comparison.record else record.name
             yield Numbers(fits, record, test, ahead=steps)
