@@ -62,8 +62,10 @@ def _from_origins(comparison: Comparison) -> str:
     if not (found := comparison.from_many_origins(next(iter(comparison.fits)))):
         return ""
     counts = " and ".join(str(len(forecasts)) for _, forecasts in found)
-    horizons = " and ".join(map(str, _horizons(comparison).values()))
-    return f" Ahead: {horizons} samples from each of {counts} origins, all before them measured."
+    steps = ", ".join(map(str, _horizons(comparison).values()))
+    return (
+        f" Ahead: {steps} samples from each of {counts} origins, with the measurements until then."
+    )
 
 
 def _horizons(comparison: Comparison) -> dict[str, int]:

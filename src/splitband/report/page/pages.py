@@ -51,10 +51,12 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     plan = result.plan
     why = " ".join(words.why(trial, plan.train, listed.labels, plan.ahead))
     headline = [(of, "\n".join(facts)) for of, facts in words.headline(result)]
+    ahead = plots.errors_ahead(result, styles)
     sections = [
         Section("answer", answer, words.afterwards(result), warned, facts=headline),
         Section("plot", "Measured and predicted", [what_was_known(result)], plots=curves),
         Section("methods", "All methods", [why], tables=[listed]),
+        *([Section("ahead", "Error by samples ahead", [_AHEAD], plots=ahead)] if ahead else []),
         _residuals([*words.verdicts(result)], result.residual_tests, "Residuals", left),
         *_responses(result, styles),
         *_next_steps(used),
@@ -72,6 +74,10 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     return Page(title, words.lead(record), sections, [*styles.values()], views)
 
 
+_AHEAD = (
+    "RMSE of forecasts from many origins, each with the measurements until then. Methods are "
+    "chosen by such forecasts of held-out samples."
+)
 _HORIZON = (
     "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the "
     "median of a method's trainings, which is its prediction; shaded: the range of all of them."
