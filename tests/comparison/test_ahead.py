@@ -106,7 +106,7 @@ KINDS = [
 
 @pytest.mark.parametrize("gaps", [(), (slice(97, 100), 117)])
 @pytest.mark.parametrize("name", KINDS)
-def test_forecasts_from_many_origins_are_those_that_are_asked_for_one_by_one(
+def test_forecasts_judging_are_those_that_are_asked_for_one_by_one(
     name: str, gaps: Sequence[Any]
 ) -> None:
     made = short_record(nu=1)
@@ -137,7 +137,7 @@ def test_the_median_of_networks_is_judged_ahead_on_test_records_too() -> None:
     whole = short_record(nu=1)
     test = short_record(nu=1, seed=3)
     found = compare(whole, ["gru", "mean"], SETUP, seeds=2, ahead=6, tests=[test])
-    (of_test, made), (_, own) = found.from_many_origins("gru")
+    (of_test, made), (_, own) = found.judging("gru")
     assert of_test is found.tests[0]
     assert min(origin.at for origin in made) == SETUP.settings.warmup
     assert min(origin.at for origin in own) == SETUP.train

@@ -198,36 +198,32 @@ class Comparison:
         interval = self.require_trial().intervals[name]
         return interval.misfits(*errors, distinct=distinct) if errors else ()
 
-    def from_many_origins(self, name: str) -> list[tuple[Record, Mapping[Origin, Prediction]]]:
-        """Return a method's forecasts `Plan.ahead`: of test records, of what follows the training.
+    def judging(self, name: str) -> list[tuple[Record, Mapping[Origin, Prediction]]]:
+        """Return a method's forecasts that judge it on unseen samples, by record.
 
-        Each comes with its record; methods that cannot simulate the test records have none of them.
+        This is the one after the training part or, with `Plan.ahead`, those from many origins after
+        it and, by methods that can simulate them, in test records.
         """
-        fit = self.medians[name]
+        fit, train = self.medians[name], self.plan.train
         own = {origin: said for origin, said in fit.forecasts.items() if origin.steps}
-        return [
-            *zip(self.tests, fit.tests_ahead, strict=False),
-            *([(self.record, own)] * bool(own)),
-        ]
+        if self.plan.ahead is None and fit.forecast is not None:
+            own = {Origin(train, train): fit.forecast}
+        of_tests = zip(self.tests, fit.tests_ahead, strict=False)
+        return [*of_tests, *([(self.record, own)] if own else [])]
 
     def steps_of_interval(self, name: str) -> int:
         """Return how many samples a method's interval is judged for; 0 without a forecast."""
-        if self.plan.ahead is not None and self.from_many_origins(name):
-            return self.plan.ahead
-        return len(self.medians[name].ahead)
+        return max((len(p) for _, made in self.judging(name) for p in made.values()), default=0)
 
     def _errors_ahead(self, name: str) -> tuple[list[Array], int | None]:
-        """Return the errors of forecasts after the training part, and the distinct samples."""
-        train, ahead = self.plan.train, self.medians[name].ahead
-        if self.plan.ahead is None:
-            return ([self.record.y_with_gaps[train:] - ahead] if len(ahead) else []), None
-        every = self.from_many_origins(name)
+        """Return the errors of the forecasts that judge a method, and their distinct samples."""
+        every = self.judging(name)
         errors = [
-            record.y_with_gaps[origin.at : origin.at + origin.steps] - said.y
-            for record, forecasts in every
-            for origin, said in forecasts.items()
+            record.y_with_gaps[origin.at : origin.at + len(said)] - said.y
+            for record, made in every
+            for origin, said in made.items()
         ]
-        return errors, sum(distinct_samples(forecasts) or 0 for _, forecasts in every)
+        return errors, sum(distinct_samples(made) or 0 for _, made in every) or None
 
     @cached_property
     def residual_tests(self) -> tuple[ResidualTests, ...]:

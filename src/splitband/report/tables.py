@@ -59,7 +59,8 @@ def of_comparison(comparison: Comparison) -> Table:
 
 def _from_origins(comparison: Comparison) -> str:
     """Return a sentence on forecasts from many origins, if there are any."""
-    if not (found := comparison.from_many_origins(next(iter(comparison.fits)))):
+    found = comparison.judging(next(iter(comparison.fits)))
+    if not found or comparison.plan.ahead is None:
         return ""
     counts = " and ".join(str(len(forecasts)) for _, forecasts in found)
     steps = ", ".join(map(str, _horizons(comparison).values()))
@@ -235,7 +236,7 @@ def _ahead(name: str, comparison: Comparison) -> Iterator[Numbers]:
     for record in (*comparison.tests, comparison.record):
         fits = dict[str, Array]()
         for method in comparison.fits:
-            for own, forecasts in comparison.from_many_origins(method):
+            for own, forecasts in comparison.judging(method):
                 if own is record:
                     fits[method] = fit_ahead(record, forecasts, steps)
         if fits:

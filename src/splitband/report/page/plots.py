@@ -187,7 +187,9 @@ class OverTime:
 def errors_ahead(comparison: Comparison, styles: Mapping[str, Method]) -> list[Chart]:
     """Return plots by output of the RMSE over the samples ahead of many origins, by record."""
     plots = list[Chart]()
-    every = {name: comparison.from_many_origins(name) for name in styles}
+    if comparison.plan.ahead in (None, 1):
+        return plots
+    every = {name: comparison.judging(name) for name in styles}
     for record in (*comparison.tests, comparison.record):
         errors = {
             name: np.stack([record.truth[o.at : o.at + o.steps] - p.y for o, p in made.items()])
@@ -195,7 +197,7 @@ def errors_ahead(comparison: Comparison, styles: Mapping[str, Method]) -> list[C
             for own, made in found
             if own is record
         }
-        if not errors or comparison.plan.ahead == 1:
+        if not errors:
             continue
         of = "" if record is comparison.record else f", test record {record.name}"
         for i, (column, unit) in enumerate(zip(record.columns, record.units, strict=True)):
