@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splitband.forecasters.intervals import HeldOut
-from splitband.forecasters.prediction import Prediction, known_of, total
-from splitband.forecasters.steps import NotSteppedError, tick
+from splitband.forecasters.prediction import Prediction, total
+from splitband.forecasters.steps import NotSteppedError
 from splitband.metrics import ExtrapolationWarning, fit_percent, rmse, spread
 from splitband.records import Record
 from splitband.runtime.arrays import Array
@@ -198,10 +198,10 @@ def forecasts(
 ) -> dict[Origin, Prediction]:
     """Return a model's forecasts of a record, each with the measured samples before its origin.
 
-    Those of a model whose forecasts filter the whole history are made in one run of its step form,
-    as a stream makes them: its state is corrected by every sample, and copied at each origin.
+    Those of a model whose forecasts filter the whole history are made by a stream, which is
+    corrected by every sample, and copied at each origin.
     """
-    found, many = dict[Origin, Prediction](), [origin for origin in origins if origin.steps]
+    found, many = dict[Origin, Prediction](), [each for each in origins if each.steps]
     with without_warnings(ExtrapolationWarning):  # the predictions hold them
         if model.filters_history and many:
             found |= _in_one_run(model, record, many, other_record)
@@ -221,26 +221,22 @@ def fit_ahead(record: Record, made: Mapping[Origin, Prediction], steps: int) -> 
 def _in_one_run(
     model: Forecaster, record: Record, origins: Sequence[Origin], other_record: bool
 ) -> dict[Origin, Prediction]:
-    """Return forecasts by the step form; none without one, and of one that needs a simulator."""
+    """Return forecasts by a stream; none without a step form, and of one that needs a simulator."""
+    now, measured = origins[0].at, record.y_with_gaps
     try:
-        steps = model.step_form()
+        stream = model.stream(beginning(record, now), other_record)
     except NotSteppedError:
         return {}
-    if steps.simulated:
+    if stream.steps.simulated:
         return {}
-    now, y, none = origins[0].at, record.y_with_gaps, np.empty((1 + steps.ahead, 0))
-    u = np.empty((len(y), 0)) if record.u is None else record.u
-    found = dict[Origin, Prediction]()
-    state = steps.begin(known_of(model, 0, beginning(record, now), other_record))
+    found, u = dict[Origin, Prediction](), [None] * len(record) if record.u is None else record.u
     for origin in origins:
         for n in range(now, origin.at):
-            state, _ = tick(steps, state, y[n], u[n], none)
-        now, going, rows = origin.at, state, list[Array]()
-        for n in range(now, now + origin.steps):
-            going, row = steps.advance(going, u[n], none)
-            rows.append(row)
+            stream.observe(measured[n], u[n])
+        now, going = origin.at, stream.copy()
+        y = np.stack([going.step(u[n]) for n in range(now, now + origin.steps)])
         grid = replace(record.grid, samples=now).after(origin.steps)
-        found[origin] = Prediction(total([np.stack(rows)]), grid, record.columns)
+        found[origin] = Prediction(total([y]), grid, record.columns)
     return found
 
 
