@@ -166,6 +166,7 @@ class LinearModel:
         """Return the state after inputs from the first training sample on, `(n,)`."""
         return self._run(self.tapped(u), self.first, self.first - self.centre)[1]
 
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable model leaves the range of numbers
     def _run(self, tapped: Array, first: Array, away: Array, age: int = 0) -> tuple[Array, Array]:
         """Return the outputs of a simulation, and the state after it.
 
