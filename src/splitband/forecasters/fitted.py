@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,8 +16,9 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.simulators.base import Absent
 
-UNSTABLE = "unstable: a simulation may grow without bound"
-"""What is said of a model that is not `FitReport.stable`."""
+_REACH = 100.0
+"""Growth of an error over the longest forecast that is worth making, of a plant that is unstable: a
+state that is known to 1 % of its range is lost by then. By eye."""
 NEAR_ROW = 1e-3
 """Tolerance in samples: a history that begins this close to a training sample begins at it.
 Rounding."""
@@ -41,7 +43,8 @@ class FitReport:
     losses : Mean training loss of each epoch, by network.
     notes : Remarks on the training record, and problems in training that were corrected.
     cut : Whether a deadline ended the training early.
-    stable : False where a simulation is known to be able to grow without bound.
+    growth : Factor by which an error of a simulation grows each sample; above 1 where it is known
+        that a simulation may grow without bound.
     parameters : The fitted parameters of a simulator, in a form that JSON can hold.
     """
 
@@ -50,8 +53,35 @@ class FitReport:
     losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     cut: bool = False
-    stable: bool = True
+    growth: float = 1.0
     parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def stable(self) -> bool:
+        """Return whether nothing is known of a simulation that grows without bound."""
+        return self.growth <= 1
+
+    @property
+    def reach(self) -> int | None:
+        """Return how many samples ahead forecasts are worth making; None for a stable model."""
+        return None if self.stable else reach(self.growth)
+
+    def unstable(self) -> str:
+        """Return in words that it is unstable, and how far; empty for a stable model."""
+        if self.reach is None:
+            return ""
+        doubled = math.log(2) / math.log(self.growth)
+        return (
+            f"unstable: largest pole {self.growth:.4g}, an error doubles every {doubled:.3g} "
+            f"samples; forecasts up to {self.reach} samples ahead"
+        )
+
+
+def reach(growth: float) -> int:
+    """Return the samples in which an error grows a hundredfold, rounded to 1, 2 or 5 times 10^n."""
+    samples = math.log(_REACH) / math.log(growth)
+    power = 10.0 ** math.floor(math.log10(max(samples, 1.0)))
+    return round(power * max(k for k in (1, 2, 5) if k * power <= max(samples, 1.0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,8 +40,8 @@ class LinearPart(Protocol):
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
         """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
 
-    def stable(self) -> bool:
-        """Return whether a simulation cannot grow without bound."""
+    def growth(self) -> float:
+        """Return the factor by which an error of a simulation grows, see `FitReport`."""
 
 
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:

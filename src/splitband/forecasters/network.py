@@ -303,14 +303,14 @@ class Network(Forecaster):
         self.model.eval()
         notes = (*self._remarks(seen[0]), *history.notes)
         linear = (each for each in self.model.modules() if isinstance(each, LinearPart))
-        stable = all(each.stable() for each in linear)
+        growth = max([1.0, *(each.growth() for each in linear)])
         # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
         self._prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         cut = history.cut or (
             self._fitted_base is not None and self._fitted_base.require_fitted().report.cut
         )
-        report = FitReport(seed, history.seconds, history.losses, notes, cut, stable)
+        report = FitReport(seed, history.seconds, history.losses, notes, cut, growth)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:

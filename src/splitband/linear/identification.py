@@ -184,7 +184,7 @@ def _of_outputs(
         with suppress(DeadlineError):
             predictor = _predictor(model, at, runs)
             by_prediction = _by_prediction(predictor, runs, delays, longest)
-            if by_prediction.stable and not _of_sensors(model, by_prediction):
+            if by_prediction.growth <= 1 and not _of_sensors(model, by_prediction):
                 model = by_prediction
     orders, held_out = tuple(search.errors), np.array([*search.errors.values()])
     model = replace(model, orders=orders, held_out=held_out, values=search.values)

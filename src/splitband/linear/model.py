@@ -358,10 +358,10 @@ class LinearModel:
         return np.asarray(np.linalg.eigvals(self.a), np.complex128)
 
     @property
-    def stable(self) -> bool:
-        """Return whether all poles but the integrators are inside of the unit circle."""
+    def growth(self) -> float:
+        """Return the absolute value of the largest pole outside of the unit circle; else 1."""
         poles = sorted(self.poles(), key=lambda pole: abs(pole - 1))[self.integrators :]
-        return all(abs(pole) < 1 for pole in poles)
+        return max([1.0, *map(abs, poles)])
 
     def __str__(self) -> str:
         poles = f"{self.order} pole{'s' * (self.order != 1)}"

@@ -15,7 +15,6 @@ from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
 from splitband.metrics import Extrapolation
@@ -219,8 +218,8 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
 def _unstable(comparison: Comparison) -> list[str]:
     """Return a sentence on a recommended model that is unstable, or integrates."""
     fits = comparison.fits[comparison.recommended]
-    if not all(fit.report.stable for fit in fits):
-        return [f"The recommended model is {UNSTABLE}."]
+    if said := [*filter(None, (fit.report.unstable() for fit in fits))]:
+        return [f"The recommended model is {said[0]}."]
     if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
         return ["The recommended model integrates: a constant input makes it grow steadily."]
     return []
