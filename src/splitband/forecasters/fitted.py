@@ -16,9 +16,6 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.simulators.base import Absent
 
-_REACH = 100.0
-"""Growth of an error over the longest forecast that is worth making, of a plant that is unstable: a
-state that is known to 1 % of its range is lost by then. By eye."""
 NEAR_ROW = 1e-3
 """Tolerance in samples: a history that begins this close to a training sample begins at it.
 Rounding."""
@@ -45,6 +42,7 @@ class FitReport:
     cut : Whether a deadline ended the training early.
     growth : Factor by which an error of a simulation grows each sample; above 1 where it is known
         that a simulation may grow without bound.
+    reach : Samples ahead for which forecasts of an unstable plant are worth making, where known.
     parameters : The fitted parameters of a simulator, in a form that JSON can hold.
     """
 
@@ -54,6 +52,7 @@ class FitReport:
     notes: tuple[str, ...] = ()
     cut: bool = False
     growth: float = 1.0
+    reach: int | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -61,27 +60,16 @@ class FitReport:
         """Return whether nothing is known of a simulation that grows without bound."""
         return self.growth <= 1
 
-    @property
-    def reach(self) -> int | None:
-        """Return how many samples ahead forecasts are worth making; None for a stable model."""
-        return None if self.stable else reach(self.growth)
-
     def unstable(self) -> str:
         """Return in words that it is unstable, and how far; empty for a stable model."""
-        if self.reach is None:
+        if self.stable:
             return ""
         doubled = math.log(2) / math.log(self.growth)
+        limit = "" if self.reach is None else f"; forecasts up to {self.reach} samples ahead"
         return (
             f"unstable: largest pole {self.growth:.4g}, an error doubles every {doubled:.3g} "
-            f"samples; forecasts up to {self.reach} samples ahead"
+            f"samples{limit}"
         )
-
-
-def reach(growth: float) -> int:
-    """Return the samples in which an error grows a hundredfold, rounded to 1, 2 or 5 times 10^n."""
-    samples = math.log(_REACH) / math.log(growth)
-    power = 10.0 ** math.floor(math.log10(max(samples, 1.0)))
-    return round(power * max(k for k in (1, 2, 5) if k * power <= max(samples, 1.0)))
 
 
 @dataclass(frozen=True, eq=False)

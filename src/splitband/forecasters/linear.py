@@ -101,7 +101,9 @@ class Linear(Forecaster):
         integrators = None if self.integrators == "auto" else self.integrators
         self.model = identified(seen, self.order, self._delays(records[0]), integrators)
         self.delays = self.model.delays
-        self.fitted = self.require_fitted().reporting(cut=current().over, growth=self.model.growth)
+        self.fitted = self.require_fitted().reporting(
+            cut=current().over, growth=self.model.growth, reach=self.model.reach
+        )
         self.fitted = self.fitted.reporting(notes=tuple(self._notes(records)))
 
     def extrapolate(self, known: ForecastContext) -> Array:

@@ -28,7 +28,7 @@ from splitband.forecasters.base import (
 )
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.held_out import first_held_out
-from splitband.forecasters.initialisation import LinearPart, begin_as_linear
+from splitband.forecasters.initialisation import LinearPart, begin_as_linear, reach_of
 from splitband.forecasters.network_steps import NetworkSteps
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
@@ -51,6 +51,7 @@ from splitband.training.settings import (
     checked_starts,
     longest_window,
     recipe_settings,
+    within_reach,
 )
 
 if TYPE_CHECKING:
@@ -454,7 +455,9 @@ class Network(Forecaster):
             return self._build(record, settings)
 
     def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> TrainingSettings:
-        return self.settings or recipe_settings("default", record, others)
+        if self.settings is not None:
+            return self.settings
+        return within_reach(recipe_settings("default", record, others), reach_of(record, others))
 
     def _trained(self) -> Model:
         self.require_fitted()

@@ -164,7 +164,8 @@ def _informed(found: Predictor, runs: Sequence[Signals]) -> bool:
     rows = _lagged(runs, past)
     own, others = rows[:, 1:, :nu], rows[:, :, nu:]
     parts = [part.reshape(len(rows), -1) for part in (own, others, rows[:, :1, :nu])]
-    r: Array = np.linalg.qr(np.hstack([np.ones((len(rows), 1)), *parts]), mode="r")
+    data = np.hstack([np.ones((len(rows), 1)), *parts])
+    r: Array = np.asarray(np.linalg.qr(data, mode="r"))
     alone, both = 1 + nu * past, 1 + nu * past + ny * (past + 1)
     left = [
         np.linalg.slogdet(r[k:, both:].T @ r[k:, both:] / (len(rows) - k))[1] for k in (alone, both)
@@ -220,7 +221,8 @@ class _PredictorSubspace(NamedTuple):
         data = np.hstack([regressors, targets])
         # As with noise: without any, many models predict exactly.
         noise = _EXACT * np.sqrt(len(rows)) * np.eye(data.shape[1])[:-ny]
-        r: Array = np.linalg.qr(np.vstack([data - data.mean(axis=0), noise]), mode="r")
+        data = np.vstack([data - data.mean(axis=0), noise])
+        r: Array = np.asarray(np.linalg.qr(data, mode="r"))
         # The first columns of the factor are those of a model with a shorter past.
         sizes = inputs * np.arange(2, past + 1)
         powers = [np.sum(r[size:, -ny:] ** 2, axis=0) / len(rows) + _EXACT**2 for size in sizes]
@@ -230,10 +232,10 @@ class _PredictorSubspace(NamedTuple):
         of_past, left = r[:size, :size], r[size:, -ny:] / np.sqrt(len(rows))
         theta = scipy.linalg.solve_triangular(of_past, r[:size, -ny:]).reshape(past, inputs, ny)
         future = max(min(past, 2 * _MOST // ny + 2), 2)
-        hankel = np.zeros((future, ny, past, inputs))
+        blocks = np.zeros((future, ny, past, inputs))
         for k in range(future):
-            hankel[k, :, : past - k] = theta[k:].transpose(2, 0, 1)
-        hankel = hankel.reshape(future * ny, -1)
+            blocks[k, :, : past - k] = theta[k:].transpose(2, 0, 1)
+        hankel = blocks.reshape(future * ny, -1)
         root = np.linalg.cholesky(left.T @ left + _EXACT**2 * np.eye(ny))
         white = np.kron(np.eye(future), np.linalg.inv(root))
         outer, values, _ = np.linalg.svd(white @ hankel @ of_past.T, full_matrices=False)

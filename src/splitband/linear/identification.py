@@ -91,8 +91,8 @@ def identified(
     """
     units = Units.of(records)
     ny = records[0][0].shape[1]
-    if not integrators and (unstable := _unstable(records, units, order, delay)) is not None:
-        return unstable
+    if not integrators and (found := unstable(records, order, delay)) is not None:
+        return found
     estimated = delays_of(records) if delay is None else None
     delays = np.asarray(delay, int) if estimated is None else estimated.taken
     parts = []
@@ -117,17 +117,17 @@ def _at_the_end(model: LinearModel, record: tuple[Array, Array]) -> LinearModel:
     return replace(model, last=model.continued(u[begin:], y[begin:], before)[1])
 
 
-def _unstable(
+def unstable(
     records: Sequence[tuple[Array, Array]],
-    units: Units,
-    order: int | None,
-    delay: npt.NDArray[np.int_] | None,
+    order: int | None = None,
+    delay: npt.NDArray[np.int_] | None = None,
 ) -> LinearModel | None:
     """Return the model of an unstable plant in a closed loop; None for any other record.
 
     All outputs are modelled together, with the given `delay`; a dead time of a few samples is a
-    matter of poles.
+    matter of poles. For other records it takes some milliseconds.
     """
+    units = Units.of(records)
     delays = [0] * records[0][1].shape[1] if delay is None else delay.min(axis=0).tolist()
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     with suppress(DeadlineError):

@@ -15,12 +15,15 @@ import scipy
 
 from splitband.linear.delays import check_delays, delayed
 from splitband.linear.kalman import EXACT, most_probable, responses, states, whitening
+from splitband.linear.subspace import filled
 from splitband.linear.uncertainty import Uncertainty
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 _CHUNK = 2**18
 """Most samples of which all states are computed at once. Bounds the memory."""
+_LOST = 100.0
+"""Largest growth of an error over a forecast that is worth making. By eye."""
 _FASTEST, _SLOWEST = 0.5, 0.95
 """Range of the poles of additional states, without effect on the output. By eye."""
 
@@ -363,6 +366,26 @@ class LinearModel:
         poles = sorted(self.poles(), key=lambda pole: abs(pole - 1))[self.integrators :]
         return max([1.0, *map(abs, poles)])
 
+    @property
+    def reach(self) -> int | None:
+        """Return how many samples ahead forecasts are worth making; None for a stable model.
+
+        As far as the expected errors of all outputs are below half of their standard deviations,
+        and an error grows at most a hundredfold; rounded down to 1, 2 or 5 times a power of ten.
+        """
+        if self.growth <= 1:
+            return None
+        longest = max(int(np.log(_LOST) / np.log(self.growth)), 1)
+        steps, spread = 1, np.zeros_like(self.a)
+        while steps < longest:
+            spread = self.a @ spread @ self.a.T + self.gain @ self.noise @ self.gain.T
+            power = np.diag(self.c @ spread @ self.c.T + self.noise)
+            if (np.sqrt(power) > 0.5 * self.scale).any():
+                break
+            steps += 1
+        power = 10 ** int(np.log10(steps))
+        return max(k * power for k in (1, 2, 5) if k * power <= steps)
+
     def __str__(self) -> str:
         poles = f"{self.order} pole{'s' * (self.order != 1)}"
         held = f", {self.integrators} of them at 1" if self.integrators else ""
@@ -438,13 +461,18 @@ class Realisation(NamedTuple):
 
 
 def realised(
-    model: LinearModel, inputs: Sequence[Array], size: int, rng: np.random.Generator
+    model: LinearModel,
+    records: Sequence[tuple[Array, Array]],
+    size: int,
+    rng: np.random.Generator,
 ) -> Realisation:
     """Return a state-space model with `size` states, and its states in the records.
 
     The `model` has no delays. Additional states have no effect on the output; `rng` draws their
-    input matrix. `inputs` are the inputs of the training records, `(time, nu)`.
+    input matrix. `records` are y, NaN in gaps, and u of the training records. The states are those
+    of a simulation; of an unstable model those of its Kalman filter.
     """
+    inputs = [u for _, u in records]
     additional = size - model.order
     poles = np.linspace(_FASTEST, _SLOWEST, additional)
     a = scipy.linalg.block_diag(model.a, np.diag(poles))
@@ -456,7 +484,14 @@ def realised(
     first = np.append(model.first, np.zeros(additional))
     middle = np.append(model.centre, np.zeros(additional))
     starts = [first, *[middle] * (len(inputs) - 1)]
-    runs = [states(a, u @ b.T + drift, x) for x, u in zip(starts, inputs, strict=True)]
+    offset, forces = model.offset - model.d @ model.mean, [u @ b.T + drift for u in inputs]
+    moves = a
+    if model.growth > 1:
+        gain = np.concatenate([model.gain, np.zeros((additional, model.ny))])
+        moves = a - gain @ c
+        left = [np.apply_along_axis(filled, 0, y) - u @ model.d.T - offset for y, u in records]
+        forces = [f + e @ gain.T for f, e in zip(forces, left, strict=True)]
+    runs = [states(moves, force, x) for x, force in zip(starts, forces, strict=True)]
     into, out = whitening(np.concatenate(runs))
-    offset, whole = model.offset - model.d @ model.mean, tuple(run @ into.T for run in runs)
+    whole = tuple(run @ into.T for run in runs)
     return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset, whole)
