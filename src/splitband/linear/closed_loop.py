@@ -183,15 +183,21 @@ def _past(runs: Sequence[Signals], each: int) -> int:
 def _lagged(runs: Sequence[Signals], past: int) -> Array:
     """Return inputs and outputs from each sample back to `past` before it, without gaps.
 
-    They are `(samples, past + 1, inputs)`, the latest ones first.
+    They are `(samples, past + 1, inputs)`, the latest ones first. Where gaps leave fewer than half
+    of the samples, those are returned that follow a measured one: no interpolated value before them
+    tells of them.
     """
     views = np.lib.stride_tricks.sliding_window_view
-    rows = [np.zeros((0, past + 1, len(runs[0].u)))]
-    for run in runs:
-        if run.u.shape[1] > past:
-            whole = views(run.measured.all(axis=0), past + 1).all(axis=1)
-            rows.append(views(run.u, past + 1, axis=1)[:, whole, ::-1].transpose(1, 2, 0))
-    return np.concatenate(rows)
+    long = [run for run in runs if run.u.shape[1] > past]
+    known = [views(run.measured.all(axis=0), past + 1) for run in long]
+    whole = [each.all(axis=1) for each in known]
+    if 2 * sum(map(np.sum, whole)) < sum(map(len, whole)):
+        whole = [(each[:, -2:] > 0).all(axis=1) for each in known]
+    rows = [
+        views(run.u, past + 1, axis=1)[:, at, ::-1].transpose(1, 2, 0)
+        for run, at in zip(long, whole, strict=True)
+    ]
+    return np.concatenate([np.zeros((0, past + 1, len(runs[0].u))), *rows])
 
 
 class _PredictorSubspace(NamedTuple):

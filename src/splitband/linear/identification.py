@@ -186,6 +186,8 @@ def _of_outputs(
             by_prediction = _by_prediction(predictor, runs, delays, longest)
             if by_prediction.growth <= 1 and not _of_sensors(model, by_prediction):
                 model = by_prediction
+            else:
+                model = replace(model, by=f"{model.by}, although an input follows the outputs")
     orders, held_out = tuple(search.errors), np.array([*search.errors.values()])
     model = replace(model, orders=orders, held_out=held_out, values=search.values)
     return _in_units(model, units, records[0][1], runs[0])
