@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -173,35 +173,39 @@ TABLES: dict[str, tuple[Callable[[Row, Path], Row], dict[str, Iterable[Any]]]] =
 }
 
 
-def middle(values: Iterable[float]) -> str:
-    """Return the median and the range of some fits."""
-    low, usual, high = np.quantile([*values], [0, 0.5, 1])
-    return f"{usual:.1f} ({low:.1f} to {high:.1f})"
+def middle(fits: Iterable[float]) -> str:
+    """Return the median and the range of fits; empty without any."""
+    values = [*fits]
+    if not values:
+        return ""
+    return f"{np.median(values):.0f} ({min(values):.0f} to {max(values):.0f})"
 
 
-def tables(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield the lines of the tables."""
-    for outputs in (1, 2):
-        found = np.array([r["pole"] for r in rows if r.get("outputs") == outputs])
-        if len(found):
-            yield (
-                f"pole {POLE:.4f}, {outputs} output(s), {len(found)} seeds: {found.min():.4f} to "
-                f"{found.max():.4f}, farthest off by {abs(found - POLE).max():.4f}"
-            )
-    for name, controller in product(("ARX", *AHEAD_METHODS), CONTROLLERS):
-        some = [r for r in rows if r["table"] == "pendulum" and r["method"] == name]
-        fits = [middle(r[f"{controller} {k}"][0] for r in some) for k in AHEAD if some]
-        if fits:
-            yield " | ".join([name, f"{controller} controller", *fits])
+def of_pendulum(rows: Sequence[Row]) -> str:
+    """Return the table of the fits of the angle some samples ahead."""
+    lines = []
+    for method, controller in product(("ARX", *AHEAD_METHODS), CONTROLLERS):
+        some = [r for r in rows if r["table"] == "pendulum" and r["method"] == method]
+        fits = [middle(r[f"{controller} {k}"][0] for r in some) for k in AHEAD]
+        lines.append([f"{method}; {controller} controller", *fits])
+    return page.table(["model", *(f"{k} ahead" for k in AHEAD)], lines)
+
+
+def of_loops(rows: Sequence[Row]) -> str:
+    """Return the table of simulation fits of models from an open and a closed loop."""
+    lines = []
     for noise, method in product(NOISES, METHODS):
         some = [r for r in rows if r.get("noise") == noise and r["method"] == method]
-        fits = [
-            middle(r["fit"] for r in some if r["loop"] == loop)
-            for loop in ("open", "closed")
-            if some
-        ]
-        if fits:
-            yield " | ".join([noise, method, *fits])
+        both = [middle(r["fit"] for r in some if r["loop"] == loop) for loop in ("open", "closed")]
+        lines.append([f"{noise}, {method}", *both])
+    return page.table(["noise, model", "from an open loop", "from a closed loop"], lines)
+
+
+def of_poles(rows: Sequence[Row]) -> str:
+    """Return in a line how far the poles are off, by number of outputs."""
+    off = {n: [abs(r["pole"] - POLE) for r in rows if r.get("outputs") == n] for n in (1, 2)}
+    said = (f"{n}: {max(each):.4f} in {len(each)} seeds" for n, each in off.items() if each)
+    return f"pole {POLE:.4f}, farthest off by number of outputs: {', '.join(said)}"
 
 
 def main() -> None:
@@ -219,7 +223,8 @@ def main() -> None:
             for each in product(*axes.values())
         ]
         clock.complete(given.out, rows, run)
-    print("\n".join(tables(clock.read(given.out))))
+    rows = clock.read(given.out)
+    print(of_poles(rows), of_pendulum(rows), of_loops(rows), sep="\n\n")
 
 
 if __name__ == "__main__":
