@@ -111,7 +111,7 @@ class Plan:
         Outputs that are probably inputs come first.
         """
         unnamed = of_unnamed(unnamed_inputs(self.record))
-        if self.reach is not None:
+        if self.reach is not None and self.ahead is None:
             unnamed.append(
                 "The plant is unstable, and a controller holds it: errors of a free run grow until "
                 f"it leaves the record. Judge forecasts instead: --ahead {self.reach}."
@@ -236,6 +236,8 @@ def plan(asked: PlanRequest) -> Plan:
     _check_ahead(planned)
     if asked.horizon != 0 or asked.tests:
         check_trial(planned)
+    if reach is not None:
+        planned = replace(planned, reach=int(min(reach, _least_room(planned)[1])))
     return replace(planned, tests=_with_distinct_names(asked.tests, record.name))
 
 
@@ -392,8 +394,8 @@ def _check_records(plan: Plan) -> None:
             raise InputError(f"the {name} part must have a measured sample in every channel")
 
 
-def _check_ahead(plan: Plan) -> None:
-    """Check that there is an origin with `ahead` samples after it wherever methods are judged."""
+def _least_room(plan: Plan) -> tuple[str, float]:
+    """Return the fewest samples in which methods are judged, and where they are."""
     room = {
         "held-out last quarter of the training part": plan.train - first_held_out(plan.train),
         "part after the training part": len(plan.record) - plan.train or math.inf,
@@ -401,10 +403,15 @@ def _check_ahead(plan: Plan) -> None:
     for test in plan.tests:
         begin = first_after(test.y_with_gaps, _warmup_on_tests(plan))
         room[f"part of the test record {test.name} after a warm-up"] = len(test) - (begin or 0)
-    place = min(room, key=lambda place: room[place])
-    if plan.ahead is not None and plan.ahead > room[place]:
+    return min(room.items(), key=lambda each: each[1])
+
+
+def _check_ahead(plan: Plan) -> None:
+    """Check that there is an origin with `ahead` samples after it wherever methods are judged."""
+    place, room = _least_room(plan)
+    if plan.ahead is not None and plan.ahead > room:
         raise InputError(
-            f"ahead must be at most {room[place]}, the samples of the {place}, got {plan.ahead}"
+            f"ahead must be at most {room}, the samples of the {place}, got {plan.ahead}"
         )
 
 

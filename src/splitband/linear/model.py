@@ -449,6 +449,7 @@ class Realisation(NamedTuple):
     a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`.
     drift, offset : `(states,)` and `(ny,)`.
     states : State trajectories by record, `(time, states)`.
+    gain : K of the innovations form, `(states, ny)`; None for a stable system.
     """
 
     a: Array
@@ -458,6 +459,7 @@ class Realisation(NamedTuple):
     drift: Array
     offset: Array
     states: tuple[Array, ...]
+    gain: Array | None = None
 
 
 def realised(
@@ -485,7 +487,7 @@ def realised(
     middle = np.append(model.centre, np.zeros(additional))
     starts = [first, *[middle] * (len(inputs) - 1)]
     offset, forces = model.offset - model.d @ model.mean, [u @ b.T + drift for u in inputs]
-    moves = a
+    moves, gain = a, None
     if model.growth > 1:
         gain = np.concatenate([model.gain, np.zeros((additional, model.ny))])
         moves = a - gain @ c
@@ -494,4 +496,5 @@ def realised(
     runs = [states(moves, force, x) for x, force in zip(starts, forces, strict=True)]
     into, out = whitening(np.concatenate(runs))
     whole = tuple(run @ into.T for run in runs)
-    return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset, whole)
+    system = into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset
+    return Realisation(*system, whole, None if gain is None else into @ gain)

@@ -168,6 +168,8 @@ class StateSpace(WithRepr, nn.Module):
                 layer.weight[:, units] = weight
             self.transition.bias.copy_(torch.from_numpy(model.drift))
             self.observation.bias.copy_(torch.from_numpy(model.offset))
+            if model.gain is not None:
+                self.gain.copy_(torch.from_numpy(model.gain))
             if first is not None:
                 self.first.copy_(torch.from_numpy(first[0]))
                 self.first_bias.copy_(torch.from_numpy(first[1]))
