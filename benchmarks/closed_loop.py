@@ -178,7 +178,8 @@ def middle(fits: Iterable[float]) -> str:
     values = [*fits]
     if not values:
         return ""
-    return f"{np.median(values):.0f} ({min(values):.0f} to {max(values):.0f})"
+    least = f"{min(values):.0f}" if min(values) > -1000 else "< -999"
+    return f"{np.median(values):.0f} ({least} to {max(values):.0f})"
 
 
 def of_pendulum(rows: Sequence[Row]) -> str:

@@ -126,7 +126,8 @@ def test_an_unstable_model_is_judged_as_far_as_its_forecasts_reach(held: sb.Line
 def test_the_step_response_of_an_unstable_model_is_that_of_its_state_space(held: sb.Linear) -> None:
     responses = respond_over_range(held)[0]
     system, steps = held.state_space(), len(responses.y)
-    _, (y,) = scipy.signal.dstep((system.A, system.B, system.C, system.D, 1.0), n=steps)
+    matrices: Any = (system.A, system.B, system.C, system.D, 1.0)
+    _, (y,) = scipy.signal.dstep(matrices, n=steps)
     assert responses.y[:, :, 0] == pytest.approx(y, rel=1e-6, abs=1e-9)
     assert "no static gain" in " ".join(responses.remarks)
 

@@ -191,7 +191,7 @@ def _lagged(runs: Sequence[Signals], past: int) -> Array:
     long = [run for run in runs if run.u.shape[1] > past]
     known = [views(run.measured.all(axis=0), past + 1) for run in long]
     whole = [each.all(axis=1) for each in known]
-    if 2 * sum(map(np.sum, whole)) < sum(map(len, whole)):
+    if 2 * sum(int(each.sum()) for each in whole) < sum(len(each) for each in whole):
         whole = [(each[:, -2:] > 0).all(axis=1) for each in known]
     rows = [
         views(run.u, past + 1, axis=1)[:, at, ::-1].transpose(1, 2, 0)
