@@ -151,6 +151,15 @@ def test_it_is_no_slow_part_of_a_hybrid() -> None:
         hybrid.fit(pendulum(0))
 
 
+def test_the_horizon_that_compare_names_judges_forecasts() -> None:
+    record = pendulum(0)
+    free = sb.compare(record, 750, ["linear", "mean"])
+    assert "--ahead 50" in free.warnings[0]
+    found = sb.compare(record, 750, ["linear", "mean"], ahead=50)
+    assert found.recommended == "linear"
+    assert "--ahead" not in " ".join(found.warnings)
+
+
 def test_windows_of_trainings_end_where_forecasts_do() -> None:
     record = pendulum(0)
     planned = plan(PlanRequest(record, 750, ["linear", "gru"], rounds=1))

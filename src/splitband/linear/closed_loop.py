@@ -33,7 +33,7 @@ from splitband.linear.refinement import (
 )
 from splitband.linear.subspace import Subspace, filled, stable
 from splitband.linear.uncertainty import Matrices, Uncertainty, uncertainty_of
-from splitband.runtime.arrays import Array
+from splitband.runtime.arrays import Array, Flags
 from splitband.runtime.deadlines import current
 
 _PAST = 40
@@ -190,9 +190,9 @@ def _lagged(runs: Sequence[Signals], past: int) -> Array:
     views = np.lib.stride_tricks.sliding_window_view
     long = [run for run in runs if run.u.shape[1] > past]
     known = [views(run.measured.all(axis=0), past + 1) for run in long]
-    whole = [each.all(axis=1) for each in known]
+    whole: list[Flags] = [np.asarray(each.all(axis=1)) for each in known]
     if 2 * sum(int(each.sum()) for each in whole) < sum(len(each) for each in whole):
-        whole = [(each[:, -2:] > 0).all(axis=1) for each in known]
+        whole = [np.asarray((each[:, -2:] > 0).all(axis=1)) for each in known]
     rows = [
         views(run.u, past + 1, axis=1)[:, at, ::-1].transpose(1, 2, 0)
         for run, at in zip(long, whole, strict=True)

@@ -46,11 +46,13 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     """Return predicted outputs and records, with fit and error of the recommended method.
 
     The records are the test records, or else the samples after the training part. Without either,
-    the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first.
+    the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first; of an
+    unstable plant there is nothing else.
     """
     best = comparison.recommended
     if comparison.plan.ahead is not None and comparison.steps_of_interval(best):
-        return [*_ahead_headline(comparison), *_free_headline(comparison)]
+        free = _free_headline(comparison) if comparison.plan.reach is None else []
+        return [*_ahead_headline(comparison), *free]
     return _free_headline(comparison)
 
 
@@ -188,7 +190,7 @@ def warnings(comparison: Comparison) -> list[str]:
             for verdict, test in verdicts(comparison).items()
             if test.unrelated or not test.accepted
         ),
-        *_left_range(comparison),
+        *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
         *_missing(comparison),
