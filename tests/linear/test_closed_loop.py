@@ -144,6 +144,15 @@ def test_a_stream_of_an_unstable_model_overflows_as_its_prediction(held: sb.Line
     assert (said[-1] == 1e100).all()
 
 
+def test_a_network_with_fewer_states_than_the_plant_has_poles_begins_with_as_many() -> None:
+    record = pendulum(0)
+    assert record.u is not None
+    late = sb.Record(record.y[:-5], record.sampling_time, u=record.u[5:])  # a dead time
+    assert len(sb.Linear().fit(late).poles()) > 2
+    settings = sb.TrainingSettings(100, 50, epochs=1)
+    assert sb.Single(sb.StateSpace(2), settings=settings).fit(late).fitted is not None
+
+
 def test_it_is_no_slow_part_of_a_hybrid() -> None:
     settings = sb.TrainingSettings(60, 20, epochs=1)
     hybrid = sb.Residual(sb.Linear(), sb.GRU(4), settings=settings)

@@ -37,8 +37,9 @@ class Linear(Forecaster):
 
     x' = A x + B u + K e, y = C x + D u + offset + e. Poles and delays come from a subspace method,
     refined to the least simulation error, or to the least prediction error where a controller acts
-    on the inputs. Several records are fitted together, each with its own initial state. Forecasts
-    begin with the state that the Kalman filter finds in the history.
+    on the inputs; a plant that this controller keeps from running away has poles outside of the
+    unit circle (`linear.closed_loop`). Several records are fitted together, each with its own
+    initial state. Forecasts begin with the state that the Kalman filter finds in the history.
 
     Parameters
     ----------

@@ -98,11 +98,14 @@ def with_outputs(runs: Sequence[Signals], instead: Sequence[Array] | None = None
 
 
 def unstable_predictor(
-    runs: Sequence[Signals], direct: Sequence[bool], order: int | None = None
+    runs: Sequence[Signals],
+    direct: Sequence[bool],
+    order: int | None = None,
+    most: int | None = None,
 ) -> Predictor | None:
     """Return the predictor of an unstable plant in a closed loop; None for any other record.
 
-    `direct`: whether an input has feedthrough.
+    `direct`: whether an input has feedthrough; `most`: the largest order.
     """
     ny, both = len(runs[0].y), with_outputs(runs)
     some = [
@@ -113,7 +116,8 @@ def unstable_predictor(
     if (space := _PredictorSubspace.of(some)) is None:
         return None
     largest = space.subspace.largest
-    orders = range(1, min(largest, _MOST) + 1) if order is None else [order] * (order <= largest)
+    most = min(largest, _MOST if most is None else most)
+    orders = range(1, most + 1) if order is None else [order] * (order <= largest)
     if not any(longest * np.log(space.largest_pole(n)) > np.log(_HELD) for n in orders):
         return None
     samples, starts = length(some), list[tuple[float, Solution]]()

@@ -91,7 +91,7 @@ def identified(
     """
     units = Units.of(records)
     ny = records[0][0].shape[1]
-    if not integrators and (found := unstable(records, order, delay)) is not None:
+    if not integrators and (found := unstable(records, order, delay, most)) is not None:
         return found
     estimated = delays_of(records) if delay is None else None
     delays = np.asarray(delay, int) if estimated is None else estimated.taken
@@ -121,6 +121,7 @@ def unstable(
     records: Sequence[tuple[Array, Array]],
     order: int | None = None,
     delay: npt.NDArray[np.int_] | None = None,
+    most: int | None = None,
 ) -> LinearModel | None:
     """Return the model of an unstable plant in a closed loop; None for any other record.
 
@@ -131,7 +132,7 @@ def unstable(
     delays = [0] * records[0][1].shape[1] if delay is None else delay.min(axis=0).tolist()
     runs, longest = [units.run(y, u, delays) for y, u in records], max(len(y) for y, _ in records)
     with suppress(DeadlineError):
-        predictor = unstable_predictor(runs, [late > 0 for late in delays], order)
+        predictor = unstable_predictor(runs, [late > 0 for late in delays], order, most)
         if predictor is not None:
             model = _by_prediction(predictor, runs, delays, longest)
             model = _in_units(model, units, records[0][1], runs[0])
