@@ -23,7 +23,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks import clock, families, page, recommendation
+from benchmarks import clock, closed_loop, families, page, recommendation
 from benchmarks.sets import SETS
 from reproduction import statements
 
@@ -570,6 +570,8 @@ TABLES: dict[str, Callable[[], str]] = {
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
     **{name: partial(page.table_of, name) for name in page.TABLES},
     "families": _families,
+    "closed-loop-pendulum": lambda: closed_loop.of_pendulum(clock.read(closed_loop.FILE)),
+    "closed-loop-networks": lambda: closed_loop.of_loops(clock.read(closed_loop.FILE)),
 }
 """The files of docs/tables, without their suffix."""
 COMPUTED: dict[str, Callable[[], Any]] = {

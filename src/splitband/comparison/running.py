@@ -323,11 +323,11 @@ class RunningComparison:
     def fits(self) -> dict[str, list[Fit]]:
         """Return the final fits, without failed trainings where their number was left open.
 
-        A training fails by its simulation from the start, by which forecasts some samples ahead are
-        not judged.
+        A training fails by its simulation from the start, by which forecasts some samples ahead and
+        models of an unstable plant are not judged.
         """
         plan = self.plan
-        if plan.ahead is not None:
+        if plan.ahead is not None or plan.reach is not None:
             return self.finals
         return {
             name: without_failed(plan.training, fits)
