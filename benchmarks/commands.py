@@ -56,6 +56,7 @@ RECORDS: dict[str, Callable[[Path], list[str]]] = {
     "65,000 samples, no inputs": partial(alone, partial(kinds.two_tones, samples=65_000)),
     "200 samples, no inputs": partial(alone, partial(kinds.two_tones, samples=200)),
     "drill string": lambda _: ["drill-string"],
+    "van der Pol": lambda _: ["van-der-pol"],
     "crane": lambda _: ["overhead-crane"],
     "pendulum": equation,
     "Wiener-Hammerstein": wiener_hammerstein,

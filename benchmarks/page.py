@@ -19,9 +19,10 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from benchmarks import against, clock
+from benchmarks import against, claims, clock
+from benchmarks.claims import Row
 from benchmarks.sets import SETS, Benchmark
-from splitband.runtime.files import replacing
+from splitband.runtime.files import replacing, write_text
 
 AGAINST = "against.png"
 OUT = Path(__file__).parents[1] / "docs/results/benchmarks"
@@ -32,6 +33,8 @@ TABLES = {
     "benchmark-time": None,
 }
 """Files of docs/tables, and their records; None for all records."""
+UNDER = "benchmark-against"
+"""The file of docs/tables below the picture: where its runs were measured."""
 
 Array = npt.NDArray[np.float64]
 Points = dict[str, list[against.Point]]
@@ -47,24 +50,31 @@ def main() -> None:
     if points:
         save(_over_time(points), out / AGAINST)
     for name in TABLES:
-        with replacing(Path("docs/tables", f"{name}.md")) as temporary:
-            temporary.write_text(table_of(name, out), encoding="utf-8")
+        write_text(Path("docs/tables", f"{name}.md"), table_of(name, out))
+    write_text(Path("docs/tables", f"{UNDER}.md"), under_picture(out))
 
 
 def table_of(name: str, out: Path = OUT) -> str:
     """Return one of `TABLES` in Markdown: of a public benchmark, or of what becomes of the time."""
-    rows = clock.read(out / clock.FILE)
+    rows = claims.read(out / clock.FILE)
     record = TABLES[name]
     if record is None:
         return _all(rows)
     return _benchmark(SETS[record], [row for row in rows if row["record"] == record])
 
 
-def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> str:
+def under_picture(out: Path = OUT) -> str:
+    """Return where the package's runs in the picture were measured, in Markdown."""
+    points = [point for of in _points(out).values() for point in of]
+    ours = [point for point in points if point["library"] == against.SPLITBAND]
+    return claims.note(ours).lstrip()
+
+
+def _benchmark(benchmark: Benchmark, rows: Sequence[Row]) -> str:
     """What the command came to, beside what others have published."""
     ours = [
         [
-            f"`splitband compare --budget {asked:g}s`{_beside(beside)}",
+            f"`splitband compare --budget {asked:g}s`{_beside(beside)}{claims.sign(of)}",
             clock.usual(of),
             *(spread(each, benchmark.scale) for each in zip(*_errors(of), strict=True)),
             str(len(of)),
@@ -72,14 +82,15 @@ def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> str:
         for (_, asked, beside), of in clock.groups(rows).items()
     ]
     others = [[method, "", *errors, ""] for method, errors in benchmark.published.items()]
-    return table(["", "recommended", *_heads(benchmark), "seeds"], ours + others)
+    heads = ["", "recommended", *_heads(benchmark), "seeds"]
+    return table(heads, ours + others) + claims.note(rows)
 
 
-def _all(rows: Sequence[clock.Row]) -> str:
+def _all(rows: Sequence[Row]) -> str:
     """What the command makes of its time, on all records."""
     lines = [
         [
-            name,
+            name + claims.sign(of),
             f"{asked:g} s{', busy' * bool(beside)}",
             spread(row["used"] for row in of),
             f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
@@ -88,14 +99,15 @@ def _all(rows: Sequence[clock.Row]) -> str:
         ]
         for (name, asked, beside), of in clock.groups(rows).items()
     ]
-    return table(["record", "asked", "used (s)", "trains", "recommended", "error"], lines)
+    heads = ["record", "asked", "used (s)", "trains", "recommended", "error"]
+    return table(heads, lines) + claims.note(rows)
 
 
 def _beside(count: int) -> str:
     return f" beside {count} busy processes" if count else ""
 
 
-def _errors(rows: Iterable[clock.Row]) -> list[list[float]]:
+def _errors(rows: Iterable[Row]) -> list[list[float]]:
     return [row["errors"] for row in rows]
 
 
@@ -132,7 +144,8 @@ def _over_time(points: Points) -> Figure:
             if of:
                 times, errors = _steps(of, i, longest)
                 lowest, median, highest = scale * np.quantile(errors, [0, 0.5, 1], axis=0)
-                (line,) = axis.step(times, median, where="post", label=library)
+                mark = claims.sign(of) if library == against.SPLITBAND else ""
+                (line,) = axis.step(times, median, where="post", label=library + mark)
                 axis.fill_between(
                     times, lowest, highest, step="post", alpha=0.15, color=line.get_color()
                 )
