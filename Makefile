@@ -54,11 +54,8 @@ paper: .venv/.ready
 
 bench: .venv/.ready
 	mkdir -p docs/benchmarks
-	$(BIN)/python -m benchmarks.filters --out docs/benchmarks/filters.json
 	$(BIN)/python -m benchmarks.rollout --out docs/benchmarks/rollout.json
 	$(BIN)/python -m benchmarks.state_space --out docs/benchmarks/state_space.json
-	$(BIN)/python -m benchmarks.allocation --out docs/benchmarks/allocation.json
-	$(BIN)/python -m benchmarks.system_i --out docs/benchmarks/system_i.json
 
 # What README.md claims of accuracy, and what else the documents do: on a quiet machine, for hours,
 # which they print first. What is there, of today's code, is not measured again; then `make figures`.

@@ -32,9 +32,9 @@ ROOMS = (
     *("baselines", "comparison", "filters", "forecasters", "kernels"),
     *("linear", "models", "networks", "simulators", "training"),
 )
-"""Folders of the package that decide accuracy: whatever is fitted, trained, searched or chosen.
-Not those that read records and run processes, whose results tests compare exactly, nor those that
-show and export what was found."""
+"""Folders of the package that decide accuracy, beside `metrics.py`: whatever is fitted, trained,
+searched or chosen. Not those that read records and run processes, whose results tests compare
+exactly, nor those that show and export what was found."""
 SIGN = "†"
 _STEPS = 60
 
@@ -42,7 +42,9 @@ _STEPS = 60
 def sources(root: Path = ROOT) -> str:
     """Return the hash of the code below `root` that decides accuracy."""
     package, found = root / "src/splitband", hashlib.sha256()
-    for path in sorted(path for room in ROOMS for path in (package / room).rglob("*.py")):
+    paths = [package / "metrics.py"]
+    paths += sorted(path for room in ROOMS for path in (package / room).rglob("*.py"))
+    for path in paths:
         told = _told(ast.parse(path.read_text(encoding="utf-8")))
         found.update(f"{path.relative_to(package).as_posix()}: {told}\n".encode())
     return found.hexdigest()[:12]

@@ -53,6 +53,7 @@ RECORDS: dict[str, Callable[[Path], list[str]]] = {
     "tank, 400 samples": partial(alone, partial(kinds.one_tank, samples=400)),
     "tank, 4,000 samples": partial(alone, partial(kinds.one_tank, samples=4000)),
     "five inputs, two outputs": partial(alone, kinds.five_inputs),
+    "a million samples": partial(alone, partial(kinds.four_channels, samples=1_000_000)),
     "65,000 samples, no inputs": partial(alone, partial(kinds.two_tones, samples=65_000)),
     "200 samples, no inputs": partial(alone, partial(kinds.two_tones, samples=200)),
     "drill string": lambda _: ["drill-string"],

@@ -45,7 +45,12 @@ def main() -> None:
     """Draw the picture and write the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=OUT)
-    out = parser.parse_args().out
+    parser.add_argument("--budget", action="store_true", help="print where the time went alone")
+    given = parser.parse_args()
+    out = given.out
+    if given.budget:
+        print(budget(claims.read(out / clock.FILE)))
+        return
     points = _points(out)
     if points:
         save(_over_time(points), out / AGAINST)
@@ -75,7 +80,7 @@ def _benchmark(benchmark: Benchmark, rows: Sequence[Row]) -> str:
     ours = [
         [
             f"`splitband compare --budget {asked:g}s`{_beside(beside)}{claims.sign(of)}",
-            clock.usual(of),
+            clock.recommended(of),
             *(spread(each, benchmark.scale) for each in zip(*_errors(of), strict=True)),
             str(len(of)),
         ]
@@ -94,13 +99,37 @@ def _all(rows: Sequence[Row]) -> str:
             f"{asked:g} s{', busy' * bool(beside)}",
             spread(row["used"] for row in of),
             f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
-            clock.usual(of),
+            clock.recommended(of),
             "above" if name in SETS else spread(row["errors"][0] for row in of),
         ]
         for (name, asked, beside), of in clock.groups(rows).items()
     ]
     heads = ["record", "asked", "used (s)", "trains", "recommended", "error"]
     return table(heads, lines) + claims.note(rows)
+
+
+def budget(rows: Sequence[Row]) -> str:
+    """Return where the time of the command goes, as medians of the runs that say it.
+
+    Seconds to the first training of a network; shares of the wall time of the parts that follow
+    each other, `pages` being all that is written meanwhile, and of what is written at the end.
+    """
+    parts = ("start", "simulators", "baselines", "rounds", "finals", "pages")
+    lines = []
+    for (name, asked, beside), every in clock.groups(rows).items():
+        of = [row for row in every if row.get("parts")]
+        if of:
+            first = [row["first_training"] for row in of if row["first_training"] is not None]
+            shares = {
+                part: [row["parts"].get(part, 0) / row["took"] for row in of] for part in parts
+            }
+            shares["end"] = [1 - row["used"] / row["took"] for row in of]
+            shares["trains"] = [row["in_trainings"] * row["used"] / row["took"] for row in of]
+            found = [f"{100 * statistics.median(share):.0f} %" for share in shares.values()]
+            about = f"{name}{', busy' * bool(beside)}", f"{asked:g} s", spread(first)
+            lines.append([*about, *found])
+    heads = ["record", "asked", "first training (s)", *parts, "end", "trains"]
+    return table(heads, lines) + claims.note([row for row in rows if row.get("parts")])
 
 
 def _beside(count: int) -> str:

@@ -25,6 +25,7 @@ def copied(claims: Any, folder: Path, change: Callable[[str], str]) -> Path:
     """Return the root of a copy of the package with a changed file."""
     for room in claims.ROOMS:
         shutil.copytree(ROOT / "src/splitband" / room, folder / "src/splitband" / room)
+    shutil.copy(ROOT / "src/splitband/metrics.py", folder / "src/splitband")
     path = folder / "src/splitband/training/settings.py"
     text = path.read_text(encoding="utf-8")
     path.write_text(changed := change(text), encoding="utf-8")
