@@ -31,7 +31,7 @@ class Clock:
     writing : Seconds that are kept for writing the result: what the last writing took.
     cores : Trainings that run side by side.
     trained : Seconds that all trainings took together.
-    first_training : Seconds from the beginning of the command to that of its first training.
+    first_training : When the first training of a network began, by the same clock.
     part : What the command does now.
     parts : Seconds of wall time by part of the command, those of the present one left out.
     notes : What the deadline has changed, in sentences.
@@ -89,7 +89,7 @@ class Clock:
     def as_json(self) -> dict[str, Any]:
         """Return the entries of result files."""
         self.enter(self.part)
-        first = self.first_training
+        first = self.first_training - self.began
         return {
             "asked_seconds": self.limit,
             "used_seconds": round(self.used, 2),

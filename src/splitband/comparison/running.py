@@ -422,9 +422,7 @@ class RunningComparison:
             for job, fit in self._ended(jobs):
                 fits[job] = fit
                 self.clock.trained += fit.seconds
-                self.clock.first_training = min(
-                    self.clock.first_training, self.clock.used - fit.seconds
-                )
+                self.clock.first_training = min(self.clock.first_training, fit.began)
                 self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
         except KeyboardInterrupt:
             if not self.trials and not any(fit.model is not None for fit in fits.values()):
