@@ -5,6 +5,7 @@ All protocols of a comparison and the trial on held-out training samples use the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
