@@ -1,6 +1,7 @@
 """Make the tables and the picture of docs/results/benchmarks.md of the results that are there.
 
     python -m benchmarks.page
+    python -m benchmarks.page --budget [--out FOLDER]      where the time of runs went
 
 The results are those of `benchmarks.clock` and `benchmarks.against`.
 """
@@ -113,6 +114,7 @@ def budget(rows: Sequence[Row]) -> str:
 
     Seconds to the first training of a network; shares of the wall time of the parts that follow
     each other, `pages` being all that is written meanwhile, and of what is written at the end.
+    `trains`: share of the time of all cores; `waits`: what is left of it after the first training.
     """
     parts = ("start", "simulators", "baselines", "rounds", "finals", "pages")
     lines = []
@@ -125,10 +127,13 @@ def budget(rows: Sequence[Row]) -> str:
             }
             shares["end"] = [1 - row["used"] / row["took"] for row in of]
             shares["trains"] = [row["in_trainings"] * row["used"] / row["took"] for row in of]
+            began = [(row["first_training"] or row["took"]) / row["took"] for row in of]
+            both = zip(began, shares["trains"], strict=True)
+            shares["waits"] = [1 - before - trains for before, trains in both]
             found = [f"{100 * statistics.median(share):.0f} %" for share in shares.values()]
             about = f"{name}{', busy' * bool(beside)}", f"{asked:g} s", spread(first)
             lines.append([*about, *found])
-    heads = ["record", "asked", "first training (s)", *parts, "end", "trains"]
+    heads = ["record", "asked", "first training (s)", *parts, "end", "trains", "waits"]
     return table(heads, lines) + claims.note([row for row in rows if row.get("parts")])
 
 
