@@ -65,8 +65,15 @@ def test_sources_that_compute_the_same_are_followed_from_pair_to_pair(
     assert claims.equal(path) == {claims.sources(), "a", "b"}
 
 
-def test_each_pair_of_equal_sources_is_listed_with_the_output_of_the_check(claims: Any) -> None:
-    for row in claims.read(claims.EQUAL):
+def test_the_check_of_equal_numbers_lists_both_sources_with_its_output(
+    claims: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frozen = importlib.import_module("benchmarks.frozen")
+    listed = claims.read(claims.EQUAL)
+    monkeypatch.setattr(claims, "EQUAL", path := tmp_path / "equal.jsonl")
+    frozen.list_as_equal("abc", ["before", claims.sources()], ["tanks: equal (40 facts)"])
+    assert claims.equal(path) == {"before", claims.sources()}
+    for row in [*listed, *claims.read(path)]:
         assert len(row["sources"]) == len(row["commits"]) == 2
         assert row["output"]
         assert all(re.search(r": equal \(\d+ facts\)$", line) for line in row["output"])
@@ -118,8 +125,7 @@ def test_the_readme_shows_a_record_once_five_seeds_are_of_todays_code(
 
 def test_a_note_says_where_runs_were_measured(claims: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "equal", lambda: {claims.sources()})
-    (new,) = (claims.marked({"commit": "abc"}, seconds) for seconds in (0.001,))
-    old = {"commit": "def"}
+    new, old = claims.marked({"commit": "abc"}, 0.001), {"commit": "def"}
     said = claims.note([old, new]).strip().split("\n\n")
     assert said[0] == (
         "† Measured at commit def (machine unknown), before code that decides accuracy changed."
