@@ -118,8 +118,8 @@ def complete(path: Path, rows: Iterable[Row], run: Callable[[Row, Path], Row]) -
     path.parent.mkdir(parents=True, exist_ok=True)
     there = [*filter(claims.current, claims.read(path))]
     rows = [row for row in rows if not any(row.items() <= each.items() for each in there)]
-    hours = sum(row["asked"] for row in rows) / 3600
-    print(f"{path}: {len(rows)} runs are missing, of {hours:.1f} hours at most", flush=True)
+    hours = sum(row.get("asked", 0.0) for row in rows) / 3600
+    print(f"{path}: {len(rows)} runs are missing, with budgets of {hours:.1f} hours", flush=True)
     for row in rows:
         before = claims.reference()
         with tempfile.TemporaryDirectory() as folder:
