@@ -28,8 +28,8 @@ import numpy.typing as npt
 import scipy
 
 import splitband as sb
-from benchmarks import clock, page
-from benchmarks.clock import Row
+from benchmarks import claims, clock, page
+from benchmarks.claims import Row
 
 FILE = page.OUT / "closed-loop.jsonl"
 STEP, SAMPLES, GRAVITY, LENGTH, DAMPING = 0.02, 1000, 9.81, 1.0, 0.3
@@ -224,7 +224,7 @@ def main() -> None:
             for each in product(*axes.values())
         ]
         clock.complete(given.out, rows, run)
-    rows = clock.read(given.out)
+    rows = claims.read(given.out)
     print(of_poles(rows), of_pendulum(rows), of_loops(rows), sep="\n\n")
 
 
