@@ -32,6 +32,7 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Error by samples ahead" in page
     assert "--steps 12" in page  # how the model is used
+    assert "model.predict(12)" in page
     # The model says so where it is checked.
     call(f"check {tmp_path}/out/model --record record.csv", tmp_path / "checked")
     assert {"1 step ahead", "12 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
