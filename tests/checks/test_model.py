@@ -64,6 +64,14 @@ def test_an_input_that_never_changes_is_not_tested() -> None:
     assert test.accepted
 
 
+def test_an_output_that_is_measured_too_seldom_is_not_tested() -> None:
+    g = np.random.default_rng(0)
+    e, u = g.standard_normal((200, 2)), g.standard_normal((200, 1))
+    e[np.arange(200) % 10 > 0, 0] = np.nan  # 20 samples at its own rate
+    (test,) = residual_tests(e, u, ("slow", "fast"), ("u",), np.cumsum(e, axis=0))
+    assert test.output == "fast"
+
+
 def test_a_model_that_is_exact_is_accepted_for_its_rounding_errors() -> None:
     u = np.random.default_rng(0).standard_normal(300)
     y = scipy.signal.lfilter([0.5], [1.0, -0.8], u)

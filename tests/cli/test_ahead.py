@@ -27,11 +27,12 @@ def test_a_comparison_is_made_for_some_samples_ahead(
     ]
     assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 ahead: " in said
     assert "simulation of" in said or "forecast of" in said
-    assert "Ahead: 1, 12 samples from each of" in said
+    assert "Samples ahead: 1, 12 from each of" in said
     assert f"windows of {WARMUP + 12}" in found["methods"]["gru"]["description"]
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Error by samples ahead" in page
     assert "--steps 12" in page  # how the model is used
+    assert "model.predict(12)" in page
     # The model says so where it is checked.
     call(f"check {tmp_path}/out/model --record record.csv", tmp_path / "checked")
     assert {"1 step ahead", "12 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
@@ -68,3 +69,14 @@ def test_what_cannot_be_is_refused_in_a_line(
 def test_the_largest_number_that_a_message_names_is_taken(tmp_path: Path) -> None:
     call("compare record.csv --columns a --methods persistence --ahead 38", tmp_path / "out")
     assert results(tmp_path / "out")["recommended"] == "persistence"
+
+
+def test_one_sample_ahead_is_what_counts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call("compare record.csv --columns a --methods persistence,mean --ahead 1", tmp_path / "out")
+    found = results(tmp_path / "out")
+    (fit,) = (column for column in found["table"] if column.get("ahead"))
+    assert f"1 sample ahead: fit {fit['values'][found['recommended']]:.1f} %" in (
+        capsys.readouterr().out
+    )

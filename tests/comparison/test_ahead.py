@@ -27,8 +27,20 @@ TRAIN, SAMPLES, AHEAD = 1500, 2000, 20
 
 
 def origins_in(first: int, end: int) -> list[int]:
-    """What the documentation says: at most 100 origins, evenly spaced, with all samples inside."""
-    return [*np.linspace(first, end - AHEAD, min(100, end - AHEAD - first + 1)).astype(int)]
+    return [origin.at for origin in many_origins(0, first, end, AHEAD)]
+
+
+def test_origins_lie_in_parts_of_their_own_and_meet_a_period_everywhere() -> None:
+    """At even distances of 10 samples, they met one phase of a period of 10, 5 or 2."""
+    first, end = 3000, 3999 + AHEAD
+    at = np.array(origins_in(first, end))
+    np.testing.assert_array_equal((at - first) * 100 // (end - AHEAD + 1 - first), np.arange(100))
+    for period in (2, 5, 10, 13):
+        met = np.bincount(at % period, minlength=period)
+        assert met.min() > 0.6 * 100 / period
+    assert origins_in(7, 7 + AHEAD + 3) == [7, 8, 9, 10]
+    assert origins_in(7, 7 + AHEAD) == [7]
+    assert not origins_in(7, 6 + AHEAD)
 
 
 def wandering(seed: int = 0) -> Array:

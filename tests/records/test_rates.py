@@ -93,6 +93,16 @@ def test_events_are_put_on_a_grid() -> None:
     error = record.y[:, 0] - np.sin(record.time)
     assert np.abs(error[record.complete]).max() < 0.03
 
+    usual = sb.read(table, step="auto")  # with which most of them are near to others
+    assert usual.complete.mean() > 0.75
+
+
+def test_even_stamps_with_one_row_twice_keep_every_value() -> None:
+    table = logged(0.0, n=400)
+    record = sb.read(pd.concat([table, table[100:110]]).sort_values("time"), step="auto")
+    assert (record.start, len(record)) == (0.0, 400)
+    np.testing.assert_array_equal(record.y, table[["u", "x"]])
+
 
 def test_a_longer_step_does_not_alias() -> None:
     """A tone above half of the new rate folds down where samples are picked, hardly in means."""
@@ -198,6 +208,10 @@ def test_clocks_of_joined_files_need_an_offset(tmp_path: Path) -> None:
     other.to_csv(tmp_path / "pump.csv", index=False)
     with pytest.raises(sb.InputError, match="only one of them has dates"):
         sb.read(tmp_path / "rig.csv", join=tmp_path / "pump.csv")
+    table[["u"]].assign(time=table["time"] + 3600).to_csv(tmp_path / "pump.csv", index=False)
+    with pytest.raises(sb.InputError, match=r"3400\.\d+ s apart; pump\.csv@\+1\.5 \(--join\)"):
+        sb.read(tmp_path / "rig.csv", join=tmp_path / "pump.csv")
+    assert sb.read(tmp_path / "rig.csv", join={tmp_path / "pump.csv": -3600}).complete.all()
 
 
 def test_words_are_held_between_changes_in_a_file_of_their_own_and_in_runs(tmp_path: Path) -> None:

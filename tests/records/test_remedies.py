@@ -67,6 +67,40 @@ def test_signals_that_are_logged_when_they_change(tmp_path: Path) -> None:
     assert "ignores" not in said
 
 
+@pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
+@pytest.mark.parametrize("named", [False, True])
+def test_signals_with_stamps_of_their_own(tmp_path: Path, named: bool) -> None:
+    """A set-point that is logged on change among the rows of an even signal, at other stamps.
+
+    `inspect` takes words for inputs, and is told the same.
+    """
+    at, changes = np.arange(200) / 10 + 0.013, np.arange(0, 20, 1.5)
+    levels = np.random.default_rng(0).uniform(-1, 1, len(changes))
+    parts = [pd.DataFrame({"ts": at, "name": "level", "val": np.sin(at)})]
+    parts += [pd.DataFrame({"ts": changes, "name": "valve", "val": levels})]
+    table = pd.concat(parts).sort_values("ts")
+    table.to_csv(tmp_path / "long.csv", index=False)
+    inputs: Any = (lambda column: not pd.api.types.is_numeric_dtype(column)) if named else ()
+    said = message(tmp_path / "long.csv", time_column="ts", inputs=inputs)
+    found = sb.read(tmp_path / "long.csv", inputs="valve", **option(said, "long"))
+    assert found.sampling_time == 0.1
+    assert found.u is not None
+    np.testing.assert_allclose(found.y[:, 0], np.sin(found.time), atol=1e-9)
+    at_once = np.searchsorted(changes, found.time + 1e-9, side="right") - 1
+    held = np.searchsorted(changes, found.time + 0.1 - 1e-9, side="right") - 1 == at_once
+    np.testing.assert_allclose(found.u[held, 0], levels[at_once[held]], rtol=1e-9)
+    status = pd.DataFrame({"ts": np.cumsum(np.arange(60) % 7 + 1), "val": 1.0})
+    status["name"] = np.where(status.index % 9, "ok", "bad")  # a word beside every value
+    status.to_csv(tmp_path / "status.csv", index=False)
+    assert "long" not in message(tmp_path / "status.csv", time_column="ts", inputs=inputs)
+
+
+def test_values_of_one_signal_at_one_time_are_said(tmp_path: Path) -> None:
+    rows = "".join(f"{tag},{t},{t}\n" for t in [*range(9), 4, 5] for tag in "ab")
+    with pytest.warns(ReadingWarning, match=r"one signal .* the last counts \(4 are left out\)"):
+        sb.read(text_file(tmp_path, f"tag,time,value\n{rows}"), long=("tag", "time", "value"))
+
+
 @pytest.mark.parametrize("column", ["run", "day", None])
 def test_several_runs_in_one_file_are_several_records(tmp_path: Path, column: str | None) -> None:
     g, parts = np.random.default_rng(1), []
@@ -111,6 +145,8 @@ def test_rows_that_stand_twice_and_rows_out_of_order(tmp_path: Path) -> None:
     path = text_file(tmp_path, "t,y\n" + "".join(f"{row},{row**2}\n" for row in mixed))
     found = sb.read(told(message(path), table=pd.read_csv(path)))
     np.testing.assert_array_equal(found.y[:, 0], np.arange(7.0) ** 2)
+    assert "step='auto'" not in message(path)  # which does not put rows in order
+    assert message(path, step="auto").startswith(message(path).split(" (line")[0])
 
 
 def test_serial_days_beside_fractions_are_added(tmp_path: Path) -> None:

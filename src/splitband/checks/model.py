@@ -183,10 +183,8 @@ def tests_of(record: Record, simulated: Prediction, late: bool) -> tuple[Residua
     """Test the residuals of a simulation or forecast to the end of a record.
 
     With `late` inputs those of earlier samples alone are tested: behind a controller, inputs depend
-    on the output of their own sample. Returns nothing for fewer than 2 `LAGS` samples.
+    on the output of their own sample.
     """
-    if len(simulated) < 2 * LAGS:
-        return ()
     left = record.y_with_gaps[len(record) - len(simulated) :] - simulated.y
     u = record.u
     if late and u is not None:

@@ -201,7 +201,7 @@ def residual_tests(
 
     The inputs `u` may begin earlier, and end with the residuals. Powers of the `simulated` outputs,
     `(time, ny)`, are tested with the inputs. An output that is slower than others is tested at its
-    own rate.
+    own rate, and one of fewer than 2 `LAGS` samples is left out.
     """
     tests = []
     simulated = np.zeros_like(residuals) if simulated is None else simulated
@@ -209,6 +209,8 @@ def residual_tests(
         pairs = [] if u is None else zip(inputs, u.T, strict=True)
         driven = {name: x for name, x in pairs if np.ptp(x[-len(own) - MAX_LAG :]) > 0}
         e, y, driven = _at_own_rate(own, of_model, driven)
+        if len(e) < 2 * LAGS:
+            continue
         p, tested = _dependence(e, y, driven) if driven else (1.0, ())
         white = _whiteness(e)
         unrelated = bool(driven) and white.p < 1 - CONFIDENCE and _unrelated(e + y, driven)

@@ -150,13 +150,13 @@ def checking(given: Mapping[str, Any]) -> str:
 
 def _python(out: Path, plan: Plan) -> str:
     """Return the lines that predict with the trained model."""
-    known = ", u=u" if plan.record.nu else ""
+    known, steps = ", u=u" if plan.record.nu else "", plan.ahead or STEPS
     _, inputs = plan.record.labels
     said = ", ".join(inputs) if plan.record.reading.levels else "the inputs"
-    why = f"  # u: the {STEPS} samples of {said} to come" if known else ""
+    why = f"  # u: the {steps} samples of {said} to come" if known else ""
     return (
         f"import splitband as sb\n\nmodel = sb.load({str(out / MODEL_FOLDER)!r})\n"
-        f"model.predict({STEPS}{known}).to_frame(){why}"
+        f"model.predict({steps}{known}).to_frame(){why}"
     )
 
 

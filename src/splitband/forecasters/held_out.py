@@ -7,6 +7,7 @@ forecasts of some samples ahead from many. Forecasters are passed to these funct
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -40,7 +41,9 @@ FEWEST_FITTED = 20
 """An earlier origin, for the intervals, needs this many measured samples of each channel before it.
 By eye."""
 MOST_ORIGINS = 100
-"""Largest number of origins of forecasts some samples ahead, evenly spaced. Bounds the time."""
+"""Largest number of origins of forecasts some samples ahead. Bounds the time."""
+GOLDEN = (math.sqrt(5) - 1) / 2
+"""Golden ratio: the multiples of no number are spread more evenly between whole ones."""
 FAILED_FIT_RATIO = 5.0
 """A fit to few samples has failed if the error of its first forecast samples is above this multiple
 of the method's error over as many first samples of the forecasts that are scored. By eye."""
@@ -110,13 +113,17 @@ def refitted(
 
 
 def many_origins(fitted: int, first: int, end: int, ahead: int) -> list[Origin]:
-    """Return origins, evenly spaced, of forecasts `ahead` that lie between two samples.
+    """Return origins, spread evenly, of forecasts `ahead` that lie between two samples.
 
-    There are at most `MOST_ORIGINS`, and none where the samples are too few.
+    There are at most `MOST_ORIGINS`, and none where the samples are too few. Each lies somewhere in
+    a part of its own: at even distances all of them might meet a period at one phase, or miss the
+    samples of a slower output.
     """
-    last = end - ahead
-    count = min(MOST_ORIGINS, last - first + 1)
-    return [Origin(fitted, int(at), ahead) for at in np.linspace(first, last, max(count, 0))]
+    samples = max(end - ahead - first + 1, 0)
+    count = min(MOST_ORIGINS, samples)
+    parts = samples * np.arange(count + 1) // max(count, 1)
+    within = (GOLDEN * np.arange(count) % 1 * np.diff(parts)).astype(int)
+    return [Origin(fitted, first + int(at), ahead) for at in parts[:-1] + within]
 
 
 def horizons(ahead: int) -> list[int]:

@@ -26,8 +26,8 @@ Joined: TypeAlias = Mapping[Any, float | None] | Sequence[str | os.PathLike[str]
 """Files, with what to add to their stamps in s, or without."""
 
 
-def wide(table: Table, long: Sequence[str]) -> Table:
-    """Return a table of one measurement a row with a column for each signal."""
+def wide(table: Table, long: Sequence[str]) -> tuple[Table, list[str]]:
+    """Return a table of one measurement a row with a column for each signal, and what was done."""
     if len(long) not in (3, 4):
         raise InputError(f"long must name tag, time stamps and value, got {', '.join(long)}")
     tag, *stamps, value = (find(table, each)[0] for each in long)
@@ -37,13 +37,17 @@ def wide(table: Table, long: Sequence[str]) -> Table:
     cells = pd.DataFrame(
         {"tag": table[tag].astype(str).array, "at": seconds, "value": table[value].array}
     )
+    every = len(cells)
     cells = cells.drop_duplicates(["at", "tag"], keep="last")
+    twice = every - len(cells)
+    notes = [f"of values of one signal at one time the last counts ({twice} are left out)"]
     wide = cells.pivot(index="at", columns="tag", values="value")[
         pd.unique(cells["tag"])
     ].infer_objects()
     rows = pd.Series(np.arange(len(seconds)), index=seconds).groupby(level=0).first()
     found: Table = {c: table[c].iloc[rows.loc[wide.index]].reset_index(drop=True) for c in stamps}
-    return found | {str(c): wide[c].reset_index(drop=True) for c in wide}
+    found |= {str(c): wide[c].reset_index(drop=True) for c in wide}
+    return found, notes if twice else []
 
 
 def split_runs(table: Table, runs: str, time_column: Names | None) -> dict[str, Table]:
@@ -105,6 +109,13 @@ def join_files(
             )
         else:
             shift = begin + (offset or 0.0)
+        apart = other.index[0] + shift - main.index[-1], main.index[0] - other.index[-1] - shift
+        if max(apart) >= 0:
+            raise InputError(
+                f"join must put {path} beside the record: their time stamps are {max(apart):.6g} s "
+                f"apart; {path.name}@+1.5 (--join), {{{path.name!r}: 1.5}} in Python, adds 1.5 s "
+                "to its stamps, and a column that both have shows the offset by itself"
+            )
         parts.append(other.drop(columns=both).set_axis(other.index + shift))
     whole = pd.concat(parts, axis=1).sort_index()
     named = {str(c): whole[c].reset_index(drop=True) for c in whole}

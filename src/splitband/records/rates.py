@@ -24,7 +24,10 @@ def own_step(seconds: Array) -> float:
     steps = np.diff(seconds)
     near = steps[steps <= NEAR * np.median(steps)]
     usual = float(near.mean())
-    doubt = max(0.1 * float(np.quantile(np.abs(near - usual), 0.9)), 1e-6 * usual)
+    off = float(np.quantile(np.abs(near - usual), 0.9))
+    if off > 0.5 * usual:  # events: nine in ten are near
+        usual = max(usual, float(np.quantile(steps, 0.9)) / NEAR)
+    doubt = max(0.1 * off, 1e-6 * usual)
     plain = (float(f"{usual:.{digits}g}") for digits in (1, 2, 3, 7))
     return next((each for each in plain if abs(each - usual) <= doubt), usual)
 
@@ -88,14 +91,12 @@ class Even:
         begin = max([seconds[0], *(s[0] for s in known[len(known) - inputs :])])
         fastest = max(known, key=len)
         turns = np.exp(2j * np.pi * (fastest % step) / step).mean()
-        phase = step * np.angle(turns) / (2 * np.pi)
-        if abs(turns) < 0.9999:
-            phase = step * np.round(10 * phase / step) / 10
+        phase = step * np.round(np.angle(turns) / (2 * np.pi), 1 if abs(turns) < 0.9999 else 6)
         if abs(turns) < 0.3:  # events keep no phase
             phase = seconds[0] % step
         first = np.ceil((begin - phase) / step - 0.5)
         count = int(np.floor((seconds[-1] - phase) / step + 0.5) - first) + 1
-        start = float(f"{phase + step * first:.12g}")
+        start = float(f"{phase + step * first:.12g}") + 0.0  # no negative zero
         return cls(seconds, start, step, count, near)
 
     def measured(self, x: Array) -> Array:
@@ -109,6 +110,7 @@ class Even:
         before, after = self.times - own[at - 1], own[at] - self.times
         beside = (before <= 0.5 * self.step) | (after < 0.5 * self.step)
         values = np.interp(self.times, seconds[seen], x[seen])
+        values = np.where(before <= 1e-6 * self.step, x[seen][np.maximum(at - 2, 0)], values)
         return np.where(beside | (before + after <= self.near), values, np.nan)
 
     def held(self, x: Array) -> Array:

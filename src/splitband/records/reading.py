@@ -156,7 +156,7 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     unwrap : angles and counters, with their periods: {"heading": 360}; see `Record.unwrap`.
     clip_outliers : outputs that are limited; see `Record.clip_outliers`.
     long : columns of a table with one measurement a row: the name of the signal, its time stamps,
-        its value: ("tag", "time", "value").
+        its value: ("tag", "time", "value"); step="auto" by default.
     join : further files of the same run, put beside this one by time stamps; step="auto" by
         default. {"pump.csv": 1.5} adds 1.5 s to its stamps. Without a number a column that both
         have shows the offset, if there is one.
@@ -194,7 +194,7 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
     if gaps not in get_args(Gaps):
         raise InputError(f"gaps must be one of {', '.join(get_args(Gaps))}, got {gaps!r}")
     if step not in (None, "auto"):
-        positive_seconds(step, "step")
+        step = positive_seconds(step, "step")
     if reading is not None:
         words, step = words or reading.missing, reading.grid if step is None else step
     by = reading if reading is not None and step is not None and not unwrap else unwrap
@@ -220,20 +220,20 @@ def read(  # type: ignore[misc]  # noqa: PLR0913
         else:
             layout.check_no_lines(f"a {path}")
             table = known(of_frame(frame), layout)
-        notes = list[str]()
-        table = wide(table, long) if long else table
-        if join:
-            table, notes = join_files(table, join, time_column, how.expected, words)
-            how = replace(how, time_column=JOINED, step=how.step or "auto")
-        key = [] if runs is None else find(table, runs)
-        table, how = _worded(table, how, key)
+        written, how, notes = _combined(table, how, long, join)
+        key = [] if runs is None else find(written, runs)
+        table, how = _worded(written, how, key)
         notes += [_read_as(c, of) for c, of in how.categories.items()]
-        parts = split_runs(table, runs, time_column) if runs is not None else {"": table}
+        parts, as_written = (
+            split_runs(each, runs, how.time_column) if runs is not None else {"": each}
+            for each in (table, written)
+        )
         called = path.stem.removesuffix(".csv") if frame is None else ""
         records = []
         for run, part in parts.items():
             try:
-                record, more = _record(part, how, " ".join(filter(None, (called, run))))
+                name = " ".join(filter(None, (called, run)))
+                record, more = _record(part, how, name, as_written[run])
             except InputError as error:
                 raise type(error)(f"run {run}: {error}" if run else f"{error}") from error
             records.append(record)
@@ -270,6 +270,22 @@ class _How:
     def expected(self) -> float | None:
         """Return the sampling time of the file, if the caller knows it."""
         return self.sampling_time or self.fallback_sampling_time
+
+
+def _combined(
+    table: Table, how: _How, long: Sequence[str], join: Joined
+) -> tuple[Table, _How, list[str]]:
+    """Return one table of a long one and of several files, how it is read, and what was done."""
+    notes = list[str]()
+    if long:
+        table, notes = wide(table, long)
+        stamps = how.time_column or list(long[1:-1])
+        how = replace(how, time_column=stamps, step=how.step or "auto")
+    if join:
+        table, shifts = join_files(table, join, how.time_column, how.expected, how.missing)
+        how = replace(how, time_column=JOINED, step=how.step or "auto")
+        notes += shifts
+    return table, how, notes
 
 
 def _worded(table: Table, how: _How, runs: Sequence[str]) -> tuple[Table, _How]:
@@ -319,11 +335,14 @@ def _read_as(name: str, words: Sequence[str]) -> str:
     )
 
 
-def _record(table: Table, how: _How, called: str) -> tuple[Record, list[str]]:
-    """Return the record of a table, and what a user should know of its reading."""
+def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Record, list[str]]:
+    """Return the record of a table, and what a user should know of its reading.
+
+    `written` is the table before words became numbers, which tell what is wrong with its stamps.
+    """
     picked = pick(table, how.columns, how.inputs, how.time_column)
     names = picked.measured + picked.known
-    times = times_in(table, picked.stamps, how.expected)
+    times = times_in(written, picked.stamps, how.expected)
     spaced = _spacing(times, table, how)
     start: Stamp | None
     if times is not None and times.newest_first:
@@ -466,9 +485,9 @@ def _gridded(
     near = NEAR * max(step / factor, min(step, usual))
     even = Even.of(seconds, [*signals.values()], inputs, step / factor, near)
     off = jitter(fastest, usual)
+    differ = f", and differ from that by up to {100 * off:.2g} %" if off > 1e-6 else ""
     notes = [
-        f"put on an even grid of {step:g} s: steps of the stamps are about {usual:g} s, and differ "
-        f"from that by up to {100 * off:.2g} %"
+        f"put on an even grid of {step:g} s: steps of the stamps are about {usual:g} s{differ}"
     ]
     notes += [f"samples are means over {factor} steps"] if factor > 1 else []
     if not last.all():

@@ -45,11 +45,11 @@ def remedy(table: Table, names: Sequence[str], read: Reading, usual: str) -> str
     wide = f"long={long} (--long {','.join(long)}) gives each its column"
     if tags:
         return f"column {tag!r} names several signals, one measurement a row: {wide}"
-    usual = usual or (
-        f"step='auto' (--step auto) takes the last of rows that stand twice; in pandas "
-        f"table.sort_values({time!r}) puts rows in order; where each is a sample of its own, "
-        f"{IGNORE}"
-    )
+    if not usual:
+        usual = f"in pandas table.sort_values({time!r}, kind='stable') puts rows in order"
+        if not (steps < 0).any():
+            usual = "step='auto' (--step auto) takes the last of rows that stand twice"
+        usual += f"; where each is a sample of its own, {IGNORE}"
     step = np.median(steps[steps > 0]) if len(back) < len(steps) else 0.0
     off = np.abs(steps - step)[np.abs(steps - step) > 0.01 * step]
     if read.date is not None and not read.date.tzinfo and (abs(off - 3600) < 0.01 * step).all():
@@ -80,7 +80,8 @@ def _names_signals(
 ) -> bool:
     """Return whether the words of a column, as codes, name the signal that each row measures.
 
-    Signals alternate from row to row, or one follows another over the same dates.
+    Signals alternate from row to row, one follows another over the same dates, or rows of one are
+    logged among those of another.
     """
     steps = pd.Series(seconds).groupby(codes).diff().dropna()
     if not 2 <= codes.max() + 1 <= len(codes) // 3 or not ((steps > 0).all() or (steps < 0).all()):
@@ -89,7 +90,12 @@ def _names_signals(
     doubled = len(np.unique(seconds)) < 0.6 * len(codes)
     if numeric:  # a signal may alternate by chance
         return bool(alternates and doubled and np.ptp(np.bincount(codes)) <= 1)
-    return bool(alternates or (doubled and date is not None))
+    # Rows of the other signals stand between those of the most frequent one, and push none apart.
+    own = np.flatnonzero(codes == np.bincount(codes).argmax())
+    apart, between = np.diff(seconds[own]), np.diff(own) > 1
+    among = 0 < between.sum() < len(between)
+    among = among and bool(np.median(apart[between]) < 1.5 * np.median(apart[~between]))
+    return bool(alternates or among or (doubled and date is not None))
 
 
 def check_other_clock(table: Table, name: str, length: float) -> None:

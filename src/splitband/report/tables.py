@@ -64,16 +64,14 @@ def _from_origins(comparison: Comparison) -> str:
         return ""
     counts = " and ".join(str(len(forecasts)) for _, forecasts in found)
     steps = ", ".join(map(str, _horizons(comparison).values()))
-    return (
-        f" Ahead: {steps} samples from each of {counts} origins, with the measurements until then."
-    )
+    return f" Samples ahead: {steps} from each of {counts} origins, measured until then."
 
 
 def _horizons(comparison: Comparison) -> dict[str, int]:
     """Return the samples ahead for which fits are shown, by their names; empty for a free run."""
     if (ahead := comparison.plan.ahead) is None:
         return {}
-    return {{ahead: "N", 1: "1"}.get(samples, "N/10"): samples for samples in horizons(ahead)}
+    return {{1: "1", ahead: "N"}.get(samples, "N/10"): samples for samples in horizons(ahead)}
 
 
 def of_trial(

@@ -68,7 +68,8 @@ def _ahead_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
         facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
         if fit.channel in held and len(lines) < comparison.record.ny:
             facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
-        of = f"{fit.ahead} samples ahead" + (f" in test record {fit.record}" if fit.record else "")
+        of = f"{fit.ahead} sample{'s' if fit.ahead > 1 else ''} ahead"
+        of += f" in test record {fit.record}" if fit.record else ""
         lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
     return lines
 
@@ -125,7 +126,7 @@ def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None =
     words.append(
         f"The score uses the {train:,} training samples alone: every method was trained on the "
         f"first {percent(1 - HELD_OUT_SHARE)} of them and predicted the rest"
-        + (f", 1 to {ahead} samples ahead from many origins." if ahead else ".")
+        + (f", up to {ahead} ahead from many origins." if ahead else ".")
     )
     if trial.trained and set(trial.errors) - trial.trained:
         words.append(f"Networks carry a penalty of {percent(WORTH_TRAINING)}.")
