@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
+from splitband.kernels.terms import with_terms
 from splitband.runtime.arrays import Array
 
 Rhs = Callable[..., Any]
@@ -144,13 +145,15 @@ class Solver:
 
     Parameters
     ----------
-    rhs : A function of the first `arguments` of (t, x, u, p), see `solve`.
-    arguments : The number of arguments of `rhs`, 2 to 4.
+    rhs : A function of the first `arguments` of (t, x, u, p), see `solve`; of five with (t, x, u,
+        p, w) and unknown terms, see `kernels.terms.with_terms`.
+    arguments : The number of arguments of `rhs`, 2 to 5.
+    of : The functions of the quantities of unknown terms.
     """
 
-    def __init__(self, rhs: Rhs, arguments: int) -> None:
-        self.rhs, self.arguments = rhs, arguments
-        self.python: Rhs = partial(solve, _prefixed(rhs, arguments))
+    def __init__(self, rhs: Rhs, arguments: int, of: Sequence[Rhs | None] = ()) -> None:
+        self.rhs, self.arguments, self.of = rhs, arguments, of
+        self.python: Rhs = partial(solve, _prefixed(rhs, arguments, of))
         self.solve: Rhs = self.python
         self.taken, self.tried = 0, False
         self.kept: list[Any] = []
@@ -166,7 +169,7 @@ class Solver:
     ) -> tuple[Array, Array, float]:
         """Return the result of `solve`."""
         with np.errstate(all="ignore"):
-            if self.solve is not self.python and self.kept != referred(self.rhs):
+            if self.solve is not self.python and self.kept != self._referred():
                 self.solve, self.taken, self.tried = self.python, 0, False
             if self.taken > WORTH_COMPILING and not self.tried:
                 probe = p, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
@@ -179,13 +182,10 @@ class Solver:
 
     def _compile(self, *probe: Any) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
-        self.tried, self.kept = True, referred(self.rhs)
+        self.tried, self.kept = True, self._referred()
         expected = self.python(*probe)[0]
         try:
-            fast = wrapped = njit(**_OPTIONS)(getattr(self.rhs, "py_func", self.rhs))
-            if self.arguments <= 3:
-                wrapped = njit(**_OPTIONS)(_prefixed(fast, self.arguments))
-            compiled = partial(_compiled, wrapped)
+            compiled = partial(_compiled, compiled_rhs(self.rhs, self.arguments, self.of))
             states = compiled(*probe)[0]
         except Exception as error:  # code without support in Numba
             lines = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
@@ -203,11 +203,28 @@ class Solver:
             stacklevel=2,
         )
 
+    def _referred(self) -> list[Any]:
+        """Return the present values of the names in all functions."""
+        return [referred(function) for function in (self.rhs, *self.of)]
+
 
 @cache
-def solver(rhs: Rhs, arguments: int) -> Solver:
+def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = ()) -> Solver:
     """Return the common solver of an equation."""
-    return Solver(rhs, arguments)
+    return Solver(rhs, arguments, of)
+
+
+def compiled_rhs(rhs: Rhs, arguments: int, of: Sequence[Rhs | None] = ()) -> Rhs:
+    """Return `rhs(t, x, u, p)`, compiled when it is called; arguments as of `Solver`."""
+
+    def compiled(function: Rhs) -> Rhs:
+        made: Rhs = njit(**_OPTIONS)(getattr(function, "py_func", function))
+        return made
+
+    if arguments == 5:
+        return with_terms(rhs, of, compiled)
+    fast = compiled(rhs)
+    return fast if arguments == 4 else compiled(_prefixed(fast, arguments))
 
 
 def referred(function: Any) -> list[Any]:
@@ -240,8 +257,10 @@ def _content(value: Any) -> Any:
         return repr(value)
 
 
-def _prefixed(rhs: Rhs, arguments: int) -> Rhs:
-    """Return `rhs(t, x, u, p)` for a function of the first 2 to 4 of these arguments."""
+def _prefixed(rhs: Rhs, arguments: int, of: Sequence[Rhs | None] = ()) -> Rhs:
+    """Return `rhs(t, x, u, p)` for a function of 2 to 5 arguments, see `Solver`."""
+    if arguments == 5:
+        return with_terms(rhs, of)
     if arguments == 2:
         return lambda t, x, _u, _p: rhs(t, x)
     if arguments == 3:

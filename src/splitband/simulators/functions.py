@@ -24,6 +24,7 @@ from splitband.simulators.parameters import (
     Response,
     parameters_class,
 )
+from splitband.simulators.unknown import Trained, Unknown, packed
 from splitband.simulators.user_code import arguments, check_arguments, count_arguments
 
 PRECISE = 1e-6, 1e-8
@@ -152,7 +153,8 @@ class Ode(UserCode):
     ----------
     rhs : `rhs(t, x, u, p) -> dx/dt`, or without the last or the last two arguments. x and u are
         arrays of the states and the inputs at time t in s, p has the parameters by name (`p.k`).
-        After many steps the equation is compiled with Numba, if possible.
+        With unknown terms it is `rhs(t, x, u, p, w)`. After many steps the equation is compiled
+        with Numba, if possible.
     x0 : x at the record's first sample.
     observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
         channels, `(time,)` or `(time, ny)`; by default the channels are the first states.
@@ -164,6 +166,8 @@ class Ode(UserCode):
         `scipy.integrate.solve_ivp`, such as "Radau" and "BDF" for stiff equations.
     tolerances : Relative and absolute tolerance of a step.
     start : t at a record's first sample in s, or "record" for its time stamp.
+    unknown : Unknown terms, one or several, which are trained with the parameters; w has the
+        outputs of all of them, in their order.
 
     Examples
     --------
@@ -186,9 +190,23 @@ class Ode(UserCode):
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
     tolerances: tuple[float, float] = (1e-8, 1e-10)
     start: Start = 0.0
+    unknown: Unknown | Sequence[Unknown] | None = None
 
     def __post_init__(self) -> None:
         """Check the initial values, and those among the parameters."""
+        if not all(isinstance(term, Unknown) for term in self.terms):
+            raise InputError(
+                f"unknown must be an Unknown or several, sb.Unknown(...), got {self.unknown!r}"
+            )
+        if (count_arguments(self.rhs) == 5) != bool(self.terms):
+            raise InputError(
+                "rhs must take the outputs w of unknown terms as its fifth argument, rhs(t, x, u, "
+                "p, w), if there are any, and only then: write it so, without a default, or leave "
+                "unknown out"
+                if self.terms
+                else "unknown must say of what the fifth argument of rhs(t, x, u, p, w) is the "
+                "output, unknown=sb.Unknown(...) (--unknown), or leave the argument out"
+            )
         self._check()
         check_hold(self.hold)
         try:
@@ -227,7 +245,35 @@ class Ode(UserCode):
 
     @property
     def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
-        return [(self.rhs, ("t", "x", "u", "p")), (self.observe, ("x", "u", "p"))]
+        last = ("w",) if self.terms else ()
+        return [(self.rhs, ("t", "x", "u", "p", *last)), (self.observe, ("x", "u", "p"))]
+
+    @property
+    def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
+        """Return the unknown terms."""
+        given = () if self.unknown is None else self.unknown
+        return (given,) if isinstance(given, Unknown) else tuple(given)
+
+    def taught(self, trained: Sequence[Trained]) -> Self:
+        """Return a copy whose terms have these states, in their order; itself for none.
+
+        Raises ValueError for another number of terms.
+        """
+        if not trained:
+            return self
+        if len(trained) != len(self.terms):
+            raise InputError(
+                f"unknown must have {len(trained)} term(s), as in training, got {len(self.terms)}"
+            )
+        pairs = zip(self.terms, trained, strict=True)
+        terms = tuple(replace(term, trained=state) for term, state in pairs)
+        opened = self._opened_by
+        again: Any = opened and partial(_taught_again, opened, tuple(trained))
+        return self._with(unknown=terms).opened_by(again)
+
+    def outputs(self, x: Any, u: Any) -> Any:
+        """Return w, `(outputs,)`, for states `(nx,)` and inputs `(nu,)`, in traceable code."""
+        return np.concatenate([term.at(x, u) for term in self.terms])
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the equation with the first states observed, one per channel.
@@ -330,8 +376,9 @@ class Ode(UserCode):
         if self.method == "RK45":
             from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
 
-            solve = solver(self.rhs, count_arguments(self.rhs) or 2)
-            p = self.p(values)
+            of = tuple(term.of for term in self.terms)
+            solve, p = solver(self.rhs, count_arguments(self.rhs) or 2, of), self.p(values)
+            p = (p, packed(self.terms)) if of else p
             x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
@@ -364,7 +411,8 @@ class Ode(UserCode):
             place = np.clip(t / step, 0, len(time) - 1)
             n = min(int(place), len(time) - 2)
             inputs = u[n] if self.hold == "zoh" else u[n] + (place - n) * (u[n + 1] - u[n])
-            return self.rhs(*(begin + t, x, inputs, p)[:count])
+            last = (self.outputs(x, inputs),) if self.terms else ()
+            return self.rhs(*(begin + t, x, inputs, p, *last)[:count])
 
         # Time counts from 0: small steps would be lost in the rounding of large times.
         rtol, atol = self.tolerances
@@ -386,6 +434,13 @@ class Ode(UserCode):
 def _matched_again(opened: Callable[[Given], Ode], columns: list[str], parameters: Given) -> Ode:
     """Return an equation of a user's file, reopened in another process, see `Ode.matched`."""
     return opened(parameters).matched(columns, ())
+
+
+def _taught_again(
+    opened: Callable[[Given], Ode], trained: tuple[Trained, ...], parameters: Given
+) -> Ode:
+    """Return an equation of a user's file, reopened in another process, see `Ode.taught`."""
+    return opened(parameters).taught(trained)
 
 
 def _first_states(count: int, x: Array) -> Array:
