@@ -88,6 +88,30 @@ def test_other_states_of_terms_replace_them() -> None:
         ode.taught([other.trained, other.trained])
 
 
+def test_quantities_have_names_of_states_and_of_a_record() -> None:
+    for name, label in (("x2", "speed [m/s]"), ("speed", "speed [m/s]"), ("F", "F [N]")):
+        ode = rig(unknown=sb.Unknown([name]))
+        (term,) = ode.matched(["angle", "speed [m/s]"], ["F [N]"]).terms
+        assert [*term.quantities(np.array([[1.0, 2.0]]), np.array([[3.0]]))[0]] == [
+            3.0 if name == "F" else 2.0
+        ]
+        assert term.label(0) == label
+    with pytest.raises(sb.InputError, match=r"must name states, x1, x2, .* F: got x3$"):
+        rig(unknown=sb.Unknown(["x3"])).matched(["angle"], ["F"])
+    with pytest.raises(sb.InputError, match="got x2, which names several"):
+        rig(unknown=sb.Unknown(["x2"])).matched(["angle"], ["x2"])
+    by_name = rig(unknown=trained(sb.Unknown(["x2"], odd=True)))
+    np.testing.assert_array_equal(simulated(by_name), simulated(rig()))
+
+
+def test_an_equation_can_be_had_without_its_terms() -> None:
+    free = simulated(rig(unknown=sb.Unknown(speed)))
+    np.testing.assert_array_equal(simulated(rig().without_terms()), free)
+    opened = rig().opened_by(lambda _: rig()).without_terms()
+    again, arguments = opened.__reduce_ex__(4)
+    np.testing.assert_array_equal(simulated(again(*arguments)), free)
+
+
 def test_wrong_terms_are_refused() -> None:
     four: Any = lambda t, x, u, p: [x[1], p.k]  # noqa: E731
     with pytest.raises(sb.InputError, match=r"unknown=sb.Unknown\(...\) \(--unknown\), or leave"):
@@ -100,7 +124,7 @@ def test_wrong_terms_are_refused() -> None:
         sb.Ode(lambda t, x, u, w, p: [p.k], [0.5], parameters={"k": 1.0}, unknown=sb.Unknown())
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"of": lambda x: [x[0]]}, r"of must be a function of \(x, u\)"),
-        ({"hidden": 0}, "hidden must be a whole number from 1 on, got 0"),
+        ({"hidden": -1}, "hidden must be a whole number from 0 on, got -1"),
         ({"bounded": (1.0, 0.0)}, r"bounded must be two numbers .* got \(1.0, 0.0\)"),
         ({"bounded": 3.0}, "bounded must be two numbers"),
         ({"bounded": (0.0, 1.0), "odd": True}, "bounded must be symmetric"),

@@ -288,7 +288,8 @@ class GreyBox(Forecaster):
     def _adjusted(self) -> Adjusted:
         """Return the simulator with the fitted values, for the channels of the record."""
         assert self.adjusted is not None
-        return replace(self.adjusted, simulator=self._matched(self.require_fitted().record))
+        simulator = self._matched(self.require_fitted().record)
+        return replace(self.adjusted, simulator=simulator.taught(self.adjusted.terms))
 
     def _experiment(self, known: ForecastContext) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""

@@ -26,6 +26,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import sha256_of
 from splitband.runtime.options import WithRepr
+from splitband.simulators.unknown import Trained, Unknown
 from splitband.simulators.user_code import check_open, count_arguments
 
 Start = float | Literal["record"]
@@ -75,6 +76,7 @@ class KnownSimulator:
     own_times : Whether the output has times of its own, and is interpolated to the record's.
     adjustable : Whether the simulator has parameters or needs inputs, and so a `GreyBox`.
     advances : Whether the simulator can be stepped from any state.
+    terms : Unknown terms, see `Ode`.
     """
 
     simulate: Any
@@ -86,6 +88,7 @@ class KnownSimulator:
     own_times = False
     adjustable = False
     advances = False
+    terms: tuple[Unknown, ...] = ()
 
     @property
     def name(self) -> str:
@@ -99,6 +102,18 @@ class KnownSimulator:
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the simulator for records with these channels and inputs, see `Fmu.matched`."""
+        return self
+
+    def taught(self, trained: Sequence[Trained]) -> Self:
+        """Return a copy whose unknown terms have these states, in their order; itself for none.
+
+        Raises ValueError for another number of terms.
+        """
+        if trained:
+            raise InputError(
+                f"simulator {self.name} must have {len(trained)} unknown term(s), as in training: "
+                "sb.Ode(..., unknown=sb.Unknown(...))"
+            )
         return self
 
     def require(self) -> Self:
@@ -444,6 +459,10 @@ class Absent(KnownSimulator):
         vars(self)["start"] = check_start(self.start)
 
     def description(self, fitted: bool = False) -> Absent:
+        """Return the description itself."""
+        return self
+
+    def taught(self, trained: Sequence[Trained]) -> Self:
         """Return the description itself."""
         return self
 

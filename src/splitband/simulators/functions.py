@@ -194,16 +194,16 @@ class Ode(UserCode):
 
     def __post_init__(self) -> None:
         """Check the initial values, and those among the parameters."""
-        if not all(isinstance(term, Unknown) for term in self.terms):
+        if not all(isinstance(term, Unknown) for term in self._given):
             raise InputError(
                 f"unknown must be an Unknown or several, sb.Unknown(...), got {self.unknown!r}"
             )
-        if (count_arguments(self.rhs) == 5) != bool(self.terms):
+        if (count_arguments(self.rhs) == 5) != bool(self._given):
             raise InputError(
                 "rhs must take the outputs w of unknown terms as its fifth argument, rhs(t, x, u, "
                 "p, w), if there are any, and only then: write it so, without a default, or leave "
                 "unknown out"
-                if self.terms
+                if self._given
                 else "unknown must say of what the fifth argument of rhs(t, x, u, p, w) is the "
                 "output, unknown=sb.Unknown(...) (--unknown), or leave the argument out"
             )
@@ -245,14 +245,25 @@ class Ode(UserCode):
 
     @property
     def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
-        last = ("w",) if self.terms else ()
+        last = ("w",) if self._given else ()
         return [(self.rhs, ("t", "x", "u", "p", *last)), (self.observe, ("x", "u", "p"))]
 
     @property
-    def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
-        """Return the unknown terms."""
+    def _given(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms as they are given."""
         given = () if self.unknown is None else self.unknown
         return (given,) if isinstance(given, Unknown) else tuple(given)
+
+    @property
+    def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
+        """Return the unknown terms, as functions of states and inputs."""
+        return tuple(term.resolved(self.states, (), ()) for term in self._given)
+
+    def without_terms(self) -> Self:
+        """Return a copy with terms that stay as before training."""
+        terms, opened = tuple(term.without() for term in self._given), self._opened_by
+        again: Any = opened and partial(_without_again, opened)
+        return self._with(unknown=terms).opened_by(again) if terms else self
 
     def taught(self, trained: Sequence[Trained]) -> Self:
         """Return a copy whose terms have these states, in their order; itself for none.
@@ -261,11 +272,11 @@ class Ode(UserCode):
         """
         if not trained:
             return self
-        if len(trained) != len(self.terms):
+        if len(trained) != len(self._given):
             raise InputError(
-                f"unknown must have {len(trained)} term(s), as in training, got {len(self.terms)}"
+                f"unknown must have {len(trained)} term(s), as in training, got {len(self._given)}"
             )
-        pairs = zip(self.terms, trained, strict=True)
+        pairs = zip(self._given, trained, strict=True)
         terms = tuple(replace(term, trained=state) for term, state in pairs)
         opened = self._opened_by
         again: Any = opened and partial(_taught_again, opened, tuple(trained))
@@ -276,21 +287,28 @@ class Ode(UserCode):
         return np.concatenate([term.at(x, u) for term in self.terms])
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
-        """Return the equation with the first states observed, one per channel.
+        """Return the equation for a record: quantities of unknown terms may be named by it.
 
-        Raises ValueError for an equation of fewer states.
+        By default the first states are observed, one per channel.
+
+        Raises ValueError for an equation of fewer states, and for names that are not there.
         """
-        if self.observe is not None:
-            return self
-        if len(columns) > self.states:
+        if self.observe is None and len(columns) > self.states:
             raise InputError(
                 f"observe must map the {self.states} state(s) of the equation to the record's "
                 f"{len(columns)} channels, {', '.join(columns)}: by default the first states are "
                 "observed"
             )
-        made, opened = self._with(observe=partial(_first_states, len(columns))), self._opened_by
-        again: Any = opened and partial(_matched_again, opened, [*columns])
-        return made.opened_by(again)
+        changes: dict[str, Any] = {}
+        if self.observe is None:
+            changes["observe"] = partial(_first_states, len(columns))
+        if self._given:
+            named = () if self.observe else columns
+            resolved = (term.resolved(self.states, named, inputs) for term in self._given)
+            changes["unknown"] = tuple(resolved)
+        opened = self._opened_by
+        again: Any = opened and partial(_matched_again, opened, [*columns], [*inputs])
+        return self._with(**changes).opened_by(again) if changes else self
 
     def precise(self) -> Self:
         """Return a copy with tolerances for accurate derivatives.
@@ -431,9 +449,16 @@ class Ode(UserCode):
         return y[:, None] if y.ndim == 1 else y
 
 
-def _matched_again(opened: Callable[[Given], Ode], columns: list[str], parameters: Given) -> Ode:
+def _matched_again(
+    opened: Callable[[Given], Ode], columns: list[str], inputs: list[str], parameters: Given
+) -> Ode:
     """Return an equation of a user's file, reopened in another process, see `Ode.matched`."""
-    return opened(parameters).matched(columns, ())
+    return opened(parameters).matched(columns, inputs)
+
+
+def _without_again(opened: Callable[[Given], Ode], parameters: Given) -> Ode:
+    """Return an equation of a user's file, reopened in another process: `Ode.without_terms`."""
+    return opened(parameters).without_terms()
 
 
 def _taught_again(

@@ -20,7 +20,6 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 from splitband.simulators.base import KnownSimulator
-from splitband.simulators.unknown import Trained, Unknown
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
@@ -191,7 +190,6 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     difference : Finite-difference step, as a share of a parameter's range.
     survives : Whether no run can end its process.
     remarks : Remarks on the runs after `precise`.
-    terms : Unknown terms, see `Ode`.
     """
 
     parameters: Given | None
@@ -199,7 +197,6 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     difference = 1e-6
     survives = False
     remarks: Sequence[str] = ()
-    terms: tuple[Unknown, ...] = ()
 
     @cached_property
     def known(self) -> Parameters:
@@ -230,10 +227,6 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     def fixed(self, values: Mapping[str, float]) -> Self:
         """Return a copy with some parameters set to these values."""
         return self._with(parameters=dict(self.known.fixed(values).given))
-
-    def taught(self, trained: Sequence[Trained]) -> Self:
-        """Return a copy whose unknown terms have these states, in their order."""
-        return self
 
     def precise(self) -> Self:
         """Return the simulator for the last steps of a fit and for standard errors."""

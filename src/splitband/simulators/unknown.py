@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from splitband.records.signals import bare_name
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
@@ -64,16 +66,16 @@ class Unknown(WithRepr):
     Attributes
     ----------
     of : `of(x, u)` returns the quantities of which the term is a function, as a list, from the
-        states x and the inputs u at one time; it is written with NumPy. By default all states and
-        inputs.
+        states x and the inputs u at one time; it is written with NumPy. Or their names: "x1",
+        "x2", ... for states, and names of a record's inputs. By default all states and inputs.
     outputs : Number of outputs.
-    hidden : Number of hidden units.
+    hidden : Number of hidden units; 0 for a term that stays as before training.
     odd : Whether the term changes its sign with that of all quantities, as friction does.
     increasing : Whether each output increases with each quantity.
     bounded : Range `(low, high)` of the outputs.
     names : Names of the quantities with units for messages and drawings, such as "speed [m/s]".
-    trained : State of the term; None before training, when it is 0, or in the middle of `bounded`
-        if 0 is not inside of it.
+    trained : State of the term. A fit keeps one that is given, and trains a term without one,
+        which is 0 before, or in the middle of `bounded` if 0 is not inside of it.
 
     Examples
     --------
@@ -85,7 +87,7 @@ class Unknown(WithRepr):
     >>> rig = sb.Ode(sliding, [0.1, 0.0], parameters={"k": (1, 100)}, unknown=friction)
     """
 
-    of: Callable[[Any, Any], Any] | None = None
+    of: Callable[[Any, Any], Any] | Sequence[str] | None = None
     outputs: int = 1
     hidden: int = 8
     odd: bool = False
@@ -96,16 +98,15 @@ class Unknown(WithRepr):
 
     def __post_init__(self) -> None:
         """Check the options, and the state of a trained term."""
-        if self.of is not None and (not callable(self.of) or count_arguments(self.of) != 2):
+        named = isinstance(self.of, tuple | list) and all(isinstance(n, str) for n in self.of)
+        if not (self.of is None or (named and self.of) or count_arguments(self.of) == 2):
             raise InputError(
                 "of must be a function of (x, u) that returns a list of quantities, such as "
-                f"lambda x, u: [x[1]], got {self.of!r}"
+                f'lambda x, u: [x[1]], or names such as ["x2"], got {self.of!r}'
             )
-        for name in ("outputs", "hidden"):
-            if not isinstance(getattr(self, name), int) or getattr(self, name) < 1:
-                raise InputError(
-                    f"{name} must be a whole number from 1 on, got {getattr(self, name)!r}"
-                )
+        for name, least in (("outputs", 1), ("hidden", 0)):
+            if not isinstance(number := getattr(self, name), int) or number < least:
+                raise InputError(f"{name} must be a whole number from {least} on, got {number!r}")
         if self.bounded is not None:
             low, high = (*self.bounded,) if np.shape(self.bounded) == (2,) else (np.nan, np.nan)
             if not (np.isfinite([low, high]).all() and low < high):
@@ -127,6 +128,47 @@ class Unknown(WithRepr):
                 raise InputError(
                     f"names must be one for each of the {count} quantities, got {self.names!r}"
                 )
+
+    @property
+    def free(self) -> bool:
+        """Return whether a fit trains the term."""
+        return self.trained is None and self.hidden > 0
+
+    def without(self) -> Self:
+        """Return the term as it is before training, and stays."""
+        return replace(self, hidden=0, trained=None)
+
+    def resolved(self, states: int, columns: Sequence[str], inputs: Sequence[str]) -> Self:
+        """Return the term with a function in place of the names of quantities.
+
+        Parameters
+        ----------
+        states : Number of states.
+        columns : Names of the channels, if these are the first states, else none.
+        inputs : Names of the inputs.
+
+        Raises
+        ------
+        ValueError
+            For a name that is neither a state nor an input.
+        """
+        if self.of is None or callable(self.of):
+            return self
+        numbers = [f"x{i + 1}" for i in range(states)]
+        labels = [*columns, *numbers[len(columns) :], *inputs]
+        places: list[int] = []
+        for name in self.of:
+            means = {i for i, at in enumerate(numbers) if at == name}
+            means |= {i for i, label in enumerate(labels) if name in (label, bare_name(label))}
+            if len(means) != 1:
+                raise InputError(
+                    f"of (--unknown) must name states, {', '.join(numbers)}, or inputs of the "
+                    f"record, {', '.join(inputs) or 'of which there are none'}: got {name}"
+                    + (", which names several" if means else "")
+                )
+            places += means
+        named = self.names or tuple(labels[place] for place in places)
+        return replace(self, of=chosen(tuple(places)), names=named)
 
     def size(self, quantities: int) -> int:
         """Return the number of weights of a term of so many quantities."""
@@ -225,7 +267,7 @@ class Unknown(WithRepr):
         return self.names[quantity] if self.names else f"quantity {quantity + 1}"
 
     def _of(self, x: Any, u: Any) -> Any:
-        return np.concatenate([x, u]) if self.of is None else self.of(x, u)
+        return self.of(x, u) if callable(self.of) else np.concatenate([x, u])
 
     def _squashed(self, value: Any) -> Any:
         """Return values within `bounded`, with the slope 1 at 0."""
@@ -236,6 +278,13 @@ class Unknown(WithRepr):
         zero = -middle / half if low < 0 < high else 0.0
         steep = 1 / (half * (1 - zero**2))
         return middle + half * np.tanh(np.arctanh(zero) + value * steep)
+
+
+@cache
+def chosen(places: tuple[int, ...]) -> Callable[[Any, Any], Any]:
+    """Return a function of the elements at these places of the states and inputs."""
+    at = np.array(places)
+    return lambda x, u: np.concatenate((x, u))[at]
 
 
 def packed(terms: Sequence[Unknown]) -> tuple[Array, Array, Any]:
