@@ -104,6 +104,11 @@ class KnownSimulator:
         """Return the simulator for records with these channels and inputs, see `Fmu.matched`."""
         return self
 
+    @property
+    def named_terms(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms, before training, if their quantities have names."""
+        return ()
+
     def taught(self, trained: Sequence[Trained]) -> Self:
         """Return a copy whose unknown terms have these states, in their order; itself for none.
 
@@ -128,7 +133,12 @@ class KnownSimulator:
         """Return the description of the simulator; `fitted`: whether its parameters are fitted."""
         start = None if self.own_times else self.start or 0.0
         return Absent(
-            *self.facts(fitted), fitted, start, self.hold if self.driven else None, self.step
+            *self.facts(fitted),
+            fitted,
+            start,
+            self.hold if self.driven else None,
+            self.step,
+            self.named_terms,
         )
 
     def reach(self, grid: Grid) -> int:
@@ -433,6 +443,7 @@ class Absent(KnownSimulator):
         has time stamps of its own.
     hold : Course of inputs between samples; None if unspecified.
     step : Communication step in s chosen for an FMU; None for the FMU's own.
+    unknown : Unknown terms of named quantities, before training.
     """
 
     kind: str
@@ -442,6 +453,7 @@ class Absent(KnownSimulator):
     start: Start | None = None
     hold: Hold | None = None
     step: float | None = None
+    unknown: tuple[Unknown, ...] = ()
 
     def __post_init__(self) -> None:
         """Check values, possibly from a file."""

@@ -205,7 +205,7 @@ class Ode(UserCode):
                 "unknown out"
                 if self._given
                 else "unknown must say of what the fifth argument of rhs(t, x, u, p, w) is the "
-                "output, unknown=sb.Unknown(...) (--unknown), or leave the argument out"
+                "output, such as sb.Unknown(of), or that argument be left out"
             )
         self._check()
         check_hold(self.hold)
@@ -258,6 +258,12 @@ class Ode(UserCode):
     def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
         """Return the unknown terms, as functions of states and inputs."""
         return tuple(term.resolved(self.states, (), ()) for term in self._given)
+
+    @property
+    def named_terms(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms, before training, if their quantities have names."""
+        terms = tuple(replace(term, trained=None) for term in self._given)
+        return () if any(callable(term.of) for term in terms) else terms
 
     def without_terms(self) -> Self:
         """Return a copy with terms that stay as before training."""

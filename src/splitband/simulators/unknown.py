@@ -67,7 +67,8 @@ class Unknown(WithRepr):
     ----------
     of : `of(x, u)` returns the quantities of which the term is a function, as a list, from the
         states x and the inputs u at one time; it is written with NumPy. Or their names: "x1",
-        "x2", ... for states, and names of a record's inputs. By default all states and inputs.
+        "x2", ... for states, or those of a record's inputs and of the channels that are states.
+        By default all states and inputs.
     outputs : Number of outputs.
     hidden : Number of hidden units; 0 for a term that stays as before training.
     odd : Whether the term changes its sign with that of all quantities, as friction does.
