@@ -109,7 +109,7 @@ def give_simulator(
     """
     used, runs = forecaster.parameters.get("used"), ".py:" in name or name[-4:].lower() == ".fmu"
     for saved in filter(None, map(description_of, simulations(forecaster)) if runs else ()):
-        own = {"hold": saved.hold, "start": saved.start or None, "step": saved.step}
+        own: dict[str, Any] = {"hold": saved.hold, "start": saved.start or None, "step": saved.step}
         own["unknown"] = saved.unknown or None
         how |= {option: value for option, value in own.items() if how.get(option) is None}
     if used is not None:

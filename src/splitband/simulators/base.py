@@ -109,6 +109,10 @@ class KnownSimulator:
         """Return the unknown terms, before training, if their quantities have names."""
         return ()
 
+    def without_terms(self) -> Self:
+        """Return a copy with unknown terms that stay as before training."""
+        return self
+
     def taught(self, trained: Sequence[Trained]) -> Self:
         """Return a copy whose unknown terms have these states, in their order; itself for none.
 

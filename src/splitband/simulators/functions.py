@@ -194,16 +194,16 @@ class Ode(UserCode):
 
     def __post_init__(self) -> None:
         """Check the initial values, and those among the parameters."""
-        if not all(isinstance(term, Unknown) for term in self._given):
+        if not all(isinstance(term, Unknown) for term in self.terms):
             raise InputError(
                 f"unknown must be an Unknown or several, sb.Unknown(...), got {self.unknown!r}"
             )
-        if (count_arguments(self.rhs) == 5) != bool(self._given):
+        if (count_arguments(self.rhs) == 5) != bool(self.terms):
             raise InputError(
                 "rhs must take the outputs w of unknown terms as its fifth argument, rhs(t, x, u, "
                 "p, w), if there are any, and only then: write it so, without a default, or leave "
                 "unknown out"
-                if self._given
+                if self.terms
                 else "unknown must say of what the fifth argument of rhs(t, x, u, p, w) is the "
                 "output, such as sb.Unknown(of), or that argument be left out"
             )
@@ -245,29 +245,29 @@ class Ode(UserCode):
 
     @property
     def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
-        last = ("w",) if self._given else ()
+        last = ("w",) if self.terms else ()
         return [(self.rhs, ("t", "x", "u", "p", *last)), (self.observe, ("x", "u", "p"))]
 
     @property
-    def _given(self) -> tuple[Unknown, ...]:
-        """Return the unknown terms as they are given."""
+    def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
+        """Return the unknown terms; named quantities are found by `matched`."""
         given = () if self.unknown is None else self.unknown
         return (given,) if isinstance(given, Unknown) else tuple(given)
 
     @property
-    def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
-        """Return the unknown terms, as functions of states and inputs."""
-        return tuple(term.resolved(self.states, (), ()) for term in self._given)
+    def _found(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms, without a record's names for the quantities."""
+        return tuple(term.resolved(self.states, (), ()) for term in self.terms)
 
     @property
     def named_terms(self) -> tuple[Unknown, ...]:
         """Return the unknown terms, before training, if their quantities have names."""
-        terms = tuple(replace(term, trained=None) for term in self._given)
+        terms = tuple(replace(term, trained=None) for term in self.terms)
         return () if any(callable(term.of) for term in terms) else terms
 
     def without_terms(self) -> Self:
-        """Return a copy with terms that stay as before training."""
-        terms, opened = tuple(term.without() for term in self._given), self._opened_by
+        """Return a copy with unknown terms that stay as before training."""
+        terms, opened = tuple(term.without() for term in self.terms), self._opened_by
         again: Any = opened and partial(_without_again, opened)
         return self._with(unknown=terms).opened_by(again) if terms else self
 
@@ -278,11 +278,11 @@ class Ode(UserCode):
         """
         if not trained:
             return self
-        if len(trained) != len(self._given):
+        if len(trained) != len(self.terms):
             raise InputError(
-                f"unknown must have {len(trained)} term(s), as in training, got {len(self._given)}"
+                f"unknown must have {len(trained)} term(s), as in training, got {len(self.terms)}"
             )
-        pairs = zip(self._given, trained, strict=True)
+        pairs = zip(self.terms, trained, strict=True)
         terms = tuple(replace(term, trained=state) for term, state in pairs)
         opened = self._opened_by
         again: Any = opened and partial(_taught_again, opened, tuple(trained))
@@ -290,7 +290,7 @@ class Ode(UserCode):
 
     def outputs(self, x: Any, u: Any) -> Any:
         """Return w, `(outputs,)`, for states `(nx,)` and inputs `(nu,)`, in traceable code."""
-        return np.concatenate([term.at(x, u) for term in self.terms])
+        return np.concatenate([term.at(x, u) for term in self._found])
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the equation for a record: quantities of unknown terms may be named by it.
@@ -308,9 +308,9 @@ class Ode(UserCode):
         changes: dict[str, Any] = {}
         if self.observe is None:
             changes["observe"] = partial(_first_states, len(columns))
-        if self._given:
+        if self.terms:
             named = () if self.observe else columns
-            resolved = (term.resolved(self.states, named, inputs) for term in self._given)
+            resolved = (term.resolved(self.states, named, inputs) for term in self.terms)
             changes["unknown"] = tuple(resolved)
         opened = self._opened_by
         again: Any = opened and partial(_matched_again, opened, [*columns], [*inputs])
@@ -400,9 +400,10 @@ class Ode(UserCode):
         if self.method == "RK45":
             from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
 
-            of = tuple(term.of for term in self.terms)
+            terms = self._found
+            of = tuple(term.of for term in terms)
             solve, p = solver(self.rhs, count_arguments(self.rhs) or 2, of), self.p(values)
-            p = (p, packed(self.terms)) if of else p
+            p = (p, packed(terms)) if of else p
             x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0

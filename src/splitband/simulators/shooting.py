@@ -282,6 +282,7 @@ class Adjusted:
     states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
         `MOST_STATES` rows.
     terms : States of the unknown terms.
+    members : Those of further trainings that fit as well, one training after another.
     """
 
     simulator: Any
@@ -290,6 +291,7 @@ class Adjusted:
     states: Array = field(default_factory=lambda: np.empty((0, 0)))
     outputs: Array = field(default_factory=lambda: np.empty((0, 0)))
     terms: tuple[Trained, ...] = ()
+    members: tuple[Trained, ...] = ()
 
     @classmethod
     def of(

@@ -14,12 +14,17 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
+from splitband.metrics import BEYOND
 from splitband.records.signals import bare_name
 from splitband.runtime.arrays import Array, check_shape
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 from splitband.simulators.user_code import count_arguments
+
+_POINTS = 101
+"""Points of a curve. Layout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +158,12 @@ class Unknown(WithRepr):
         ValueError
             For a name that is neither a state nor an input.
         """
-        if self.of is None or callable(self.of):
+        if callable(self.of):
             return self
         numbers = [f"x{i + 1}" for i in range(states)]
         labels = [*columns, *numbers[len(columns) :], *inputs]
+        if self.of is None:
+            return replace(self, names=tuple(labels)) if columns and not self.names else self
         places: list[int] = []
         for name in self.of:
             means = {i for i, at in enumerate(numbers) if at == name}
@@ -263,6 +270,78 @@ class Unknown(WithRepr):
             )
         return self.value(np.stack([quantities[i] for i in range(len(quantities))]))
 
+    def curve(
+        self,
+        quantity: int,
+        at: npt.ArrayLike | None = None,
+        z: npt.ArrayLike | None = None,
+        members: Sequence[Trained] = (),
+    ) -> UnknownCurve:
+        """Return the outputs over one quantity, see `GreyBox.unknown_curve`.
+
+        `members` are the states of further trainings.
+        """
+        assert self.trained is not None
+        low, high, count = self.trained.low, self.trained.high, len(self.trained.centre)
+        known, middle = np.isfinite(high - low), self.trained.centre
+        with np.errstate(invalid="ignore"):
+            middle = np.where(known, 0.5 * (low + high), middle)
+        others = middle if at is None else np.asarray(at, dtype=float)
+        check_shape("at", others, count)
+        if not 0 <= quantity < count:
+            raise InputError(f"quantity must be from 0 to {count - 1}, got {quantity}")
+        if z is None and not known[quantity]:
+            raise InputError(f"z must be given: the range of {self.label(quantity)} is not known")
+        ends = float(low[quantity]), float(high[quantity])
+        along = np.linspace(*ends, _POINTS) if z is None else np.atleast_1d(np.asarray(z, float))
+        every = np.tile(others, (len(along), 1))
+        every[:, quantity] = along
+        each = [replace(self, trained=state).value(every) for state in (self.trained, *members)]
+        found, names = np.stack(each), {self.label(i): float(x) for i, x in enumerate(others)}
+        del names[self.label(quantity)]
+        return UnknownCurve(
+            self.label(quantity),
+            ends,
+            along,
+            each[0],
+            found.min(axis=0),
+            found.max(axis=0),
+            len(each),
+            names,
+        )
+
+    def leaves(self, x: Array, u: Array | None) -> list[str]:
+        """Return sentences on quantities that leave their range in training, at states and inputs.
+
+        `x` and `u` are `(time, nx)` and `(time, nu)`.
+        """
+        if self.trained is None:
+            return []
+        z, sentences = self.quantities(x, u), []
+        low, high = self.trained.low, self.trained.high
+        excess = np.maximum(low - z, z - high)
+        for i in np.flatnonzero(excess.max(axis=0) > BEYOND * (high - low)):
+            n, ends = int(excess[:, i].argmax()), f"{low[i]:.4g} to {high[i]:.4g}"
+            sentences.append(
+                f"{self.label(int(i))} of an unknown term is {z[n, i]:.4g} after {n + 1} samples, "
+                f"where it was {ends} in training: the term is held outside"
+            )
+        return sentences
+
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Return the ranges in training of the quantities of a trained term, by name."""
+        if self.trained is None:
+            return {}
+        ends = zip(self.trained.low.tolist(), self.trained.high.tolist(), strict=True)
+        return {self.label(i): each for i, each in enumerate(ends)}
+
+    def __str__(self) -> str:
+        """Return a description of a trained term."""
+        each = (
+            f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in self.ranges().items()
+        )
+        return f"an unknown term of {', '.join(each)}"
+
     def label(self, quantity: int) -> str:
         """Return the name of a quantity in messages and drawings."""
         return self.names[quantity] if self.names else f"quantity {quantity + 1}"
@@ -279,6 +358,37 @@ class Unknown(WithRepr):
         zero = -middle / half if low < 0 < high else 0.0
         steep = 1 / (half * (1 - zero**2))
         return middle + half * np.tanh(np.arctanh(zero) + value * steep)
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownCurve:
+    """The outputs of a trained term over one of its quantities.
+
+    Attributes
+    ----------
+    quantity : Name of the quantity.
+    range : Its lowest and highest value in training, outside which the term is held.
+    z, w : Values of the quantity `(points,)`, and the outputs there, `(points, outputs)`.
+    low, high : Lowest and highest outputs of all trainings that fit as well, `(points, outputs)`.
+    trainings : Number of these trainings.
+    others : Values of the other quantities, by name.
+    """
+
+    quantity: str
+    range: tuple[float, float]
+    z: Array
+    w: Array
+    low: Array
+    high: Array
+    trainings: int
+    others: dict[str, float]
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a table: outputs, and their lowest and highest values, over the quantity."""
+        columns = {f"w{o}": w for o, w in enumerate(self.w.T)}
+        for end, values in (("low", self.low), ("high", self.high)):
+            columns |= {f"w{o} {end}": w for o, w in enumerate(values.T)}
+        return pd.DataFrame(columns, index=pd.Index(self.z, name=self.quantity))
 
 
 @cache
