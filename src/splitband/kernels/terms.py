@@ -13,6 +13,7 @@ import numpy as np
 
 from splitband.kernels.common import kernel, tanh, tanh_of
 from splitband.runtime.arrays import Array
+from splitband.runtime.errors import InputError
 
 Function = Callable[..., Any]
 
@@ -137,7 +138,7 @@ def _appended(before: Function, of: Function, term: int) -> Function:
         if count > 0:  # 0 before training
             quantities = of(x, u)
             if len(quantities) != count:
-                raise ValueError("of must return as many quantities as in training")
+                raise InputError("of must return as many quantities as in training")
             for q in range(count):
                 z[at + q] = quantities[q]
         return int(at + count)
