@@ -178,8 +178,9 @@ def _unknown(result: Comparison) -> list[Section]:
     for model in models:
         if isinstance(model, GreyBox) and (drawn := plots.unknown(model)):
             text = (
-                "What was found in place of the unknown terms of the equation. Each curve ends "
-                "where the training record did: beyond, a term is held."
+                "What was found in place of the unknown terms of the equation, over the ranges of "
+                "their quantities in training. Outside of them, a term is held. Shaded: the range "
+                "of all trainings that fit as well."
             )
             return [Section("unknown", "Unknown terms", [text], plots=drawn)]
     return []

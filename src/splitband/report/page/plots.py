@@ -387,9 +387,7 @@ def unknown(model: GreyBox) -> list[Chart]:
                 held = f", with {', '.join(values)}"
             for o, value in enumerate(curve.w.T):
                 name, ends = f"w[{first + o}]", (curve.low[:, o], curve.high[:, o])
-                caption = f"{name} over {curve.quantity}, in its range in training{held}"
-                if curve.trainings > 1:
-                    caption += f"; shaded: the range of {curve.trainings} trainings"
+                caption = f"{name} over {curve.quantity}{held}"
                 chart = Chart(axis, name, limits([value, *ends]), caption, LOW, small=True)
                 chart.line(value, name, ["c0"], line_width=1.5)
                 if curve.trainings > 1:
