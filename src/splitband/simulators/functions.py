@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from inspect import Signature
+from operator import methodcaller
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -267,9 +268,8 @@ class Ode(UserCode):
 
     def without_terms(self) -> Self:
         """Return a copy with unknown terms that stay as before training."""
-        terms, opened = tuple(term.without() for term in self.terms), self._opened_by
-        again: Any = opened and partial(_without_again, opened)
-        return self._with(unknown=terms).opened_by(again) if terms else self
+        terms = tuple(term.without() for term in self.terms)
+        return self._changed(methodcaller("without_terms"), unknown=terms) if terms else self
 
     def taught(self, trained: Sequence[Trained]) -> Self:
         """Return a copy whose terms have these states, in their order; itself for none.
@@ -284,9 +284,7 @@ class Ode(UserCode):
             )
         pairs = zip(self.terms, trained, strict=True)
         terms = tuple(replace(term, trained=state) for term, state in pairs)
-        opened = self._opened_by
-        again: Any = opened and partial(_taught_again, opened, tuple(trained))
-        return self._with(unknown=terms).opened_by(again)
+        return self._changed(methodcaller("taught", tuple(trained)), unknown=terms)
 
     def outputs(self, x: Any, u: Any) -> Any:
         """Return w, `(outputs,)`, for states `(nx,)` and inputs `(nu,)`, in traceable code."""
@@ -312,9 +310,13 @@ class Ode(UserCode):
             named = () if self.observe else columns
             resolved = (term.resolved(self.states, named, inputs) for term in self.terms)
             changes["unknown"] = tuple(resolved)
-        opened = self._opened_by
-        again: Any = opened and partial(_matched_again, opened, [*columns], [*inputs])
-        return self._with(**changes).opened_by(again) if changes else self
+        again = methodcaller("matched", [*columns], [*inputs])
+        return self._changed(again, **changes) if changes else self
+
+    def _changed(self, again: Callable[[Any], Any], **changes: Any) -> Self:
+        """Return a copy with changed fields; other processes reopen it and call `again` with it."""
+        opened: Any = self._opened_by and partial(_reopened, self._opened_by, again)
+        return self._with(**changes).opened_by(opened)
 
     def precise(self) -> Self:
         """Return a copy with tolerances for accurate derivatives.
@@ -456,23 +458,11 @@ class Ode(UserCode):
         return y[:, None] if y.ndim == 1 else y
 
 
-def _matched_again(
-    opened: Callable[[Given], Ode], columns: list[str], inputs: list[str], parameters: Given
+def _reopened(
+    opened: Callable[[Given], Ode], change: Callable[[Ode], Ode], parameters: Given
 ) -> Ode:
-    """Return an equation of a user's file, reopened in another process, see `Ode.matched`."""
-    return opened(parameters).matched(columns, inputs)
-
-
-def _without_again(opened: Callable[[Given], Ode], parameters: Given) -> Ode:
-    """Return an equation of a user's file, reopened in another process: `Ode.without_terms`."""
-    return opened(parameters).without_terms()
-
-
-def _taught_again(
-    opened: Callable[[Given], Ode], trained: tuple[Trained, ...], parameters: Given
-) -> Ode:
-    """Return an equation of a user's file, reopened in another process, see `Ode.taught`."""
-    return opened(parameters).taught(trained)
+    """Return an equation of a user's file in another process, changed as the first one was."""
+    return change(opened(parameters))
 
 
 def _first_states(count: int, x: Array) -> Array:
