@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 from numba import njit, types
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from splitband.kernels.common import kernel, part
+from splitband.kernels.common import kernel
 from splitband.kernels.terms import evaluate, gathered
 from splitband.runtime.arrays import Array
 
@@ -28,6 +28,8 @@ Rhs = Callable[..., Any]
 
 MOST_STEPS = 10_000
 """Most steps between two samples, rejected ones included. Bounds the time."""
+STEP = 1e-6
+"""Step of the differences of a right-hand side, as a share of a state or a range. Rounding."""
 SHORTEST = 1e-12
 """Shortest step, as a share of the interval between two samples. Rounding."""
 WORTH_COMPILING = 30_000
@@ -46,10 +48,9 @@ WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 _ERRORS = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 """Weights of order 5 less those of order 4."""
 _NO_TERMS = np.empty(0), np.empty(0), np.empty((0, 6), dtype=np.int64)
-_PROBED = 1e-8, 1e-10
-"""Tolerances of the comparison of compiled code with Python. Rounding."""
 
 
+@register_jitable
 def solve(  # noqa: PLR0912  one loop, for Numba
     rhs: Any,
     gather: Any,
@@ -142,13 +143,14 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     return states, ends[:taken], size
 
 
-@part
+@register_jitable
 def axpy(factor: float, row: Array, out: Array) -> None:
     """Add `factor` times a row to another one."""
     for d in range(row.shape[0]):
         out[d] += factor * row[d]
 
 
+@register_jitable
 def sensitivities(  # noqa: PLR0912  one loop, for Numba
     rhs: Any,
     gather: Any,
@@ -263,6 +265,63 @@ def sensitivities(  # noqa: PLR0912  one loop, for Numba
     return derivatives
 
 
+def derivatives(
+    rhs: Any,
+    gather: Any,
+    p: Array,
+    terms: tuple[Array, Array, Any],
+    initial: Array,
+    time: Array,
+    inputs: tuple[Array, bool],
+    widths: tuple[Array, Any],
+    tolerances: tuple[float, float],
+) -> tuple[Array, Array, Array, Array]:
+    """Return the states of `solve`, their `sensitivities`, and a run beside them.
+
+    The run beside them, by the same steps, has parameters, initial state and weights that are moved
+    by `steps`; it is returned less the states. An equation that jumps has other derivatives than
+    its right-hand side, and this run tells.
+
+    Parameters
+    ----------
+    rhs, gather, p, terms, initial, time, inputs, tolerances : As for `solve`.
+    widths : Ranges of the wanted parameters, with the sign of steps within them, and the places of
+        these parameters in `p`.
+    """
+    x, ends, _ = solve(
+        rhs, gather, p, terms, initial, time, inputs, (np.empty(0), 0.0), tolerances
+    )
+    by_parameter, wanted = STEP * widths[0], widths[1]
+    nx, count = len(initial), len(wanted)
+    sizes = np.zeros(nx)
+    for n in range(len(x)):
+        for j in range(nx):
+            if np.isfinite(x[n, j]):
+                sizes[j] = max(sizes[j], abs(x[n, j]))
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    moves = STEP * sizes, by_parameter, wanted
+    dx = sensitivities(rhs, gather, p, terms, initial, time, inputs, ends, moves)
+    steps = np.empty(dx.shape[2])
+    for d in range(len(steps)):
+        most = 1e-300
+        for n in range(len(dx)):
+            for j in range(nx):
+                most = max(most, abs(dx[n, j, d]) / sizes[j])
+        steps[d] = STEP / most if d % 2 else -STEP / most
+        if d < count:
+            steps[d] = np.sign(by_parameter[d]) * min(abs(steps[d]), abs(by_parameter[d]))
+    theta, scaling, layout = terms
+    moved = p.copy()
+    for d in range(count):
+        moved[wanted[d]] += steps[d]
+    beside = initial + steps[count : count + nx]
+    shifted = theta + steps[count + nx :], scaling, layout
+    apart, _, _ = solve(
+        rhs, gather, moved, shifted, beside, time, inputs, (ends, 0.0), tolerances
+    )
+    return x, dx, steps, apart - x
+
+
 @overload(np.clip, strict=False)
 def _clip(a: Any, a_min: Any, a_max: Any) -> Any:
     """Return `np.clip` of a number, such as a hard saturation: Numba clips arrays only."""
@@ -283,12 +342,14 @@ _EQUATION = (
     _ROW,
     types.Tuple((_ROWS, types.boolean)),
 )
-"""Types of the arguments that `solve` and `sensitivities` share. Functions are passed as pointers,
+"""Types of the arguments that the kernels share. Functions are passed as pointers,
 so that the kernels are compiled once for all equations."""
 _SOLVE = types.Tuple((_ROWS, _ROW, types.f8))(
     *_EQUATION, types.Tuple((_ROW, types.f8)), types.UniTuple(types.f8, 2)
 )
-_SENSITIVITIES = _CUBE(*_EQUATION, _ROW, types.Tuple((_ROW, _ROW, _PLACES)))
+_DERIVATIVES = types.Tuple((_ROWS, _CUBE, _ROW, _ROWS))(
+    *_EQUATION, types.Tuple((_ROW, _PLACES)), types.UniTuple(types.f8, 2)
+)
 
 
 @cache
@@ -332,31 +393,36 @@ class Solver:
         self.taken += len(solution[1])
         return solution
 
-    def sensitivities(
+    def derivatives(
         self,
         p: Any,
         initial: Array,
         time: Array,
         inputs: tuple[Array, bool],
-        schedule: Array,
-        moves: tuple[Array, Array, Any],
-    ) -> Array:
-        """Return the result of `sensitivities`."""
-        self.taken += len(schedule)
-        found: Array = self._run(
-            sensitivities, _SENSITIVITIES, p, initial, time, inputs, schedule, moves
+        widths: tuple[Array, Any],
+        tolerances: tuple[float, float],
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the result of `derivatives`."""
+        found: tuple[Array, Array, Array, Array] = self._run(
+            derivatives, _DERIVATIVES, p, initial, time, inputs, widths, tolerances
         )
+        self.taken += 10 * len(time)
         return found
 
-    def _run(self, function: Any, signature: Any, p: Any, initial: Array, *rest: Any) -> Any:
+    def _run(
+        self, function: Any, signature: Any, p: Any, initial: Array, time: Array, *rest: Any
+    ) -> Any:
         """Return the result of a kernel, compiled or not."""
+        # Arrays of a record cannot be written to, which is another type for Numba.
+        time, u = (np.require(each, float, "CW") for each in (time, rest[0][0]))
+        rest = time, (u, rest[0][1]), *rest[1:]
         named, terms = p if self.arguments == 5 else (p, _NO_TERMS)
         p, kind = np.array(named, dtype=float), type(named)
         with np.errstate(all="ignore"):
             if self.tried and self.kept != self._referred():
                 self.compiled, self.taken, self.tried = {}, 0, False
             if self.taken > WORTH_COMPILING and not self.tried:
-                self._compile(kind, p, terms, initial, *rest[:2])
+                self._compile(kind, p, terms, initial, *rest[:2], rest[-1])
             if (fast := self.compiled.get(kind)) is None and self.compiled:
                 fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
             if fast is not None:
@@ -375,12 +441,12 @@ class Solver:
         return njit(_RHS, **_OPTIONS)(flat), _pointer(gathered(self.of, made))
 
     def _compile(
-        self, kind: Any, p: Array, terms: Any, initial: Array, time: Array, inputs: Any
+        self, kind: Any, p: Array, terms: Any, initial: Array, time: Array, inputs: Any, how: Any
     ) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
         self.tried, self.kept = True, self._referred()
         probe = p, terms, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
-        probe = *probe, _PROBED
+        probe = *probe, how
         expected = solve(*self._functions(kind, len(p)), *probe)[0]
         try:
             fast = self._functions(kind, len(p), fast=True)
