@@ -31,6 +31,7 @@ from splitband.simulators.parameters import (
     Point,
     Response,
 )
+from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure, place
 
 BAD = 1e3
@@ -479,6 +480,8 @@ class Adjusted:
     noise : RMSE by channel in training, `(ny,)`.
     states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
         `MOST_STATES` rows.
+    terms : States of the unknown terms.
+    members : Those of further trainings that fit as well, one training after another.
     """
 
     simulator: Any
@@ -486,6 +489,8 @@ class Adjusted:
     noise: Array
     states: Array = field(default_factory=lambda: np.empty((0, 0)))
     outputs: Array = field(default_factory=lambda: np.empty((0, 0)))
+    terms: tuple[Trained, ...] = ()
+    members: tuple[Trained, ...] = ()
 
     @classmethod
     def of(
@@ -500,7 +505,8 @@ class Adjusted:
         outputs, states = usual.response(experiments[0].time, experiments[0].u)
         rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
         rows = rows[np.isfinite(states[rows]).all(axis=1)]
-        return replace(usual, states=states[rows], outputs=outputs[rows])
+        terms = tuple(term.trained for term in simulator.terms if term.trained)
+        return replace(usual, states=states[rows], outputs=outputs[rows], terms=terms)
 
     def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
         """Simulate channels and states at `time` in s, by default from the fitted initial state.
