@@ -144,24 +144,3 @@ def _appended(before: Function, of: Function, term: int) -> Function:
         return int(at + count)
 
     return gather
-
-
-def with_terms(
-    rhs: Function, of: Sequence[Function | None], compiled: Function = lambda f: f
-) -> Function:
-    """Return `rhs(t, x, u, p)` of `rhs(t, x, u, p, w)`; the new p is `(p, terms)`.
-
-    `terms` are the arrays of `simulators.unknown.packed`; `of` and `compiled` as for `gathered`.
-    """
-    inner, gather = compiled(rhs), gathered(of, compiled)
-
-    def wrapped(t: float, x: Array, u: Array, p: Any) -> Any:
-        theta, scaling, layout = p[1]
-        z, w = np.empty(layout[:, 0].sum()), np.empty(layout[:, 2].sum())
-        nothing = np.empty((0, 0))
-        gather(x, u, layout, z)
-        evaluate(theta, scaling, layout, z, w, nothing, nothing)
-        return inner(t, x, u, p[0], w)
-
-    made: Function = compiled(wrapped)
-    return made

@@ -28,6 +28,9 @@ from splitband.simulators.parameters import (
 from splitband.simulators.unknown import Trained, Unknown, packed
 from splitband.simulators.user_code import arguments, check_arguments, count_arguments
 
+JUMPS = 0.1
+"""Relative error of derivatives that do not go through the steps of an equation, as it jumps. By
+eye."""
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors: with 1e-4 errors were up to 270
 times too small."""
@@ -183,6 +186,7 @@ class Ode(UserCode):
     """
 
     _set_apart = (INITIAL,)
+    difference = 1e-4  # of a whole response
     rhs: Callable[..., Any]
     x0: npt.ArrayLike
     observe: Callable[..., npt.ArrayLike] | None = None
@@ -230,11 +234,6 @@ class Ode(UserCode):
     def states(self) -> int:  # type: ignore[override]
         """Return the number of states."""
         return len(self._states)
-
-    @property
-    def difference(self) -> float:  # type: ignore[override]
-        """Return the finite-difference step, smaller for RK45, which reuses its steps."""
-        return 1e-6 if self.method == "RK45" else 1e-4
 
     def unfinished(self, time: float) -> str:
         """Return the message for states that are NaN from `time` in s on."""
@@ -400,16 +399,50 @@ class Ode(UserCode):
         u = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         begin = np.array(self.initial(values) if state is None else state, dtype=float)
         if self.method == "RK45":
-            from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
-
-            terms = self._found
-            of = tuple(term.of for term in terms)
-            solve, p = solver(self.rhs, count_arguments(self.rhs) or 2, of), self.p(values)
-            p = (p, packed(terms)) if of else p
+            solve, p = self._solver(values)
             x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
+
+    def derivatives(
+        self, time: Array, u: Array | None, point: Point, names: Sequence[str]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return channels and states at a point, and their derivatives, see `Adjustable`.
+
+        Those of RK45 go through its steps; the channels are differentiated along them.
+        """
+        if self.method != "RK45":
+            return super().derivatives(time, u, point, names)
+        values, state = point
+        time = np.ascontiguousarray(time, dtype=float)
+        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
+        solve, p = self._solver(values)
+        widths = np.array([self.known.step(name, values[name], 1.0) for name in names])
+        fields = self.p(values)._fields
+        places = np.array([fields.index(name) for name in names], dtype=np.int64)
+        begin, held = np.array(state, dtype=float), (inputs, self.hold == "zoh")
+        x, dx, steps, apart = solve.derivatives(
+            p, begin, time, held, (widths, places), self.tolerances
+        )
+        left = apart - dx @ steps
+        if not (np.linalg.norm(left, axis=0) <= JUMPS * np.linalg.norm(apart, axis=0)).all():
+            return super().derivatives(time, u, point, names)
+        y = self._observed(x, inputs, values)
+        dy = np.empty((*y.shape, dx.shape[-1]))
+        for i, step in enumerate(steps):
+            at = {**values, names[i]: values[names[i]] + step} if i < len(names) else values
+            dy[..., i] = (self._observed(x + step * dx[..., i], inputs, at) - y) / step
+        return y, x, dy, dx
+
+    def _solver(self, values: Mapping[str, float]) -> tuple[Any, Any]:
+        """Return the solver of RK45, and its argument for parameters and unknown terms."""
+        from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
+
+        terms, p = self._found, self.p(values)
+        of = tuple(term.of for term in terms)
+        arguments = count_arguments(self.rhs) or 2
+        return solver(self.rhs, arguments, of), (p, packed(terms)) if of else p
 
     @property
     def _states(self) -> list[str]:

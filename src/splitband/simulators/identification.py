@@ -7,10 +7,8 @@ simulation determines parameters even if a long one loses its phase.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -26,6 +24,7 @@ from splitband.runtime.errors import InputError
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
 from splitband.simulators.base import matched
 from splitband.simulators.parameters import (
+    MIN_NOISE,
     Adjustable,
     Estimate,
     Name,
@@ -33,7 +32,7 @@ from splitband.simulators.parameters import (
     labelled,
     uncertainty,
 )
-from splitband.simulators.shooting import BAD, Experiment, Shooting, projected
+from splitband.simulators.shooting import BAD, GROWTH, MOST_GROWTH, Compared, Experiment, Shooting, minimise
 from splitband.simulators.user_code import failure
 
 STARTS = 32
@@ -46,21 +45,22 @@ PATIENCE, _HARDLY_BETTER = 8, 0.02
 the time."""
 SAME_ERROR = 1e-3
 """Relative difference of equal errors. Rounding."""
-SHORTEST = 16
-"""Samples of the shortest windows. By eye."""
-_GROWTH, _WINDOWS = 4, 32
-"""Growth of windows from stage to stage, and the largest number of windows of the longest record in
-the first stage. Bounds the time."""
+SHORTEST, _WINDOWS = 16, 64
+"""Samples of the shortest windows, and largest number of windows of the longest record. By eye."""
+WORTH_PROCESSES = 10.0
+"""Seconds of the first start from which on the others run in processes of their own, which have to
+start and to compile the equation. Bounds the time."""
+_ROUNDS, LAST_ROUNDS = 30, 100
+"""Largest number of steps in a search, and in the last search from the best values. Bounds the
+time."""
 _PULL = 1e-6
 """Residual of an unknown at a unit's distance from its start: unobservable unknowns do not move.
 Rounding."""
-QUICK, SLOW = 2.0, 20.0
-"""Seconds. Quicker starts than the first number run in one process: further processes would have to
-start and to compile the equation, 4 s here. After a first start slower than the second number, the
-time of a start is not measured. Bounds the time."""
-_ROUNDS, LAST_ROUNDS = 30, 100
-"""Largest number of evaluations in a search, and in the last search from the best values. Bounds
-the time."""
+_LEAST_WEIGHT = 0.1
+"""Least error of a channel, as a share of the largest one, by which channels are weighted. By eye.
+"""
+LEAST_SLACK = 1e-3
+"""Least slack between windows, see `Shooting`. Rounding."""
 _SAME_PLACE = 0.02
 """Distance of equal values, as a share of a range. By eye."""
 WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
@@ -70,16 +70,29 @@ _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code, independent of parameter values."""
 
 
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What was found in windows of one length: unknowns of the windows, and what they rest on.
+
+    `error`: RMS of the errors, in deviations; `sizes`, `noise`: see `Shooting`.
+    """
+
+    unknowns: Array
+    error: float
+    sizes: Array
+    noise: Array
+
+
 @dataclass(frozen=True)
 class StartOutcome:
     """The outcome of one starting point.
 
-    `found`: positions in the ranges and error, in deviations, by length of the windows; `failure`:
-    message of the last failed run; `cut`: whether the deadline ended the search.
+    `found`: fits by length of the windows; `failure`: message of the last failed run; `cut`:
+    whether the deadline ended the search.
     """
 
     number: int
-    found: dict[int, tuple[list[float], float]] = field(default_factory=dict)
+    found: dict[int, Fit] = field(default_factory=dict)
     failure: str = ""
     cut: bool = False
 
@@ -128,32 +141,23 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     scale = spread(np.concatenate([e.y for e in experiments]))
     shooting = Shooting(simulator, experiments, scale)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
-    if not shooting.names:
-        unknowns = shooting.divide(longest, np.empty(0))
-        estimate = _build_estimate(shooting, unknowns, 0)
-        return replace(estimate, doubt=_doubt(shooting, unknowns, longest, deadline))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    # Without states every window begins with the record: a shorter one omits the rest.
-    window = _window(outcomes, longest if simulator.states else math.inf)
-    ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
+    window = _window(outcomes, longest)
+    ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
-    fractions = np.array(best.found[window][0])
     with within(NEVER):  # the result is evaluated even after the deadline
-        precise = Shooting(simulator.precise(), experiments, scale)
-        unknowns = precise.divide(window, fractions)
-        rough = not _runs(precise, unknowns)  # the solver cannot keep smaller tolerances
-        if rough:
-            unknowns = shooting.divide(window, fractions)
-        else:
-            shooting = precise
-        if not (best.cut or deadline.over):
-            unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
-        estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
-    fractions = unknowns[: len(fractions)]
+        precise, fit = Shooting(simulator.precise(), experiments, scale), best.found[window]
+        # The solver may not be able to keep smaller tolerances.
+        rough = not _runs(precise.restored(window, fit), whole=True)
+        shooting = shooting if rough else precise
+        shooting.restored(window, fit)
+        if shooting.names and not (best.cut or deadline.over):
+            fit = _tied(shooting, fit)
+        estimate = _build_estimate(shooting, fit.unknowns, window if window < longest else 0)
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
     reason = next(iter(lost), "")
@@ -165,11 +169,12 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         "the time was over before every starting point was tried": cut,
         f"simulated in windows of {window} samples, {lost_whole}": window < longest,
     }
-    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
-    remarks += [remark for remark, holds in further.items() if holds]
+    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fit)]
+    if shooting.names:
+        remarks += [remark for remark, holds in further.items() if holds]
     remarks += simulator.remarks
-    agreed = len(agreeing), len(ranked)
-    doubt = _doubt(shooting, unknowns, window, deadline)
+    agreed = (len(agreeing), len(ranked)) if shooting.names else (0, 0)
+    doubt = _doubt(shooting, fit, window, deadline)
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut, doubt=doubt)
 
 
@@ -210,41 +215,58 @@ def check_runs(simulator: Any, record: Record) -> Any:
     ) from reason
 
 
-def _window(outcomes: Sequence[StartOutcome], longest: float) -> int:
-    """Return the longest window length, unless shorter windows fit far better."""
-    errors = [(n, error) for outcome in outcomes for n, (_, error) in outcome.found.items()]
-    lengths = sorted({n for n, _ in errors}, reverse=True)
-    best, chosen = {n: min(e for m, e in errors if m == n) for n in lengths}, lengths[0]
+def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
+    """Return the longest windows to which the best start goes on, unless shorter ones fit far better."""
+    lengths = sorted({n for outcome in outcomes for n in outcome.found})
+    best = {}
+    for n in lengths:
+        ran = [o for o in outcomes if n in o.found]
+        start = min(ran, key=lambda o: o.found[n].error)
+        best[n] = start.found[n].error
+        if max(start.found) == n:
+            break
+    chosen = max(best)
     if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
         return chosen
-    return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
+    return next(
+        (n for n in sorted(best)[-2::-1] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen
+    )
+
+
+def _tied(shooting: Shooting, fit: Fit) -> Fit:
+    """Minimise the residuals with steps of the state that are as small as the records allow."""
+    fit = descended(shooting, fit.unknowns, LAST_ROUNDS)
+    while shooting.slack > LEAST_SLACK:
+        steps = shooting.compare(fit.unknowns).steps
+        size = float(np.sqrt(np.mean(np.square(steps)))) if steps else 1.0
+        if size > 0.5:
+            break
+        shooting.slack *= max(size, 0.1)
+        fit = descended(shooting, fit.unknowns, LAST_ROUNDS)
+    return fit
 
 
 def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
     """Return the estimate at the best unknowns, with standard errors."""
     fractions = unknowns[: len(shooting.names)]
-    by_channel = _by_channel(shooting, unknowns)
-    jacobian = projected(shooting.jacobian(unknowns), len(fractions))
+    compared = shooting.compare(unknowns, slopes=True)
+    errors, level = np.concatenate(compared.errors), shooting.noise.max()
     parameters = shooting.simulator.known
-    errors, correlations, remarks = uncertainty(
-        shooting.names, parameters, fractions, by_channel, jacobian
+    deviations, correlations, remarks = uncertainty(
+        shooting.names,
+        parameters,
+        fractions,
+        errors * level / shooting.noise,
+        shooting.projected(compared) * level,
     )
-    named = [*zip(shooting.names, fractions, errors, strict=True)]
+    named = [*zip(shooting.names, fractions, deviations, strict=True)]
     values = {labelled(name): parameters.value_at(name[0], float(at)) for name, at, _ in named}
-    deviations = {labelled(name): float(error) for name, _, error in named}
-    rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
-    rest = tuple(map(float, rmse)), tuple(remarks), window
-    return Estimate(values, deviations, correlations, *rest)
+    of = {labelled(name): float(error) for name, _, error in named}
+    rmse = np.sqrt(np.nanmean(errors**2, axis=0)) * shooting.scale
+    return Estimate(values, of, correlations, tuple(map(float, rmse)), tuple(remarks), window)
 
 
-def _by_channel(shooting: Shooting, unknowns: Array) -> Array:
-    """Return the residuals in deviations of the channels, `(samples, ny)`, NaN in gaps."""
-    measured = np.concatenate([window.part.y for window in shooting.windows])
-    residuals = shooting.residuals(unknowns).reshape(measured.shape)
-    return np.where(np.isnan(measured), np.nan, residuals)
-
-
-def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline) -> str:
+def _doubt(shooting: Shooting, fit: Fit, window: int, deadline: Deadline) -> str:
     """Return a sentence if the other course of inputs between samples fits decisively better.
 
     The other course is fitted from the best values, if there is time.
@@ -253,23 +275,26 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     if simulator is None:
         return ""
     other = Shooting(simulator, shooting.experiments, shooting.scale)
+    other.slack = shooting.slack
     try:
         with within(min(current(), deadline)):
-            at = other.divide(window, unknowns[: len(shooting.names)])
-            if len(at) and _runs(other, at):
-                at, _ = descend(other, at, _ROUNDS)
+            compared = other.restored(window, fit)
+            there = fit
+            if len(fit.unknowns) and _runs(compared):
+                there = descended(other, fit.unknowns, _ROUNDS)
     except DeadlineError:
         return ""
     with within(NEVER):
-        both = [_by_channel(shooting, unknowns), _by_channel(other, at)]
+        pairs = (shooting, fit), (other, there)
+        both = [np.concatenate(each.compare(at.unknowns).errors) for each, at in pairs]
     if not favours(*both):
         return ""
-    here, there = (f"{np.sqrt(np.nanmean(residuals**2)):.2g}" for residuals in both)
+    before, after = (f"{np.sqrt(np.nanmean(errors**2)):.2g}" for errors in both)
     better = "held" if simulator.hold == "zoh" else "interpolated"
     return (
         f"the record favours inputs that are {better} between samples, hold={simulator.hold!r} "
-        f"(--simulator-hold {simulator.hold}): RMSE {there} instead of {here} standard deviations "
-        "of the output"
+        f"(--simulator-hold {simulator.hold}): RMSE {after} instead of {before} standard "
+        "deviations of the output"
     )
 
 
@@ -278,14 +303,14 @@ def _alternatives(
     outcomes: Sequence[StartOutcome],
     window: int,
     estimate: Estimate,
-    fractions: Array,
+    fit: Fit,
 ) -> list[str]:
     """Return remarks on equally good minima with other values of identifiable parameters."""
     identified = np.isfinite([*estimate.errors.values()])
-    fits = [outcome.found[window] for outcome in outcomes if window in outcome.found]
-    most, parameters = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
-    minima = [fractions]
-    for other in (np.array(at) for at, error in fits if error <= most and identified.any()):
+    fits, count = [o.found[window] for o in outcomes if window in o.found], len(identified)
+    most, parameters = min(fit.error for fit in fits) * (1 + SAME_ERROR), shooting.simulator.known
+    minima = [fit.unknowns[:count]]
+    for other in (each.unknowns[:count] for each in fits if each.error <= most and any(identified)):
         if all(np.abs(other - minimum)[identified].max() > _SAME_PLACE for minimum in minima):
             minima.append(other)
 
@@ -305,7 +330,8 @@ def starting_points(count: int, dimensions: int) -> Array:
 
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
     """Try starting points in order until enough of them agree; return the outcomes."""
-    points = starting_points(effort.starts, len(problem.names))
+    count = effort.starts if problem.names else 1
+    points = starting_points(count, max(len(problem.names), 1))[:, : len(problem.names)]
     done: dict[int, StartOutcome] = {}
     work, workers = partial(_try, problem, points, deadline), effort.workers
     for first in range(0, len(points), ENOUGH):
@@ -319,24 +345,11 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
                 done[outcome.number] = outcome
                 if effort.progress is not None:
                     effort.progress(len(done), len(points))
-            # The time may include compilation, negligible only in a slow start.
-            quick = part is alone and alone and now() - began < SLOW
-            if quick and _seconds(problem, points[0], deadline) < QUICK:
+            if part is alone and alone and now() - began < WORTH_PROCESSES:
                 workers = 1
         if _settled([done[i] for i in sorted(done)], problem.longest):
             break
     return [done[i] for i in sorted(done)]
-
-
-def _seconds(problem: Shooting, fractions: Array, deadline: Deadline) -> float:
-    """Return the estimated time of a start in s, from its first runs."""
-    shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    with suppress(DeadlineError), within(min(current(), deadline)):
-        unknowns = shooting.divide(shooting.longest, fractions)
-        began = now()
-        shooting.jacobian(unknowns)
-        return (now() - began) * _ROUNDS
-    return math.inf
 
 
 def _side_by_side(
@@ -361,72 +374,74 @@ def _side_by_side(
 
 def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
     """Return whether enough starts agree on the lowest error, or the last hardly lowered it."""
-    errors = [o.found[longest][1] for o in outcomes if longest in o.found]
+    errors = [o.found[longest].error for o in outcomes if longest in o.found]
     if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
         return True
-    before = [o.found[longest][1] for o in outcomes[:-PATIENCE] if longest in o.found]
+    before = [o.found[longest].error for o in outcomes[:-PATIENCE] if longest in o.found]
     return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
 
 
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
-    """Fit from one starting point."""
+    """Fit from one starting point, in windows that grow as far as the state allows it."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    outcomes: dict[int, tuple[list[float], float]] = {}
-    fractions, cut = points[number], False
+    fractions, found, path = points[number], dict[int, Fit](), None
+    lengths = _lengths(shooting)
     try:
         with within(min(current(), deadline)):
-            for length in _lengths(shooting.longest, growing=number % 2 == 1):
-                unknowns = shooting.divide(length, fractions)
-                if _runs(shooting, unknowns):
-                    unknowns, error = descend(shooting, unknowns, _ROUNDS)
-                    fractions = unknowns[: len(fractions)]
-                    outcomes[length] = fractions.tolist(), error
+            while lengths:
+                length = lengths.pop(0)
+                shooting.divide(length)
+                begun = path is None
+                at = shooting.begun(fractions) if begun else shooting.resumed(fractions, path)
+                if not _runs(shooting.compare(at)):
+                    continue
+                fit = descended(shooting, at, _ROUNDS)
+                compared = shooting.compare(fit.unknowns, slopes=True)
+                growth, too_much = shooting.growth(compared.transitions)
+                if growth > MOST_GROWTH and not found and length >= GROWTH * SHORTEST:
+                    lengths = [-(-length // GROWTH), length, *lengths]
+                    continue
+                found[length], fractions = fit, fit.unknowns[: len(fractions)]
+                if too_much:
+                    break
+                whole = all(np.isfinite(x).all() for x in compared.path)
+                path = compared.path if whole else None
     except DeadlineError:
-        cut = True
-    return StartOutcome(number, outcomes, shooting.failure, cut)
+        return StartOutcome(number, found, shooting.failure, cut=True)
+    return StartOutcome(number, found, shooting.failure)
 
 
-def _lengths(longest: int, growing: bool) -> list[int]:
+def _lengths(shooting: Shooting) -> list[int]:
     """Return the window lengths of all stages, the shortest first."""
-    lengths = [longest]
-    while growing and lengths[0] > max(_GROWTH * SHORTEST, longest // _WINDOWS):
-        lengths.insert(0, -(-lengths[0] // _GROWTH))
+    longest = shooting.longest
+    lengths, least = [longest], max(SHORTEST, longest / _WINDOWS)
+    # Without states every window begins with the record: a shorter one omits the rest.
+    while shooting.simulator.states and (shorter := -(-lengths[0] // GROWTH)) >= least:
+        lengths.insert(0, shorter)
     return lengths
 
 
-def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, float]:
-    """Minimise the error within the ranges; return the best unknowns so far, and their error."""
-    least, best = np.inf, None
-
-    def residuals(at: Array) -> Array:
-        nonlocal least, best
-        values = shooting.residuals(at)
-        error = _error(values)
-        if error < least:
-            least, best = error, at.copy()
-        return np.concatenate([values, _PULL * (at - begin)])
-
-    def jacobian(at: Array) -> Array:
-        return np.vstack([shooting.jacobian(at), _PULL * np.eye(len(at))])
-
+def descended(shooting: Shooting, unknowns: Array, rounds: int) -> Fit:
+    """Minimise the residuals within the ranges, and take the noise that is left."""
     ranged = np.arange(len(unknowns)) < len(shooting.names)  # states have no range
-    bounds = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
-    begin = np.where(ranged, np.clip(unknowns, 1e-6, 1 - 1e-6), unknowns)
-    how: Any = {"max_nfev": rounds, "x_scale": np.where(ranged, 0.1, 1.0)}
-    how |= {"ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-10}
-    try:
-        scipy.optimize.least_squares(residuals, begin, jacobian, bounds, **how)
-    except DeadlineError:
-        if best is None:
-            raise
-    assert best is not None
-    return best, least
+
+    def evaluate(at: Array, slopes: bool) -> tuple[float, Array, Array]:
+        compared, moved = shooting.compare(at, slopes), _PULL * (at - begin)
+        cost = compared.cost + 0.5 * float(moved @ moved)
+        pulled = compared.normal + _PULL**2 * np.eye(len(at))
+        return cost, compared.gradient + _PULL * moved, pulled
+
+    begin = np.where(ranged, np.clip(unknowns, 0.0, 1.0), unknowns)
+    low, high = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
+    at, _ = minimise(evaluate, begin, low, high, rounds)
+    errors = np.concatenate(shooting.compare(at).errors)
+    squares = np.nanmean(errors**2, axis=0)
+    noise = np.sqrt(squares)
+    shooting.noise = np.maximum(noise, max(_LEAST_WEIGHT * noise.max(), MIN_NOISE))
+    return Fit(at, float(np.sqrt(np.mean(squares))), shooting.sizes, shooting.noise)
 
 
-def _runs(shooting: Shooting, unknowns: Array) -> bool:
-    """Return whether most of the records are simulated without failure."""
-    return _error(shooting.residuals(unknowns)) < 0.5 * BAD
-
-
-def _error(residuals: Array) -> float:
-    return float(np.sqrt(np.mean(residuals**2)))
+def _runs(compared: Compared, whole: bool = False) -> bool:
+    """Return whether most of the records are simulated without failure, or all of them."""
+    errors = np.nan_to_num(np.concatenate(compared.errors))
+    return bool((np.abs(errors) < BAD).all() if whole else np.mean(errors**2) < (0.5 * BAD) ** 2)

@@ -127,6 +127,13 @@ class Parameters:
         logarithmic = self.logarithmic(name)
         return self.value_at(name, fraction) * math.log(high / low) if logarithmic else high - low
 
+    def step(self, name: str, value: float, share: float) -> float:
+        """Return a step of a value, a share of its range, that does not leave the range."""
+        low, high = self.range(name)
+        width = value * math.log(high / low) if self.logarithmic(name) else high - low
+        step = share * width
+        return step if value + step <= high else -step
+
     def middle(self) -> dict[str, float]:
         """Return all parameters as numbers, fitted ones in the middle of their ranges."""
         return {name: self.value_at(name, 0.5) for name in self.given}
@@ -219,6 +226,32 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
 
         Failed values are NaN.
         """
+
+    def derivatives(
+        self, time: Array, u: Array | None, point: Point, names: Sequence[str]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return channels and states at a point, and their derivatives.
+
+        By the parameters of these names and then by the initial state, `(time, ny, n)` and `(time,
+        nx, n)`; by default they are differences of whole responses.
+        """
+        values, state = point
+        ((y, x),) = self.respond(time, u, [point])
+        sizes = np.abs(np.where(np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
+        moved, steps = [], []
+        for name in names:
+            steps.append(self.known.step(name, values[name], self.difference))
+            moved.append(({**values, name: values[name] + steps[-1]}, state))
+        for i in range(self.states):
+            steps.append(self.difference * (sizes[i] or 1.0))
+            moved.append((values, state + steps[-1] * (np.arange(self.states) == i)))
+        others = self.respond(time, u, moved) if moved else []
+        pairs = [*zip(others, steps, strict=True)]
+        dy, dx = (
+            np.stack([np.zeros_like(at), *((other[i] - at) / step for other, step in pairs)], -1)
+            for i, at in enumerate((y, x))
+        )
+        return y, x, dy[..., 1:], dx[..., 1:]
 
     @abstractmethod
     def _with(self, **changes: Any) -> Self:
