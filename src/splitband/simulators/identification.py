@@ -32,7 +32,15 @@ from splitband.simulators.parameters import (
     labelled,
     uncertainty,
 )
-from splitband.simulators.shooting import BAD, GROWTH, MOST_GROWTH, Compared, Experiment, Shooting, minimise
+from splitband.simulators.shooting import (
+    BAD,
+    GROWTH,
+    MOST_GROWTH,
+    Compared,
+    Experiment,
+    Shooting,
+    minimise,
+)
 from splitband.simulators.user_code import failure
 
 STARTS = 32
