@@ -153,11 +153,12 @@ class GreyBox(Forecaster):
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
         simulator = self._matched(records[0])
-        effort = Effort(self.starts, self.seconds, how["workers"])
+        effort = Effort(self.starts, self.seconds, how["workers"], how["seed"])
         self.estimate = identify(simulator, *records, effort=effort)
         experiments = [Experiment.of(record, simulator) for record in records]
         adjusted = Adjusted.of(simulator, self.estimate, experiments)
         self.adjusted = replace(adjusted, simulator=None)
+        self.estimate = replace(self.estimate, terms=(), members=())
         self.u, self.y = records[0].u, records[0].y_with_gaps
         self.memory = self._chosen_memory(experiments[0])
         self.fitted = self.require_fitted().reporting(cut=self.estimate.cut)

@@ -308,6 +308,8 @@ def derivatives(
         steps[d] = STEP / most if d % 2 else -STEP / most
         if d < count:
             steps[d] = np.sign(by_parameter[d]) * min(abs(steps[d]), abs(by_parameter[d]))
+        elif d >= count + nx:
+            steps[d] = min(max(steps[d], -STEP), STEP)
     theta, scaling, layout = terms
     moved = p.copy()
     for d in range(count):

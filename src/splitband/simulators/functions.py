@@ -255,7 +255,7 @@ class Ode(UserCode):
         return (given,) if isinstance(given, Unknown) else tuple(given)
 
     @property
-    def _found(self) -> tuple[Unknown, ...]:
+    def resolved_terms(self) -> tuple[Unknown, ...]:
         """Return the unknown terms, without a record's names for the quantities."""
         return tuple(term.resolved(self.states, (), ()) for term in self.terms)
 
@@ -285,9 +285,27 @@ class Ode(UserCode):
         terms = tuple(replace(term, trained=state) for term, state in pairs)
         return self._changed(methodcaller("taught", tuple(trained)), unknown=terms)
 
+    @property
+    def weights(self) -> Array:
+        """Return the weights of the unknown terms, one after another."""
+        return packed(self.resolved_terms)[0]
+
+    def weighted(self, weights: Array) -> Self:
+        """Return a copy with these weights of the unknown terms."""
+        if not len(weights):
+            return self
+        terms, begin = [], 0
+        for term in self.terms:
+            state = term.trained
+            if state is not None:
+                end = begin + len(state.weights)
+                state, begin = replace(state, weights=weights[begin:end]), end
+            terms.append(replace(term, trained=state))
+        return self._with(unknown=tuple(terms))
+
     def outputs(self, x: Any, u: Any) -> Any:
         """Return w, `(outputs,)`, for states `(nx,)` and inputs `(nu,)`, in traceable code."""
-        return np.concatenate([term.at(x, u) for term in self._found])
+        return np.concatenate([term.at(x, u) for term in self.resolved_terms])
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
         """Return the equation for a record: quantities of unknown terms may be named by it.
@@ -429,6 +447,8 @@ class Ode(UserCode):
         if not (np.linalg.norm(left, axis=0) <= JUMPS * np.linalg.norm(apart, axis=0)).all():
             return super().derivatives(time, u, point, names)
         y = self._observed(x, inputs, values)
+        if isinstance(self.observe, partial) and self.observe.func is _first_states:
+            return y, x, dx[:, : y.shape[1]], dx
         dy = np.empty((*y.shape, dx.shape[-1]))
         for i, step in enumerate(steps):
             at = {**values, names[i]: values[names[i]] + step} if i < len(names) else values
@@ -439,7 +459,7 @@ class Ode(UserCode):
         """Return the solver of RK45, and its argument for parameters and unknown terms."""
         from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
 
-        terms, p = self._found, self.p(values)
+        terms, p = self.resolved_terms, self.p(values)
         of = tuple(term.of for term in terms)
         arguments = count_arguments(self.rhs) or 2
         return solver(self.rhs, arguments, of), (p, packed(terms)) if of else p

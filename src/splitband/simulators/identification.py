@@ -7,8 +7,9 @@ simulation determines parameters even if a long one loses its phase.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -22,6 +23,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.simulators.augmentation import AS_GOOD, DECAYS, MEMBERS, begun, held, held_out, prior
 from splitband.simulators.base import matched
 from splitband.simulators.parameters import (
     MIN_NOISE,
@@ -41,6 +43,7 @@ from splitband.simulators.shooting import (
     Shooting,
     minimise,
 )
+from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure
 
 STARTS = 32
@@ -114,12 +117,14 @@ class Effort:
     starts : Largest number of starting points.
     seconds : Time limit, at which the best result so far is used; None for no limit.
     workers : Number of processes for starts in parallel, or an executor.
+    seed : Of the weights of unknown terms.
     progress : Called with the number of finished starts and of all starts.
     """
 
     starts: int = STARTS
     seconds: float | None = None
     workers: int | Executor = 1
+    seed: int = 0
     progress: Callable[[int, int], None] | None = None
 
 
@@ -157,8 +162,12 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     window = _window(outcomes, longest)
     ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
+    fit, members = best.found[window], ()
+    if any(term.free for term in simulator.terms) and not deadline.over:
+        with suppress(DeadlineError), within(min(current(), deadline)):
+            shooting, window, fit, members = _augmented(shooting, best.found, effort.seed)
     with within(NEVER):  # the result is evaluated even after the deadline
-        precise, fit = Shooting(simulator.precise(), experiments, scale), best.found[window]
+        precise = shooting.precisely()
         # The solver may not be able to keep smaller tolerances.
         rough = not _runs(precise.restored(window, fit), whole=True)
         shooting = shooting if rough else precise
@@ -166,6 +175,9 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         if shooting.names and not (best.cut or deadline.over):
             fit = _tied(shooting, fit)
         estimate = _build_estimate(shooting, fit.unknowns, window if window < longest else 0)
+        if shooting.trained.any():
+            terms = held(shooting, shooting.compare(fit.unknowns).path)
+            estimate = replace(estimate, terms=terms, members=members)
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
     reason = next(iter(lost), "")
@@ -177,7 +189,9 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         "the time was over before every starting point was tried": cut,
         f"simulated in windows of {window} samples, {lost_whole}": window < longest,
     }
-    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fit)]
+    remarks = [*estimate.remarks]
+    if not shooting.trained.any():
+        remarks += _alternatives(shooting, outcomes, window, estimate, fit)
     if shooting.names:
         remarks += [remark for remark, holds in further.items() if holds]
     remarks += simulator.remarks
@@ -241,6 +255,56 @@ def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
     )
 
 
+def _augmented(
+    alone: Shooting, found: Mapping[int, Fit], seed: int
+) -> tuple[Shooting, int, Fit, tuple[Trained, ...]]:
+    """Train unknown terms from the fits without them; return the best training, and others as good.
+
+    It is returned as comparison, length of the windows and fit.
+    """
+    length = min(found)
+    path = alone.restored(length, found[length]).path
+    fractions, noise = found[length].unknowns[: len(alone.names)], alone.noise
+    lengths = [n for n in _lengths(alone) if n > length]
+
+    def trained(experiments: Sequence[Experiment], decay: float, seed: int) -> Any:
+        """Return error, comparison, length and fit of a training."""
+        alone.noise = noise
+        simulator, which = begun(alone, fractions, path, seed)
+        shooting = Shooting(simulator, experiments, alone.scale)
+        shooting.trained, shooting.noise, shooting.sizes = which, noise, alone.sizes
+        common = np.concatenate([fractions, simulator.weights[which]])
+        last = None
+        for last in grown(shooting, common, [length, *lengths], path, decay):
+            pass
+        return None if last is None else (last[1].error, shooting, *last)
+
+    def ahead(decay: float) -> float:
+        """Return the error on held-out samples."""
+        masked = held_out(alone.experiments)
+        tried = trained(masked, decay, seed)
+        if tried is None:
+            return np.inf
+        _, shooting, length, fit = tried
+        shooting.experiments = alone.experiments
+        whole = np.concatenate(shooting.restored(length, fit).errors)
+        shooting.experiments = masked
+        gaps = np.isnan(np.concatenate(shooting.restored(length, fit).errors))
+        return float(np.sqrt(np.nanmean(np.where(gaps, whole, np.nan) ** 2)))
+
+    decay = min(DECAYS, key=ahead)
+    trainings = [trained(alone.experiments, decay, seed + i) for i in range(MEMBERS)]
+    good = sorted((each for each in trainings if each is not None), key=lambda each: each[0])
+    if not good:
+        raise DeadlineError
+    best = good[0]
+    members: list[Trained] = []
+    for error, shooting, length, fit in good[1:]:
+        if error <= AS_GOOD * best[0]:
+            members += held(shooting, shooting.restored(length, fit).path)
+    return best[1], best[2], best[3], tuple(members)
+
+
 def _tied(shooting: Shooting, fit: Fit) -> Fit:
     """Minimise the residuals with steps of the state that are as small as the records allow."""
     fit = descended(shooting, fit.unknowns, LAST_ROUNDS)
@@ -258,14 +322,10 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     """Return the estimate at the best unknowns, with standard errors."""
     fractions = unknowns[: len(shooting.names)]
     compared = shooting.compare(unknowns, slopes=True)
-    errors, level = np.concatenate(compared.errors), shooting.noise.max()
-    parameters = shooting.simulator.known
+    errors, parameters = np.concatenate(compared.errors), shooting.simulator.known
+    information = shooting.information(compared.normal)
     deviations, correlations, remarks = uncertainty(
-        shooting.names,
-        parameters,
-        fractions,
-        errors * level / shooting.noise,
-        shooting.projected(compared) * level,
+        shooting.names, parameters, fractions, errors / shooting.noise, information
     )
     named = [*zip(shooting.names, fractions, deviations, strict=True)]
     values = {labelled(name): parameters.value_at(name[0], float(at)) for name, at, _ in named}
@@ -390,33 +450,56 @@ def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
 
 
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
-    """Fit from one starting point, in windows that grow as far as the state allows it."""
+    """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    fractions, found, path = points[number], dict[int, Fit](), None
-    lengths = _lengths(shooting)
+    found, cut = dict[int, Fit](), False
     try:
         with within(min(current(), deadline)):
-            while lengths:
-                length = lengths.pop(0)
-                shooting.divide(length)
-                begun = path is None
-                at = shooting.begun(fractions) if begun else shooting.resumed(fractions, path)
-                if not _runs(shooting.compare(at)):
-                    continue
-                fit = descended(shooting, at, _ROUNDS)
-                compared = shooting.compare(fit.unknowns, slopes=True)
-                growth, too_much = shooting.growth(compared.transitions)
-                if growth > MOST_GROWTH and not found and length >= GROWTH * SHORTEST:
-                    lengths = [-(-length // GROWTH), length, *lengths]
-                    continue
-                found[length], fractions = fit, fit.unknowns[: len(fractions)]
-                if too_much:
-                    break
-                whole = all(np.isfinite(x).all() for x in compared.path)
-                path = compared.path if whole else None
+            for length, fit in grown(shooting, points[number], _lengths(shooting)):
+                found[length] = fit
     except DeadlineError:
-        return StartOutcome(number, found, shooting.failure, cut=True)
-    return StartOutcome(number, found, shooting.failure)
+        cut = True
+    return StartOutcome(number, found, shooting.failure, cut)
+
+
+def grown(
+    shooting: Shooting,
+    common: Array,
+    lengths: list[int],
+    path: Sequence[Array] | None = None,
+    decay: float | None = None,
+) -> Iterator[tuple[int, Fit]]:
+    """Yield fits in windows that grow as far as the state allows it, with their lengths.
+
+    Parameters
+    ----------
+    shooting : The comparison, whose noise is that of the last fit.
+    common : Parameters and weights at the beginning.
+    lengths : Lengths of windows, the shortest first.
+    path : States by record at the beginning; None for those that follow from the parameters.
+    decay : Weight decay of unknown terms; None without them.
+    """
+    found = False
+    while lengths:
+        length, *lengths = lengths
+        shooting.divide(length)
+        at = shooting.begun(common) if path is None else shooting.resumed(common, path)
+        if path is not None and decay is not None:
+            shooting.prior = prior(shooting, common, path, decay)
+        if not _runs(shooting.compare(at)):
+            continue
+        fit = descended(shooting, at, _ROUNDS)
+        compared = shooting.compare(fit.unknowns, slopes=True)
+        growth, too_much = shooting.growth(compared.transitions)
+        if growth > MOST_GROWTH and not found and length >= GROWTH * SHORTEST and decay is None:
+            lengths = [-(-length // GROWTH), length, *lengths]
+            continue
+        found, common = True, fit.unknowns[: shooting.common]
+        yield length, fit
+        if too_much:
+            break
+        whole = all(np.isfinite(x).all() for x in compared.path)
+        path = compared.path if whole else path if decay is not None else None
 
 
 def _lengths(shooting: Shooting) -> list[int]:
@@ -442,6 +525,7 @@ def descended(shooting: Shooting, unknowns: Array, rounds: int) -> Fit:
     begin = np.where(ranged, np.clip(unknowns, 0.0, 1.0), unknowns)
     low, high = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
     at, _ = minimise(evaluate, begin, low, high, rounds)
+    shooting.learn(at)
     errors = np.concatenate(shooting.compare(at).errors)
     squares = np.nanmean(errors**2, axis=0)
     noise = np.sqrt(squares)

@@ -20,6 +20,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 from splitband.simulators.base import KnownSimulator
+from splitband.simulators.unknown import Trained
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
@@ -216,6 +217,15 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
         """Return whether the simulator takes a record's inputs."""
 
     @property
+    def weights(self) -> Array:
+        """Return the weights of the unknown terms, one after another."""
+        return np.empty(0)
+
+    def weighted(self, weights: Array) -> Self:
+        """Return a copy with these weights of the unknown terms."""
+        return self
+
+    @property
     def adjustable(self) -> bool:  # type: ignore[override]
         """Return whether the simulator has parameters or needs inputs, and so a `GreyBox`."""
         return bool(self.known.given) or self.driven
@@ -232,8 +242,8 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     ) -> tuple[Array, Array, Array, Array]:
         """Return channels and states at a point, and their derivatives.
 
-        By the parameters of these names and then by the initial state, `(time, ny, n)` and `(time,
-        nx, n)`; by default they are differences of whole responses.
+        By the parameters of these names, by the initial state and by the weights of unknown terms,
+        one after another, `(time, ny, n)` and `(time, nx, n)`; by default they are differences of whole responses.
         """
         values, state = point
         ((y, x),) = self.respond(time, u, [point])
@@ -245,7 +255,11 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
         for i in range(self.states):
             steps.append(self.difference * (sizes[i] or 1.0))
             moved.append((values, state + steps[-1] * (np.arange(self.states) == i)))
-        others = self.respond(time, u, moved) if moved else []
+        others = [*self.respond(time, u, moved)] if moved else []
+        for i in range(len(self.weights)):
+            steps.append(self.difference)
+            beside = self.weights + steps[-1] * (np.arange(len(self.weights)) == i)
+            others += self.weighted(beside).respond(time, u, [point])
         pairs = [*zip(others, steps, strict=True)]
         dy, dx = (
             np.stack([np.zeros_like(at), *((other[i] - at) / step for other, step in pairs)], -1)
@@ -290,6 +304,8 @@ class Estimate:
     rmse : RMSE by channel over the training samples.
     remarks : Parameters not identifiable or at a bound, and other fits as good.
     window : Samples of the windows of the simulation; 0 for the whole record.
+    terms, members : States of the trained unknown terms, and of further trainings that fit as
+        well, one training after another.
     starts : Number of starting points with the same fit, and of all fitted ones.
     cut : Whether the deadline passed before the last starting point.
     doubt : Sentence on the other course of inputs between samples, if the record favours it.
@@ -304,6 +320,8 @@ class Estimate:
     starts: tuple[int, int] = (0, 0)
     cut: bool = False
     doubt: str = ""
+    terms: tuple[Trained, ...] = ()
+    members: tuple[Trained, ...] = ()
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -351,8 +369,8 @@ def uncertainty(
     names: Sequence[Name],
     parameters: Parameters,
     fractions: Array,
-    residuals: Array,
-    jacobian: Array,
+    errors: Array,
+    information: Array,
 ) -> tuple[Array, Array, list[str]]:
     """Return the standard errors of fitted values, their correlations, and remarks.
 
@@ -362,8 +380,9 @@ def uncertainty(
     ----------
     names, parameters : Names of the fitted parameters, and all parameters.
     fractions : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
-    residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
-    jacobian : Derivatives of the residuals with respect to `fractions`, `(samples * ny, n)`.
+    errors : `(samples, ny)`, in units of the noise; NaN in gaps.
+    information : Normal matrix of the `fractions`, in units of the noise, with all else optimal,
+        `(n, n)`.
     """
     at_bound, remarks = np.zeros(len(fractions), dtype=bool), []
     for i, (name, fraction) in enumerate(zip(names, fractions, strict=True)):
@@ -374,17 +393,14 @@ def uncertainty(
             remarks.append(f"{labelled(name)} is at its {side} bound, {bound:.4g}")
     slopes = np.array([parameters.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
     free = np.flatnonzero(~at_bound)
-    # RMS error by channel, corrected for the number of fitted parameters
-    measured = np.maximum((~np.isnan(residuals)).sum(axis=0), 1)
-    freedom = np.maximum(measured - len(fractions) / residuals.shape[1], 1)
-    noise = np.sqrt(np.nansum(residuals**2, axis=0) / freedom)
-    factor, weak = _directions(jacobian[:, free], noise)
-    weighted = (jacobian[:, free] @ factor) * np.tile(noise, len(residuals))[:, None]
+    strengths, directions = np.linalg.eigh(information[np.ix_(free, free)])
+    known = strengths > 1 / MAX_RELATIVE_ERROR**2
+    factor = directions[:, known] / np.sqrt(strengths[known])
+    measured = int((~np.isnan(errors)).sum())
+    variance = float(np.nansum(errors**2)) / max(measured - len(fractions), 1)
     covariance = np.full((len(fractions), len(fractions)), np.nan)
-    # (J'J)^-1 J' W J (J'J)^-1, where W are the error variances by channel
-    inner = factor @ (weighted.T @ weighted) @ factor.T * _correlated(residuals)
-    covariance[np.ix_(free, free)] = inner
-    for direction in weak:
+    covariance[np.ix_(free, free)] = factor @ factor.T * variance * _correlated(errors)
+    for direction in directions[:, ~known].T:
         involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         lost = free[involved]
         covariance[lost] = covariance[:, lost] = np.nan
@@ -400,18 +416,6 @@ def uncertainty(
         for i, j in pairs
     ]
     return deviations * np.abs(slopes), correlations, remarks
-
-
-def _directions(jacobian: Array, noise: Array) -> tuple[Array, Array]:
-    """Return the factor V / S of the identifiable directions, `(n, k)`, and the other ones."""
-    if not jacobian.shape[1]:
-        return np.empty((0, 0)), np.empty((0, 0))
-    _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
-    s = np.concatenate([s, np.zeros(len(vt) - len(s))])
-    least = MIN_NOISE * np.sqrt(len(noise))
-    level = float(np.sqrt(np.mean(np.maximum(noise, least) ** 2)))
-    weak = level / np.maximum(s, 1e-300) > MAX_RELATIVE_ERROR
-    return vt[~weak].T / s[~weak], vt[weak]
 
 
 def favours(residuals: Array, others: Array) -> bool:

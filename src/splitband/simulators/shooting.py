@@ -156,11 +156,10 @@ class Window(NamedTuple):
 class Compared(NamedTuple):
     """A comparison: what is minimised, and what else it tells.
 
-    `errors`: residuals of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps;
-    `steps`: residuals of the steps of the state between windows; `path`: states by record, `(time,
-    nx)`; the others only with slopes: `jacobians` of the errors
-    in units of the noise, by the columns of the window, and `transitions`, the derivatives of a
-    window's last state by its first one, in sizes of the states.
+    `errors`: of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps; `steps`:
+    residuals of the steps of the state between windows; `path`: states by record, `(time, nx)`;
+    `transitions`, only with slopes: derivatives of a window's last state by its first one, in
+    sizes of the states.
     """
 
     cost: float
@@ -169,15 +168,14 @@ class Compared(NamedTuple):
     errors: list[Array]
     steps: list[Array]
     path: list[Array]
-    jacobians: list[Array]
     transitions: list[Array]
 
 
 class Shooting:
     """A comparison of a simulator with records.
 
-    The unknowns are the relative positions of parameters in their ranges, 0 to 1, and then the
-    initial states of the windows, in units of `sizes`.
+    The unknowns are the relative positions of parameters in their ranges, 0 to 1, the weights of
+    unknown terms, and the initial states of the windows, in units of `sizes`.
 
     Parameters
     ----------
@@ -190,6 +188,8 @@ class Shooting:
     noise : Errors of the channels in deviations, by which they are weighted, `(ny,)`.
     slack : Of the steps of the state between windows: 1 if these are as large as the error of a
         state that a window's samples determine.
+    trained : Which weights of unknown terms are unknowns, `(weights,)`.
+    prior : Residuals of these weights, with their derivatives; None for none.
     failure : Message of the last failed run.
     """
 
@@ -202,11 +202,24 @@ class Shooting:
         self.windows: list[Window] = []
         self.sizes = np.ones(simulator.states)
         self.noise, self.slack = np.ones(len(scale)), 1.0
+        self.trained = np.zeros(len(simulator.weights), dtype=bool)
+        self.prior: Callable[[Array], tuple[Array, Array]] | None = None
+
+    def precisely(self) -> Shooting:
+        """Return the comparison for standard errors, see `Adjustable.precise`."""
+        other = Shooting(self.simulator.precise(), self.experiments, self.scale)
+        other.trained, other.prior = self.trained, self.prior
+        return other
 
     @property
     def longest(self) -> int:
         """Return the number of samples of the longest record."""
         return max(len(experiment.y) for experiment in self.experiments)
+
+    @property
+    def common(self) -> int:
+        """Return the number of unknowns other than states of windows."""
+        return len(self.names) + int(self.trained.sum())
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -228,7 +241,8 @@ class Shooting:
 
         A black box, which runs from the beginning of a record, has a single window there.
         """
-        self.windows, states, last = [], self.simulator.states, len(self.names)
+        self.windows, states, last = [], self.simulator.states, self.common
+        weights = np.where(self.trained, len(self.names) - 1 + np.cumsum(self.trained), -1)
         for r, experiment in enumerate(self.experiments):
             places = {name: i for i, (name, record) in enumerate(self.names) if record in (-1, r)}
             own = [places[name] for name in self.varied]
@@ -245,14 +259,16 @@ class Shooting:
                 if begin or (len(cuts) > 2 and not self.simulator.known.initial):
                     state, columns = last, [*range(last, last + states)]
                     last += states
-                self.windows.append(Window(r, begin, part, np.array([*own, *columns], int), state))
+                every = np.array([*own, *columns, *weights], int)
+                self.windows.append(Window(r, begin, part, every, state))
 
     def begun(self, fractions: Array) -> Array:
-        """Return unknowns at the positions of parameters, with the windows one after another.
+        """Return unknowns at the positions of parameters and the weights, with the windows one after another.
 
         The state of a window is that of the least residuals after the window before it.
         """
         states: list[Array] = []
+        self.learn(fractions)
         x, sizes, self.sizes = np.zeros(0), 0.0 * self.sizes, np.ones(self.simulator.states)
         for window in self.windows:
             values = self.values(fractions, window.record)
@@ -269,7 +285,7 @@ class Shooting:
         return np.concatenate([fractions, *(state / self.sizes for state in states)])
 
     def resumed(self, fractions: Array, path: Sequence[Array]) -> Array:
-        """Return unknowns at the positions of parameters, and states on a path by record."""
+        """Return unknowns at the positions of parameters and the weights, and states on a path by record."""
         self.sizes = np.maximum.reduce([_size(x) for x in path])
         self.sizes = np.where(self.sizes > 0, self.sizes, 1.0)
         begins = [path[w.record][w.begin] / self.sizes for w in self.windows if w.state >= 0]
@@ -285,9 +301,10 @@ class Shooting:
         """Compare the simulator with the records, with or without derivatives."""
         count, nx, cost = len(unknowns), self.simulator.states, 0.0
         gradient, normal = np.zeros(count), np.zeros((count, count))
-        errors, steps, jacobians, transitions = [], [], [], []
+        errors, steps, transitions = [], [], []
         path = [np.full((len(e.y), nx), np.nan) for e in self.experiments]
         end, end_slopes, end_columns = np.zeros(0), np.zeros((0, 0)), np.zeros(0, int)
+        self.learn(unknowns)
 
         def add(residuals: Array, block: Array, columns: Array) -> None:
             nonlocal cost
@@ -296,6 +313,11 @@ class Shooting:
                 gradient[columns] += block.T @ residuals
                 normal[np.ix_(columns, columns)] += block.T @ block
 
+        if self.prior is not None:
+            of = np.arange(len(self.names), self.common)
+            add(*self.prior(unknowns[of]), of)
+        first = len(self.varied)
+        states = slice(first, first + nx)
         for window in self.windows:
             point = self._point(window, unknowns)
             state = point[1]
@@ -307,7 +329,7 @@ class Shooting:
                 if slopes:
                     good = (np.abs(step) < BAD)[:, None]
                     block = np.hstack([-end_slopes, np.diag(self.sizes)]) * good / unit[:, None]
-                add(step, block, np.concatenate([end_columns, window.columns[-nx:]]))
+                add(step, block, np.concatenate([end_columns, window.columns[states]]))
             if slopes:
                 y, x, dy, dx = self._derivatives(window.part, point)
             else:
@@ -324,7 +346,6 @@ class Shooting:
                 whole = np.abs(error) < BAD
                 block = np.where(whole[..., None], dy / (self.scale * self.noise)[:, None], 0.0)
                 block = _finite(block.reshape(error.size, -1)[:, own])
-                jacobians.append(block)
                 if nx:
                     last = _finite(dx[-1])
                     transitions.append(
@@ -332,22 +353,19 @@ class Shooting:
                     )
                     end_slopes, end_columns = last[:, own], window.columns[own]
             add(np.nan_to_num(error / self.noise).ravel(), block, window.columns[own])
-        return Compared(cost, gradient, normal, errors, steps, path, jacobians, transitions)
+        return Compared(cost, gradient, normal, errors, steps, path, transitions)
 
-    def projected(self, compared: Compared) -> Array:
-        """Return derivatives of the errors by the parameters, with the states optimal.
+    def learn(self, unknowns: Array) -> None:
+        """Set the weights of the simulator."""
+        if self.trained.any():
+            weights = self.simulator.weights.copy()
+            weights[self.trained] = unknowns[len(self.names) : self.common]
+            self.simulator = self.simulator.weighted(weights)
 
-        In units of the noise, `(samples * ny, parameters)`.
-        """
-        count, rows = len(self.names), []
-        inner = compared.normal[count:, count:]
-        follow = -np.linalg.lstsq(inner, compared.normal[count:, :count])[0]
-        for window, block in zip(self.windows, compared.jacobians, strict=True):
-            columns = window.columns[window.columns >= 0]
-            whole = np.zeros((len(block), count + len(follow)))
-            whole[:, columns] = block
-            rows.append(whole[:, :count] + whole[:, count:] @ follow)
-        return np.concatenate(rows)
+    def information(self, normal: Array) -> Array:
+        """Return the normal matrix of the parameters with all other unknowns optimal."""
+        n = len(self.names)
+        return normal[:n, :n] - normal[:n, n:] @ np.linalg.lstsq(normal[n:, n:], normal[n:, :n])[0]
 
     def growth(self, transitions: Sequence[Array]) -> tuple[float, bool]:
         """Return how much an error of the state grows in a window, and whether too much in the next stage.
@@ -377,7 +395,7 @@ class Shooting:
         found = self._called(part, 1, self.simulator.derivatives, point, self.varied)
         if len(found) > 1:
             return found
-        count = len(self.varied) + self.simulator.states
+        count = len(self.varied) + self.simulator.states + len(self.trained)
         return *found[0], *(np.zeros((*each.shape, count)) for each in found[0])
 
     def _called(self, part: Experiment, count: int, function: Any, *arguments: Any) -> Any:
@@ -403,8 +421,8 @@ class Shooting:
         """Return the change of parameters and states with a unit of the unknowns."""
         known, nx = self.simulator.known, self.simulator.states
         names = [*self.varied, *(f"{INITIAL}{i + 1}" for i in range(nx))]
-        widths = np.concatenate([np.ones(len(self.varied)), self.sizes])
-        for i, (name, column) in enumerate(zip(names, window.columns, strict=True)):
+        widths = np.concatenate([np.ones(len(self.varied)), self.sizes, np.ones(len(self.trained))])
+        for i, (name, column) in enumerate(zip(names, window.columns, strict=False)):
             if 0 <= column < len(self.names):
                 widths[i] = known.slope(name, float(unknowns[column]))
         return widths
@@ -424,6 +442,7 @@ class Shooting:
     ) -> Array:
         """Return the initial state with the least residuals of a window and of the step from x."""
         unit = self.noise.max() / np.sqrt(len(window.part.y))
+        states = slice(len(self.varied), len(self.varied) + len(x))
 
         def residuals(z: Array, slopes: bool) -> tuple[Array, Array]:
             point = values, z * sizes
@@ -433,7 +452,7 @@ class Shooting:
                 return np.concatenate([self._weighted(window, y), steps]), by_state
             y, _, dy, _ = self._derivatives(window.part, point)
             left = self._weighted(window, y)
-            rows = dy[..., -len(z) :] * sizes / (self.scale * self.noise)[:, None]
+            rows = dy[..., states] * sizes / (self.scale * self.noise)[:, None]
             rows = rows.reshape(-1, len(z)) * (np.abs(left) < BAD)[:, None]
             return np.concatenate([left, steps]), np.vstack([_finite(rows), by_state])
 
@@ -498,6 +517,7 @@ class Adjusted:
     ) -> Self:
         """Return the fitted simulator; `experiments` are those of the fit."""
         middle = simulator.known.middle()
+        simulator = simulator.taught(estimate.terms)
         values = {name: estimate.values.get(name, x) for name, x in middle.items()}
         deviation = np.nanstd(np.concatenate([e.y for e in experiments]), axis=0)
         noise = np.maximum(np.array(estimate.rmse), MIN_NOISE * np.maximum(deviation, 1e-300))
@@ -506,7 +526,8 @@ class Adjusted:
         rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
         rows = rows[np.isfinite(states[rows]).all(axis=1)]
         terms = tuple(term.trained for term in simulator.terms if term.trained)
-        return replace(usual, states=states[rows], outputs=outputs[rows], terms=terms)
+        usual = replace(usual, states=states[rows], outputs=outputs[rows])
+        return replace(usual, terms=terms, members=estimate.members)
 
     def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
         """Simulate channels and states at `time` in s, by default from the fitted initial state.
@@ -585,7 +606,7 @@ class Adjusted:
             left = np.where(np.isnan(history.y), 0.0, left).ravel()
             if not slopes:
                 return np.concatenate([left, z]), left
-            rows = (found[2] * spread / self.noise[:, None]).reshape(len(left), -1)
+            rows = (found[2][..., : len(z)] * spread / self.noise[:, None]).reshape(len(left), -1)
             whole = (np.abs(left) < FAILED) & ~np.isnan(history.y).ravel()
             rows = _finite(np.where(whole[:, None], rows, 0.0))
             return np.concatenate([left, z]), np.vstack([rows, np.eye(len(z))])
