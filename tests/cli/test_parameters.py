@@ -138,7 +138,7 @@ def test_a_saved_equation_knows_of_what_its_unknown_term_is_a_function(tmp_path:
     line = f"simulate {tmp_path}/m --history history.csv --future-inputs coming.csv --steps 20"
     call(f"{line} --simulator plant.py:drag", tmp_path / "ahead.csv")
     found = pd.read_csv(tmp_path / "ahead.csv")["y"]
-    np.testing.assert_allclose(found, pd.read_csv("record.csv")["y"][80:], atol=0.05)
+    np.testing.assert_allclose(found, pd.read_csv("record.csv")["y"][80:], atol=0.1)
 
 
 def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(

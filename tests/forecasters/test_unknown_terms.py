@@ -69,7 +69,8 @@ def test_outside_its_range_it_says_that_the_term_is_held(model: sb.GreyBox) -> N
         prediction = model.predict(50, u=np.full((50, 1), 9.0))
     said = [str(each.message) for each in caught]
     assert any(
-        "force [N] of an unknown term is 9 after 1 samples, where it was -1 to 3" in s for s in said
+        "force [N] of an unknown term is 9 at sample 1 of the prediction, where it was -1 to 3" in s
+        for s in said
     )
     assert any("speed [m/s] of an unknown term" in doubt for doubt in prediction.doubts)
     assert not model.predict(5, u=np.zeros((5, 1))).doubts
