@@ -17,7 +17,7 @@ from splitband.checks.residuals import (
     residual_tests,
 )
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.held_out import after
+from splitband.forecasters.held_out import after, fit_ahead, forecasts, horizons, many_origins
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
     Extrapolation,
@@ -28,15 +28,13 @@ from splitband.metrics import (
 )
 from splitband.records import Record, check_alike, require_records
 from splitband.records.signals import first_after
-from splitband.runtime.arrays import Array
+from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training.settings import default_warmup
 
-AHEAD = (1, 10)
-"""Horizons in samples of the predictions from within the record. Layout."""
-ORIGINS = 100
-"""Largest number of origins of these predictions, evenly spaced. Bounds the time."""
+AHEAD = 10
+"""Usual horizon in samples of the predictions from within the record. Layout."""
 LONGER = 10
 """Length of the free run in the check of stability, in multiples of the record. Bounds the time."""
 
@@ -132,19 +130,22 @@ class ModelCheck:
         }
 
 
-def check(forecaster: Forecaster, record: Record) -> ModelCheck:
+def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> ModelCheck:
     """Check a fitted forecaster on a record, preferably not the training record.
 
-    Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
-    residuals, whether a long free run stays in range, and signals beyond their range in training.
-    For an `anchored` forecaster, the time stamps of `record` count from the beginning of the
-    training record.
+    Returns the fit of a simulation and of predictions 1, `ahead` / 10 and `ahead` samples ahead,
+    the tests of the residuals, whether a long free run stays in range, and signals beyond their
+    range in training. `ahead` is by default that for which the model was chosen, or else 10. For an
+    `anchored` forecaster, the time stamps of `record` count from the beginning of the training
+    record.
 
     Raises
     ------
     ValueError
         For an unfitted forecaster, and a record with other columns or too few samples.
     """
+    if ahead is not None:
+        whole("ahead", ahead)
     fitted = forecaster.require_fitted()
     require_records("record", record)
     check_alike(record, fitted.record, "record")
@@ -157,7 +158,7 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     with without_warnings(ExtrapolationWarning):
         begin = len(record) - len(free)
         fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
-        fits |= _ahead(forecaster, record, begin)
+        fits |= _ahead(forecaster, record, begin, ahead)
         unchecked = ""
         if "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
@@ -199,22 +200,22 @@ def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
         return forecaster.predict(**after(record, begin), other_record=other)
 
 
-def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tuple[float, ...]]:
-    """Return the fits of predictions a few samples ahead, from many origins."""
-    last = len(record) - max(AHEAD)
-    origins = np.unique(np.linspace(begin, last, min(ORIGINS, last - begin + 1)).astype(int))
-    other, made = not forecaster.anchored, dict[int, Array]()
-    for at in origins:
-        try:
-            made[at] = forecaster.predict(**after(record, at, max(AHEAD)), other_record=other).y
-        except ValueError:
-            continue  # a gap in the warm-up
-    fits = {}
-    for k in AHEAD if made else ():
-        truth = np.stack([record.truth[at + k - 1] for at in made])
-        fit = fit_percent(truth, np.stack([y[k - 1] for y in made.values()]))
-        fits[f"{k} step{'s' if k > 1 else ''} ahead"] = tuple(fit.tolist())
-    return fits
+def _ahead(
+    forecaster: Forecaster, record: Record, begin: int, ahead: int | None
+) -> dict[str, tuple[float, ...]]:
+    """Return the fits of predictions some samples ahead, from many origins."""
+    usual = None if forecaster.held_out is None else forecaster.held_out.ahead
+    origins = many_origins(0, begin, len(record), ahead or usual or AHEAD)
+    if not origins and ahead is not None:
+        raise InputError(
+            f"ahead must be at most {len(record) - begin}, the samples of the record after a "
+            f"warm-up, got {ahead}"
+        )
+    made = forecasts(forecaster, record, origins, other_record=not forecaster.anchored)
+    return {
+        f"{k} step{'s' if k > 1 else ''} ahead": tuple(fit_ahead(record, made, k).tolist())
+        for k in (horizons(origins[0].steps) if origins else ())
+    }
 
 
 def _leaves(forecaster: Forecaster, record: Record, begin: int) -> int | None:

@@ -321,8 +321,14 @@ class RunningComparison:
         self.clock.notes.append(said)
 
     def fits(self) -> dict[str, list[Fit]]:
-        """Return the final fits, without failed trainings where their number was left open."""
+        """Return the final fits, without failed trainings where their number was left open.
+
+        A training fails by its simulation from the start, by which forecasts some samples ahead are
+        not judged.
+        """
         plan = self.plan
+        if plan.ahead is not None:
+            return self.finals
         return {
             name: without_failed(plan.training, fits)
             if name in plan.searched or plan.seeds is None

@@ -89,6 +89,7 @@ class Linear(Forecaster):
         check_shape("mean", self.model.mean, record.nu)
         check_shape("u", self.u, None, record.nu)
 
+    filters_history = True
     refits = False
     """Two fits for its held-out forecasts: with one for each of them, the intervals of 40 drawn
     plants held 92 % as well, in 2.4 times the time."""

@@ -209,7 +209,7 @@ def _test_facts(comparison: Comparison) -> Iterator[dict[str, Any]]:
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     """Return a forecast's interval, and its coverage of the measured samples."""
     interval = comparison.require_trial().intervals[name]
-    ahead = len(comparison.medians[name].ahead)
+    ahead = comparison.steps_of_interval(name)
     if not ahead:
         return asdict(interval)
     mean = interval.half_widths(ahead).mean(axis=0)
