@@ -275,6 +275,10 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
         """Return a copy with some parameters set to these values."""
         return self._with(parameters=dict(self.known.fixed(values).given))
 
+    def coarse(self) -> Self:
+        """Return the simulator for a search."""
+        return self
+
     def precise(self) -> Self:
         """Return the simulator for the last steps of a fit and for standard errors."""
         return self

@@ -46,7 +46,7 @@ MOST_GROWTH, _EXPONENT = 10.0, 1.5
 half by that in the first one: 1 for powers of time, 2 for exponentials. By eye."""
 _ENOUGH = 1e-9
 """Gain of a step that ends a minimisation, as a share of the squared error. Rounding."""
-_STATE_ROUNDS = 8
+_STATE_ROUNDS = 4
 """Largest number of steps in the search for the initial state of a window, a start for the search
 for all unknowns. Bounds the time."""
 MOST_STATES = 500
@@ -156,8 +156,8 @@ class Window(NamedTuple):
 class Compared(NamedTuple):
     """A comparison: what is minimised, and what else it tells.
 
-    `errors`: of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps; `steps`:
-    residuals of the steps of the state between windows; `path`: states by record, `(time, nx)`;
+    `errors`: of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps;
+    `begins`, `steps`: residuals of the steps of the state to first windows and between windows; `path`: states by record, `(time, nx)`;
     `transitions`, only with slopes: derivatives of a window's last state by its first one, in
     sizes of the states.
     """
@@ -166,6 +166,7 @@ class Compared(NamedTuple):
     gradient: Array
     normal: Array
     errors: list[Array]
+    begins: list[Array]
     steps: list[Array]
     path: list[Array]
     transitions: list[Array]
@@ -188,6 +189,7 @@ class Shooting:
     noise : Errors of the channels in deviations, by which they are weighted, `(ny,)`.
     slack : Of the steps of the state between windows: 1 if these are as large as the error of a
         state that a window's samples determine.
+    anchored : Whether the given initial state counts for the first one of several windows.
     trained : Which weights of unknown terms are unknowns, `(weights,)`.
     prior : Residuals of these weights, with their derivatives; None for none.
     failure : Message of the last failed run.
@@ -201,13 +203,15 @@ class Shooting:
         self.failure = ""
         self.windows: list[Window] = []
         self.sizes = np.ones(simulator.states)
-        self.noise, self.slack = np.ones(len(scale)), 1.0
+        self.noise, self.slack, self.anchored = np.ones(len(scale)), 1.0, False
         self.trained = np.zeros(len(simulator.weights), dtype=bool)
         self.prior: Callable[[Array], tuple[Array, Array]] | None = None
 
-    def precisely(self) -> Shooting:
-        """Return the comparison for standard errors, see `Adjustable.precise`."""
-        other = Shooting(self.simulator.precise(), self.experiments, self.scale)
+    def of(self, simulator: Adjustable) -> Shooting:
+        """Return the same comparison with another simulator, whose terms are taught."""
+        states = tuple(term.trained for term in self.simulator.terms)
+        simulator = simulator.taught(states) if self.trained.any() else simulator
+        other = Shooting(simulator, self.experiments, self.scale)
         other.trained, other.prior = self.trained, self.prior
         return other
 
@@ -285,7 +289,10 @@ class Shooting:
         return np.concatenate([fractions, *(state / self.sizes for state in states)])
 
     def resumed(self, fractions: Array, path: Sequence[Array]) -> Array:
-        """Return unknowns at the positions of parameters and the weights, and states on a path by record."""
+        """Return unknowns at the positions of parameters and the weights, and states on a path.
+
+        `path` has the states by record.
+        """
         self.sizes = np.maximum.reduce([_size(x) for x in path])
         self.sizes = np.where(self.sizes > 0, self.sizes, 1.0)
         begins = [path[w.record][w.begin] / self.sizes for w in self.windows if w.state >= 0]
@@ -301,7 +308,7 @@ class Shooting:
         """Compare the simulator with the records, with or without derivatives."""
         count, nx, cost = len(unknowns), self.simulator.states, 0.0
         gradient, normal = np.zeros(count), np.zeros((count, count))
-        errors, steps, transitions = [], [], []
+        errors, begins, steps, transitions = [], [], [], []
         path = [np.full((len(e.y), nx), np.nan) for e in self.experiments]
         end, end_slopes, end_columns = np.zeros(0), np.zeros((0, 0)), np.zeros(0, int)
         self.learn(unknowns)
@@ -321,10 +328,14 @@ class Shooting:
         for window in self.windows:
             point = self._point(window, unknowns)
             state = point[1]
-            if window.begin:  # the step of the state from the end of the window before
+            anchored = not window.begin and window.state >= 0 and self.anchored
+            if anchored:
+                end = self.simulator.initial(point[0])
+                end_slopes, end_columns = np.zeros((nx, 0)), np.zeros(0, int)
+            if window.begin or anchored:  # the step of the state from the end of the window before
                 unit = self.sizes * self.slack * self.noise.max() / np.sqrt(len(window.part.y))
                 step = _limited((state - end) / unit)
-                steps.append(step)
+                (begins if anchored else steps).append(step)
                 block = np.zeros((0, 0))
                 if slopes:
                     good = (np.abs(step) < BAD)[:, None]
@@ -353,7 +364,7 @@ class Shooting:
                     )
                     end_slopes, end_columns = last[:, own], window.columns[own]
             add(np.nan_to_num(error / self.noise).ravel(), block, window.columns[own])
-        return Compared(cost, gradient, normal, errors, steps, path, transitions)
+        return Compared(cost, gradient, normal, errors, begins, steps, path, transitions)
 
     def learn(self, unknowns: Array) -> None:
         """Set the weights of the simulator."""
@@ -364,13 +375,15 @@ class Shooting:
 
     def information(self, normal: Array) -> Array:
         """Return the normal matrix of the parameters with all other unknowns optimal."""
-        n = len(self.names)
-        return normal[:n, :n] - normal[:n, n:] @ np.linalg.lstsq(normal[n:, n:], normal[n:, :n])[0]
+        n, scale = len(self.names), np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        whole = normal / scale / scale[:, None]
+        inner = whole[:n, n:] @ np.linalg.pinv(whole[n:, n:], hermitian=True) @ whole[n:, :n]
+        return (whole[:n, :n] - inner) * scale[:n] * scale[:n, None]
 
-    def growth(self, transitions: Sequence[Array]) -> tuple[float, bool]:
-        """Return how much an error of the state grows in a window, and whether too much in the next stage.
+    def growth(self, transitions: Sequence[Array]) -> tuple[float, float]:
+        """Return how much an error of the state grows in a window and in one of the next stage.
 
-        Both are medians of the windows; too much is more than tenfold, exponentially.
+        Both are medians of the windows; 0 if it does not grow exponentially.
         """
         growths = []
         for length in (1, GROWTH // 2, GROWTH):
@@ -383,8 +396,8 @@ class Shooting:
                     each.append(np.linalg.norm(product, 2))
             growths.append(float(np.median(each)) if each else 0.0)
         one, half, all_of = np.maximum(growths, 1e-300)
-        too_much = all_of > MOST_GROWTH and all_of / half > (half / one) ** _EXPONENT
-        return growths[0], bool(too_much)
+        exponential = all_of / half > (half / one) ** _EXPONENT
+        return (growths[0], growths[-1]) if exponential else (0.0, 0.0)
 
     def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
         """Return the simulator's responses at several points; NaN for a failed call."""
