@@ -129,6 +129,18 @@ def test_a_saved_grey_box_simulates_with_its_values(
     assert_fails(f"{line} --out other.csv --simulator plant.py:slip", says, capsys)
 
 
+def test_a_saved_equation_knows_of_what_its_unknown_term_is_a_function(tmp_path: Path) -> None:
+    how = "--simulator plant.py:drag --parameters rate=2,x0_1=0 --unknown y --unknown-odd"
+    call(f"fit record.csv --inputs u {how} --method grey-box --train 80 --jobs 1", tmp_path / "m")
+    low, high = results(tmp_path / "m")["parameters"]["unknown"][0]["in_training"]["y"]
+    largest = pd.read_csv("record.csv")["y"][:80].abs().max()
+    assert -low == high == pytest.approx(largest, rel=0.05)
+    line = f"simulate {tmp_path}/m --history history.csv --future-inputs coming.csv --steps 20"
+    call(f"{line} --simulator plant.py:drag", tmp_path / "ahead.csv")
+    found = pd.read_csv(tmp_path / "ahead.csv")["y"]
+    np.testing.assert_allclose(found, pd.read_csv("record.csv")["y"][80:], atol=0.1)
+
+
 def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

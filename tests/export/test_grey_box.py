@@ -44,10 +44,10 @@ def sliding(t: float, x: Any, u: Any, p: Any, w: Any) -> list[Any]:
 
 
 def term(*names: str, **options: Any) -> sb.Unknown:
-    """A term with random weights, held beyond 1.5."""
+    """A term with random weights, held beyond 5."""
     made, z = (
         sb.Unknown(names, hidden=5, **options),
-        np.array([[-1.5], [1.5]]).repeat(len(names), 1),
+        np.array([[-5.0], [5.0]]).repeat(len(names), 1),
     )
     state = made.begun(z)
     weights = np.random.default_rng(0).normal(size=state.weights.shape)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 import splitband as sb
+from splitband.report import words
 
 Array = npt.NDArray[np.float64]
 FORCE = np.sin(0.04 * np.arange(300.0))
@@ -68,7 +69,8 @@ def test_outside_its_range_it_says_that_the_term_is_held(model: sb.GreyBox) -> N
         prediction = model.predict(50, u=np.full((50, 1), 9.0))
     said = [str(each.message) for each in caught]
     assert any(
-        "force [N] of an unknown term is 9 after 1 samples, where it was -1 to 3" in s for s in said
+        "force [N] of an unknown term is 9 at sample 1 of the prediction, where it was -1 to 3" in s
+        for s in said
     )
     assert any("speed [m/s] of an unknown term" in doubt for doubt in prediction.doubts)
     assert not model.predict(5, u=np.zeros((5, 1))).doubts
@@ -97,3 +99,24 @@ def test_the_page_draws_them(model: sb.GreyBox, tmp_path: Path) -> None:
     assert "Unknown terms" in page
     assert "w[0] over speed [m/s]" in page
     assert "w[1] over force [N], with position [m] = 0" in page
+
+
+def test_it_is_said_where_a_state_is_missing() -> None:
+    """A load that swings on a cart: no function of the cart's speed and force swings."""
+    time, u = 0.1 * np.arange(400.0), np.repeat(np.random.default_rng(0).normal(size=40), 10)
+
+    def swinging(t: float, x: Any, u: Any) -> list[Any]:
+        return [u[0] - 0.5 * x[0], x[2], 9.0 * (x[0] - x[1]) - 0.3 * x[2]]
+
+    y = sb.Ode(swinging, [0.0, 0.0, 0.0], lambda x: x[:, 1]).simulate(time, u[:, None])
+    y = np.asarray(y)[:, 0] + np.random.default_rng(1).normal(0, 0.01, 400)
+    record = sb.Record(y, 0.1, u=u)
+
+    def cart(t: float, x: Any, u: Any, p: Any, w: Any) -> list[Any]:
+        return [u[0] - p.c * x[0] - w[0]]
+
+    ode = sb.Ode(cart, [0.0], parameters={"c": (0.1, 2.0)}, unknown=sb.Unknown())
+    without = sb.GreyBox(ode.without_terms(), starts=1, name="grey-box-without-terms")
+    result = sb.compare(record, 300, ["grey-box", without, "linear"], simulator=ode)
+    said = [each for each in words.warnings(result) if "unknown terms help little" in each]
+    assert len(said) == (result.recommended == "linear") == 1

@@ -288,9 +288,7 @@ def derivatives(
     widths : Ranges of the wanted parameters, with the sign of steps within them, and the places of
         these parameters in `p`.
     """
-    x, ends, _ = solve(
-        rhs, gather, p, terms, initial, time, inputs, (np.empty(0), 0.0), tolerances
-    )
+    x, ends, _ = solve(rhs, gather, p, terms, initial, time, inputs, (np.empty(0), 0.0), tolerances)
     by_parameter, wanted = STEP * widths[0], widths[1]
     nx, count = len(initial), len(wanted)
     sizes = np.zeros(nx)
@@ -318,9 +316,7 @@ def derivatives(
         moved[wanted[d]] += steps[d]
     beside = initial + steps[count : count + nx]
     shifted = theta + steps[count + nx :], scaling, layout
-    apart, _, _ = solve(
-        rhs, gather, moved, shifted, beside, time, inputs, (ends, 0.0), tolerances
-    )
+    apart, _, _ = solve(rhs, gather, moved, shifted, beside, time, inputs, (ends, 0.0), tolerances)
     return x, dx, steps, apart - x
 
 

@@ -182,11 +182,11 @@ def _takes(shooting: Shooting, points: Sequence[Any]) -> Array:
             ]
         )
         by_output.append([_slope(simulator, point, w + unit) - at for unit in np.eye(len(w))])
-    parameters = np.array(by_parameter).reshape(len(points), -1, len(shooting.sizes))
+    parameters = np.reshape(by_parameter, (len(points), len(known.shared), len(shooting.sizes)))
     outputs = np.array(by_output)
     # (points, n, nx) -> (points * nx, n)
     rows = np.nan_to_num((parameters / shooting.sizes).transpose(0, 2, 1))
     columns = np.nan_to_num((outputs / shooting.sizes).transpose(0, 2, 1))
-    inverse = np.linalg.pinv(rows.reshape(-1, rows.shape[2]), rcond=1e-3)
-    inverse = inverse.reshape(-1, *rows.shape[:2]).transpose(1, 0, 2)
+    inverse = np.linalg.pinv(np.concatenate(rows), rcond=1e-3)
+    inverse = inverse.reshape(len(known.shared), *rows.shape[:2]).transpose(1, 0, 2)
     return inverse @ columns / _TAKEN

@@ -141,9 +141,12 @@ def is_fitted(simulator: Any) -> bool:
 
 
 def check_runs_as_it_is(option: str, value: str | None, simulator: Any) -> None:
-    """Raise ValueError for the name of a baseline, and for parameters to fit."""
-    if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):
-        why = "is a baseline" if isinstance(simulator, str) else "has parameters to fit"
+    """Raise ValueError for the name of a baseline, and for parameters or terms to fit."""
+    fitted = isinstance(simulator, Adjustable) and (
+        simulator.known.free or any(term.free for term in simulator.terms)
+    )
+    if isinstance(simulator, str) or fitted:
+        why = "is a baseline" if isinstance(simulator, str) else "has something to fit"
         raise InputError(
             f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {value}, "
             f"which {why}"

@@ -323,8 +323,8 @@ class Unknown(WithRepr):
         for i in np.flatnonzero(excess.max(axis=0) > BEYOND * (high - low)):
             n, ends = int(excess[:, i].argmax()), f"{low[i]:.4g} to {high[i]:.4g}"
             sentences.append(
-                f"{self.label(int(i))} of an unknown term is {z[n, i]:.4g} after {n + 1} samples, "
-                f"where it was {ends} in training: the term is held outside"
+                f"{self.label(int(i))} of an unknown term is {z[n, i]:.4g} at sample {n + 1} of "
+                f"the prediction, where it was {ends} in training: the term is held outside"
             )
         return sentences
 

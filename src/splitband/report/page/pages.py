@@ -59,7 +59,7 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
         *_responses(result, styles),
         *_next_steps(used),
         *map(_of_linear, _linear_of(result)),
-        *_unknown(result),
+        *_unknown([fits[0].fitted for fits in result.fits.values()]),
         Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
         *_further([p for p in every if p not in first or p.protocol == "start"], styles),
         _bands(result),
@@ -172,10 +172,9 @@ def _of_linear(fitted: Linear) -> Section:
     return Section("linear", title, text, (), poles, drawn, facts=zeros, folded=True)
 
 
-def _unknown(result: Comparison) -> list[Section]:
+def _unknown(models: Sequence[Forecaster]) -> list[Section]:
     """Return the section of the unknown terms of an equation, of the first model with any."""
-    models = (part for fits in result.fits.values() for part in all_parts(fits[0].fitted))
-    for model in models:
+    for model in (part for each in models for part in all_parts(each)):
         if isinstance(model, GreyBox) and (drawn := plots.unknown(model)):
             text = (
                 "What was found in place of the unknown terms of the equation, over the ranges of "
@@ -288,7 +287,7 @@ def of_check(
         sections.append(_responses_of({name: responses}, styles))
     if isinstance(model, Linear):
         sections.append(_of_linear(model))
-    sections.append(_settings([], used))
+    sections += [*_unknown([model]), _settings([], used)]
     return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
 
 
