@@ -165,7 +165,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     window = _window(outcomes, longest)
     ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
-    fit, members = best.found[window], ()
+    fit, members = best.found[window], tuple[Trained, ...]()
     if any(term.free for term in simulator.terms) and not deadline.over:
         with suppress(DeadlineError), within(min(current(), deadline)):
             shooting, window, fit, members = _augmented(shooting, best.found, effort.seed)
@@ -241,7 +241,10 @@ def check_runs(simulator: Any, record: Record) -> Any:
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
-    """Return the longest windows to which the best start goes on, unless shorter ones fit far better."""
+    """Return the longest windows to which the best start goes on.
+
+    Or shorter ones, if they fit far better.
+    """
     lengths = sorted({n for outcome in outcomes for n in outcome.found})
     best = {}
     for n in lengths:
@@ -277,10 +280,8 @@ def _augmented(
         shooting = Shooting(simulator, experiments, alone.scale)
         shooting.trained, shooting.noise, shooting.sizes = which, noise, alone.sizes
         common = np.concatenate([fractions, simulator.weights[which]])
-        last = None
-        for last in grown(shooting, common, [length, *lengths], path, decay):
-            pass
-        return None if last is None else (last[1].error, shooting, *last)
+        fits = [*grown(shooting, common, [length, *lengths], path, decay)]
+        return (fits[-1][1].error, shooting, *fits[-1]) if fits else None
 
     def ahead(decay: float) -> float:
         """Return the error on held-out samples."""
@@ -530,7 +531,8 @@ def descended(shooting: Shooting, unknowns: Array, rounds: int) -> Fit:
 
     begin = np.where(ranged, np.clip(unknowns, 0.0, 1.0), unknowns)
     low, high = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
-    at, _ = minimise(evaluate, begin, low, high, rounds)
+    alike = slice(len(shooting.names), shooting.common if shooting.trained.any() else 0)
+    at, _ = minimise(evaluate, begin, low, high, rounds, alike)
     shooting.learn(at)
     errors = np.concatenate(shooting.compare(at).errors)
     squares = np.nanmean(errors**2, axis=0)
