@@ -51,7 +51,7 @@ _NO_TERMS = np.empty(0), np.empty(0), np.empty((0, 6), dtype=np.int64)
 
 
 @register_jitable
-def solve(  # noqa: PLR0912  one loop, for Numba
+def solve(  # noqa: PLR0912, PLR0915  one loop, for Numba
     rhs: Any,
     gather: Any,
     p: Array,
@@ -151,7 +151,7 @@ def axpy(factor: float, row: Array, out: Array) -> None:
 
 
 @register_jitable
-def sensitivities(  # noqa: PLR0912  one loop, for Numba
+def sensitivities(  # noqa: PLR0912, PLR0915  one loop, for Numba
     rhs: Any,
     gather: Any,
     p: Array,
@@ -327,26 +327,25 @@ def _clip(a: Any, a_min: Any, a_max: Any) -> Any:
     return (lambda a, a_min, a_max: np.minimum(np.maximum(a, a_min), a_max)) if numbers else None
 
 
-_ROW, _ROWS, _CUBE, _PLACES = types.f8[::1], types.f8[:, ::1], types.f8[:, :, ::1], types.i8[::1]
-_LAYOUT = types.i8[:, ::1]
-_RHS = types.void(types.f8, _ROW, _ROW, _ROW, _ROW, _ROW)
-_GATHER = types.i8(_ROW, _ROW, _LAYOUT, _ROW)
+_T: Any = types
+_ROW, _ROWS, _CUBE, _PLACES = _T.f8[::1], _T.f8[:, ::1], _T.f8[:, :, ::1], _T.i8[::1]
+_LAYOUT = _T.i8[:, ::1]
+_RHS = _T.void(_T.f8, _ROW, _ROW, _ROW, _ROW, _ROW)
+_GATHER = _T.i8(_ROW, _ROW, _LAYOUT, _ROW)
 _EQUATION = (
-    types.FunctionType(_RHS),
-    types.FunctionType(_GATHER),
+    _T.FunctionType(_RHS),
+    _T.FunctionType(_GATHER),
     _ROW,
-    types.Tuple((_ROW, _ROW, _LAYOUT)),
+    _T.Tuple((_ROW, _ROW, _LAYOUT)),
     _ROW,
     _ROW,
-    types.Tuple((_ROWS, types.boolean)),
+    _T.Tuple((_ROWS, _T.boolean)),
 )
 """Types of the arguments that the kernels share. Functions are passed as pointers,
 so that the kernels are compiled once for all equations."""
-_SOLVE = types.Tuple((_ROWS, _ROW, types.f8))(
-    *_EQUATION, types.Tuple((_ROW, types.f8)), types.UniTuple(types.f8, 2)
-)
-_DERIVATIVES = types.Tuple((_ROWS, _CUBE, _ROW, _ROWS))(
-    *_EQUATION, types.Tuple((_ROW, _PLACES)), types.UniTuple(types.f8, 2)
+_SOLVE = _T.Tuple((_ROWS, _ROW, _T.f8))(*_EQUATION, _T.Tuple((_ROW, _T.f8)), _T.UniTuple(_T.f8, 2))
+_DERIVATIVES = _T.Tuple((_ROWS, _CUBE, _ROW, _ROWS))(
+    *_EQUATION, _T.Tuple((_ROW, _PLACES)), _T.UniTuple(_T.f8, 2)
 )
 
 
@@ -412,20 +411,20 @@ class Solver:
     ) -> Any:
         """Return the result of a kernel, compiled or not."""
         # Arrays of a record cannot be written to, which is another type for Numba.
-        time, u = (np.require(each, float, "CW") for each in (time, rest[0][0]))
-        rest = time, (u, rest[0][1]), *rest[1:]
+        time, u = (np.require(each, float, ("C", "W")) for each in (time, rest[0][0]))
+        given: Any = (time, (u, rest[0][1]), *rest[1:])
         named, terms = p if self.arguments == 5 else (p, _NO_TERMS)
         p, kind = np.array(named, dtype=float), type(named)
         with np.errstate(all="ignore"):
             if self.tried and self.kept != self._referred():
                 self.compiled, self.taken, self.tried = {}, 0, False
             if self.taken > WORTH_COMPILING and not self.tried:
-                self._compile(kind, p, terms, initial, *rest[:2], rest[-1])
+                self._compile(kind, p, terms, initial, given)
             if (fast := self.compiled.get(kind)) is None and self.compiled:
                 fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
             if fast is not None:
-                return _compiled(function, signature)(*fast, p, terms, initial, *rest)
-            return function(*self._functions(kind, len(p)), p, terms, initial, *rest)
+                return _compiled(function, signature)(*fast, p, terms, initial, *given)
+            return function(*self._functions(kind, len(p)), p, terms, initial, *given)
 
     def _functions(self, kind: Any, count: int, fast: bool = False) -> tuple[Any, Any]:
         """Return `rhs` and `gather` of the kernels for a class of named parameters."""
@@ -438,13 +437,12 @@ class Solver:
         flat = _flat(named, kind, count, to_fixed_tuple)
         return njit(_RHS, **_OPTIONS)(flat), _pointer(gathered(self.of, made))
 
-    def _compile(
-        self, kind: Any, p: Array, terms: Any, initial: Array, time: Array, inputs: Any, how: Any
-    ) -> None:
+    def _compile(self, kind: Any, p: Array, terms: Any, initial: Array, given: Any) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
         self.tried, self.kept = True, self._referred()
-        probe = p, terms, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
-        probe = *probe, how
+        time, (u, held), tolerances = given[0], given[1], given[-1]
+        few = time[:3], (u[:3], held), (np.empty(0), 0.0)
+        probe: Any = (p, terms, initial, *few, tolerances)
         expected = solve(*self._functions(kind, len(p)), *probe)[0]
         try:
             fast = self._functions(kind, len(p), fast=True)

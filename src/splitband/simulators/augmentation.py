@@ -46,7 +46,7 @@ def begun(
     simulator = shooting.simulator
     points = _points(shooting, unknowns, path)
     by_output = _gains(simulator, points, shooting.sizes)
-    states, trained, at = [], [], 0
+    states, trained, at = list[Any](), [], 0
     for i, term in enumerate(simulator.terms):
         state = term.trained
         if term.free:
@@ -107,12 +107,14 @@ def held_out(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 def held(shooting: Shooting, path: Sequence[Array]) -> tuple[Trained, ...]:
     """Return the states of trained terms, held outside the range that the records visited."""
-    states = []
+    states = list[Any]()
     for term in shooting.simulator.terms:
-        if term.trained is not None:
-            pairs = zip(path, shooting.experiments, strict=True)
-            term = term.holding(np.concatenate([_quantities(term, x, each) for x, each in pairs]))
-        states.append(term.trained)
+        if term.trained is None:
+            states.append(None)
+            continue
+        pairs = zip(path, shooting.experiments, strict=True)
+        z = np.concatenate([_quantities(term, x, each) for x, each in pairs])
+        states.append(term.holding(z).trained)
     return tuple(states)
 
 

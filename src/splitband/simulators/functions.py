@@ -31,6 +31,8 @@ from splitband.simulators.user_code import arguments, check_arguments, count_arg
 JUMPS = 0.1
 """Relative error of derivatives that do not go through the steps of an equation, as it jumps. By
 eye."""
+COARSE = 1e-5
+"""Least relative tolerance in a search. Bounds the time."""
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors: with 1e-4 errors were up to 270
 times too small."""
@@ -238,8 +240,8 @@ class Ode(UserCode):
     def unfinished(self, time: float) -> str:
         """Return the message for states that are NaN from `time` in s on."""
         return (
-            f"the solver, {self.method}, stopped before t = {time:g} s, where it cannot reach the "
-            f'tolerances {self.tolerances}: for a stiff equation there are method="Radau" and '
+            f"the solver, {self.method}, stopped before t = {time:g} s, where it cannot reach its "
+            'tolerances: for a stiff equation there are method="Radau" and '
             '"BDF", for one that jumps to and fro larger tolerances'
         )
 
@@ -334,6 +336,10 @@ class Ode(UserCode):
         """Return a copy with changed fields; other processes reopen it and call `again` with it."""
         opened: Any = self._opened_by and partial(_reopened, self._opened_by, again)
         return self._with(**changes).opened_by(opened)
+
+    def coarse(self) -> Self:
+        """Return a copy with fewer steps; derivatives along them are exact at any tolerance."""
+        return self._with(tolerances=(max(self.tolerances[0], COARSE), self.tolerances[1]))
 
     def precise(self) -> Self:
         """Return a copy with tolerances for accurate derivatives.

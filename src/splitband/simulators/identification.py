@@ -56,7 +56,7 @@ PATIENCE, _HARDLY_BETTER = 8, 0.02
 the time."""
 SAME_ERROR = 1e-3
 """Relative difference of equal errors. Rounding."""
-SHORTEST, _WINDOWS = 16, 64
+SHORTEST, _WINDOWS = 16, 32
 """Samples of the shortest windows, and largest number of windows of the longest record. By eye."""
 WORTH_PROCESSES = 10.0
 """Seconds of the first start from which on the others run in processes of their own, which have to
@@ -70,7 +70,10 @@ Rounding."""
 _LEAST_WEIGHT = 0.1
 """Least error of a channel, as a share of the largest one, by which channels are weighted. By eye.
 """
-LEAST_SLACK = 1e-3
+_NEAR = 3.0
+"""Largest step from the given initial state to that of a first window, in errors of a state that
+the window's samples determine, with which the given state is kept. By eye."""
+LEAST_SLACK = 1e-2
 """Least slack between windows, see `Shooting`. Rounding."""
 _SAME_PLACE = 0.02
 """Distance of equal values, as a share of a range. By eye."""
@@ -152,7 +155,7 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     simulator = check_runs(simulator, records[0])
     experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
-    shooting = Shooting(simulator, experiments, scale)
+    shooting = Shooting(simulator.coarse(), experiments, scale)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
@@ -162,12 +165,12 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     window = _window(outcomes, longest)
     ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
-    fit, members = best.found[window], ()
+    fit, members = best.found[window], tuple[Trained, ...]()
     if any(term.free for term in simulator.terms) and not deadline.over:
         with suppress(DeadlineError), within(min(current(), deadline)):
             shooting, window, fit, members = _augmented(shooting, best.found, effort.seed)
     with within(NEVER):  # the result is evaluated even after the deadline
-        precise = shooting.precisely()
+        precise = shooting.of(simulator.precise())
         # The solver may not be able to keep smaller tolerances.
         rough = not _runs(precise.restored(window, fit), whole=True)
         shooting = shooting if rough else precise
@@ -238,7 +241,10 @@ def check_runs(simulator: Any, record: Record) -> Any:
 
 
 def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
-    """Return the longest windows to which the best start goes on, unless shorter ones fit far better."""
+    """Return the longest windows to which the best start goes on.
+
+    Or shorter ones, if they fit far better.
+    """
     lengths = sorted({n for outcome in outcomes for n in outcome.found})
     best = {}
     for n in lengths:
@@ -274,10 +280,8 @@ def _augmented(
         shooting = Shooting(simulator, experiments, alone.scale)
         shooting.trained, shooting.noise, shooting.sizes = which, noise, alone.sizes
         common = np.concatenate([fractions, simulator.weights[which]])
-        last = None
-        for last in grown(shooting, common, [length, *lengths], path, decay):
-            pass
-        return None if last is None else (last[1].error, shooting, *last)
+        fits = [*grown(shooting, common, [length, *lengths], path, decay)]
+        return (fits[-1][1].error, shooting, *fits[-1]) if fits else None
 
     def ahead(decay: float) -> float:
         """Return the error on held-out samples."""
@@ -308,6 +312,9 @@ def _augmented(
 def _tied(shooting: Shooting, fit: Fit) -> Fit:
     """Minimise the residuals with steps of the state that are as small as the records allow."""
     fit = descended(shooting, fit.unknowns, LAST_ROUNDS)
+    shooting.anchored = True
+    begins = shooting.compare(fit.unknowns).begins
+    shooting.anchored = bool(begins) and float(np.max(np.abs(begins))) < _NEAR
     while shooting.slack > LEAST_SLACK:
         steps = shooting.compare(fit.unknowns).steps
         size = float(np.sqrt(np.mean(np.square(steps)))) if steps else 1.0
@@ -342,7 +349,7 @@ def _doubt(shooting: Shooting, fit: Fit, window: int, deadline: Deadline) -> str
     simulator = shooting.simulator.otherwise()
     if simulator is None:
         return ""
-    other = Shooting(simulator, shooting.experiments, shooting.scale)
+    other = shooting.of(simulator)
     other.slack = shooting.slack
     try:
         with within(min(current(), deadline)):
@@ -490,13 +497,13 @@ def grown(
             continue
         fit = descended(shooting, at, _ROUNDS)
         compared = shooting.compare(fit.unknowns, slopes=True)
-        growth, too_much = shooting.growth(compared.transitions)
-        if growth > MOST_GROWTH and not found and length >= GROWTH * SHORTEST and decay is None:
-            lengths = [-(-length // GROWTH), length, *lengths]
+        here, later = shooting.growth(compared.transitions)
+        if here > MOST_GROWTH and decay is None and (found or -(-length // GROWTH) >= SHORTEST):
+            lengths = [] if found else [-(-length // GROWTH), length, *lengths]
             continue
         found, common = True, fit.unknowns[: shooting.common]
         yield length, fit
-        if too_much:
+        if later > MOST_GROWTH:
             break
         whole = all(np.isfinite(x).all() for x in compared.path)
         path = compared.path if whole else path if decay is not None else None
@@ -524,7 +531,8 @@ def descended(shooting: Shooting, unknowns: Array, rounds: int) -> Fit:
 
     begin = np.where(ranged, np.clip(unknowns, 0.0, 1.0), unknowns)
     low, high = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
-    at, _ = minimise(evaluate, begin, low, high, rounds)
+    alike = slice(len(shooting.names), shooting.common if shooting.trained.any() else 0)
+    at, _ = minimise(evaluate, begin, low, high, rounds, alike)
     shooting.learn(at)
     errors = np.concatenate(shooting.compare(at).errors)
     squares = np.nanmean(errors**2, axis=0)

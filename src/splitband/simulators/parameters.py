@@ -20,7 +20,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 from splitband.simulators.base import KnownSimulator
-from splitband.simulators.unknown import Trained
+from splitband.simulators.unknown import Trained, Unknown
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
@@ -216,6 +216,15 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     def driven(self) -> bool:  # type: ignore[override]
         """Return whether the simulator takes a record's inputs."""
 
+    def initial(self, values: Mapping[str, float]) -> Array:
+        """Return the state at the record's first sample, `(states,)`."""
+        return np.empty(0)
+
+    @property
+    def resolved_terms(self) -> Sequence[Unknown]:
+        """Return the unknown terms, as functions of states and inputs."""
+        return ()
+
     @property
     def weights(self) -> Array:
         """Return the weights of the unknown terms, one after another."""
@@ -242,13 +251,15 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     ) -> tuple[Array, Array, Array, Array]:
         """Return channels and states at a point, and their derivatives.
 
-        By the parameters of these names, by the initial state and by the weights of unknown terms,
-        one after another, `(time, ny, n)` and `(time, nx, n)`; by default they are differences of whole responses.
+        By the parameters of these names, by the initial state and by the weights of unknown
+        terms, one after another, `(time, ny, n)` and `(time, nx, n)`; by default they are
+        differences of whole responses.
         """
         values, state = point
         ((y, x),) = self.respond(time, u, [point])
         sizes = np.abs(np.where(np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
-        moved, steps = [], []
+        moved: list[Point] = []
+        steps: list[float] = []
         for name in names:
             steps.append(self.known.step(name, values[name], self.difference))
             moved.append(({**values, name: values[name] + steps[-1]}, state))
@@ -274,6 +285,10 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     def fixed(self, values: Mapping[str, float]) -> Self:
         """Return a copy with some parameters set to these values."""
         return self._with(parameters=dict(self.known.fixed(values).given))
+
+    def coarse(self) -> Self:
+        """Return the simulator for a search."""
+        return self
 
     def precise(self) -> Self:
         """Return the simulator for the last steps of a fit and for standard errors."""

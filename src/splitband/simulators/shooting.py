@@ -46,7 +46,7 @@ MOST_GROWTH, _EXPONENT = 10.0, 1.5
 half by that in the first one: 1 for powers of time, 2 for exponentials. By eye."""
 _ENOUGH = 1e-9
 """Gain of a step that ends a minimisation, as a share of the squared error. Rounding."""
-_STATE_ROUNDS = 8
+_STATE_ROUNDS = 4
 """Largest number of steps in the search for the initial state of a window, a start for the search
 for all unknowns. Bounds the time."""
 MOST_STATES = 500
@@ -60,12 +60,14 @@ matrix J'J."""
 
 
 def minimise(
-    evaluate: Evaluate, begin: Array, low: Any, high: Any, rounds: int
+    evaluate: Evaluate, begin: Array, low: Any, high: Any, rounds: int, alike: slice = slice(0)
 ) -> tuple[Array, float]:
     """Minimise a sum of squares between bounds by Levenberg and Marquardt's method.
 
-    The damping is that of Nielsen (1999); unknowns that a step would take beyond a bound go to it,
-    and the step is solved again for the others. At a deadline the best unknowns so far are
+    The damping is that of Nielsen (1999), in the largest size of each derivative so far; unknowns
+    that are `alike`, as the weights of a network, have a common size: with sizes of their own, four
+    times as many steps did not lead as far. Unknowns that a step would take beyond a bound go to
+    it, and the step is solved again for the others. At a deadline the best ones so far are
     returned.
     """
     at = np.clip(begin, low, high)
@@ -74,6 +76,7 @@ def minimise(
     try:
         for _ in range(rounds if len(at) else 0):
             scale = np.maximum(scale, np.diag(normal))
+            scale[alike] = np.mean(scale[alike]) if alike.stop else 0.0
             floor = 1e-12 * scale.max(initial=1e-300)
             step = _bounded_step(
                 normal + np.diag(damping * np.maximum(scale, floor)), gradient, at, low, high
@@ -156,16 +159,17 @@ class Window(NamedTuple):
 class Compared(NamedTuple):
     """A comparison: what is minimised, and what else it tells.
 
-    `errors`: of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps; `steps`:
-    residuals of the steps of the state between windows; `path`: states by record, `(time, nx)`;
-    `transitions`, only with slopes: derivatives of a window's last state by its first one, in
-    sizes of the states.
+    `errors`: of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps;
+    `begins`, `steps`: residuals of the steps of the state to first windows and between windows;
+    `path`: states by record, `(time, nx)`; `transitions`, only with slopes: derivatives of a
+    window's last state by its first one, in sizes of the states.
     """
 
     cost: float
     gradient: Array
     normal: Array
     errors: list[Array]
+    begins: list[Array]
     steps: list[Array]
     path: list[Array]
     transitions: list[Array]
@@ -188,6 +192,7 @@ class Shooting:
     noise : Errors of the channels in deviations, by which they are weighted, `(ny,)`.
     slack : Of the steps of the state between windows: 1 if these are as large as the error of a
         state that a window's samples determine.
+    anchored : Whether the given initial state counts for the first one of several windows.
     trained : Which weights of unknown terms are unknowns, `(weights,)`.
     prior : Residuals of these weights, with their derivatives; None for none.
     failure : Message of the last failed run.
@@ -201,13 +206,15 @@ class Shooting:
         self.failure = ""
         self.windows: list[Window] = []
         self.sizes = np.ones(simulator.states)
-        self.noise, self.slack = np.ones(len(scale)), 1.0
+        self.noise, self.slack, self.anchored = np.ones(len(scale)), 1.0, False
         self.trained = np.zeros(len(simulator.weights), dtype=bool)
         self.prior: Callable[[Array], tuple[Array, Array]] | None = None
 
-    def precisely(self) -> Shooting:
-        """Return the comparison for standard errors, see `Adjustable.precise`."""
-        other = Shooting(self.simulator.precise(), self.experiments, self.scale)
+    def of(self, simulator: Adjustable) -> Shooting:
+        """Return the same comparison with another simulator, whose terms are taught."""
+        states: Any = tuple(term.trained for term in self.simulator.terms)
+        simulator = simulator.taught(states) if self.trained.any() else simulator
+        other = Shooting(simulator, self.experiments, self.scale)
         other.trained, other.prior = self.trained, self.prior
         return other
 
@@ -255,7 +262,7 @@ class Shooting:
                 if states and end < samples:  # it counts as the first one of the next window
                     part.y[-1] = np.nan
                 state, columns = -1, [places.get(f"{INITIAL}{i + 1}", -1) for i in range(states)]
-                # Where a run of the whole record may be lost, so may be the effect of its first state.
+                # Where a run of the whole record may be lost, its first state may be wrong, too.
                 if begin or (len(cuts) > 2 and not self.simulator.known.initial):
                     state, columns = last, [*range(last, last + states)]
                     last += states
@@ -263,7 +270,7 @@ class Shooting:
                 self.windows.append(Window(r, begin, part, every, state))
 
     def begun(self, fractions: Array) -> Array:
-        """Return unknowns at the positions of parameters and the weights, with the windows one after another.
+        """Return unknowns at parameters and weights, with the windows one after another.
 
         The state of a window is that of the least residuals after the window before it.
         """
@@ -285,7 +292,10 @@ class Shooting:
         return np.concatenate([fractions, *(state / self.sizes for state in states)])
 
     def resumed(self, fractions: Array, path: Sequence[Array]) -> Array:
-        """Return unknowns at the positions of parameters and the weights, and states on a path by record."""
+        """Return unknowns at the positions of parameters and the weights, and states on a path.
+
+        `path` has the states by record.
+        """
         self.sizes = np.maximum.reduce([_size(x) for x in path])
         self.sizes = np.where(self.sizes > 0, self.sizes, 1.0)
         begins = [path[w.record][w.begin] / self.sizes for w in self.windows if w.state >= 0]
@@ -297,16 +307,19 @@ class Shooting:
         self.sizes, self.noise = fit.sizes, fit.noise
         return self.compare(fit.unknowns)
 
-    def compare(self, unknowns: Array, slopes: bool = False) -> Compared:
+    def compare(  # noqa: PLR0915  one pass over the windows
+        self, unknowns: Array, slopes: bool = False
+    ) -> Compared:
         """Compare the simulator with the records, with or without derivatives."""
         count, nx, cost = len(unknowns), self.simulator.states, 0.0
         gradient, normal = np.zeros(count), np.zeros((count, count))
-        errors, steps, transitions = [], [], []
+        errors, transitions = list[Array](), list[Array]()
+        begins, steps = list[Array](), list[Array]()
         path = [np.full((len(e.y), nx), np.nan) for e in self.experiments]
         end, end_slopes, end_columns = np.zeros(0), np.zeros((0, 0)), np.zeros(0, int)
         self.learn(unknowns)
 
-        def add(residuals: Array, block: Array, columns: Array) -> None:
+        def add(residuals: Array, block: Array, columns: Any) -> None:
             nonlocal cost
             cost += 0.5 * float(residuals @ residuals)
             if slopes:
@@ -321,10 +334,14 @@ class Shooting:
         for window in self.windows:
             point = self._point(window, unknowns)
             state = point[1]
-            if window.begin:  # the step of the state from the end of the window before
+            anchored = not window.begin and window.state >= 0 and self.anchored
+            if anchored:
+                end = self.simulator.initial(point[0])
+                end_slopes, end_columns = np.zeros((nx, 0)), np.zeros(0, int)
+            if window.begin or anchored:  # the step of the state from the end of the window before
                 unit = self.sizes * self.slack * self.noise.max() / np.sqrt(len(window.part.y))
                 step = _limited((state - end) / unit)
-                steps.append(step)
+                (begins if anchored else steps).append(step)
                 block = np.zeros((0, 0))
                 if slopes:
                     good = (np.abs(step) < BAD)[:, None]
@@ -353,7 +370,7 @@ class Shooting:
                     )
                     end_slopes, end_columns = last[:, own], window.columns[own]
             add(np.nan_to_num(error / self.noise).ravel(), block, window.columns[own])
-        return Compared(cost, gradient, normal, errors, steps, path, transitions)
+        return Compared(cost, gradient, normal, errors, begins, steps, path, transitions)
 
     def learn(self, unknowns: Array) -> None:
         """Set the weights of the simulator."""
@@ -364,13 +381,15 @@ class Shooting:
 
     def information(self, normal: Array) -> Array:
         """Return the normal matrix of the parameters with all other unknowns optimal."""
-        n = len(self.names)
-        return normal[:n, :n] - normal[:n, n:] @ np.linalg.lstsq(normal[n:, n:], normal[n:, :n])[0]
+        n, scale = len(self.names), np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        whole = normal / scale / scale[:, None]
+        inner = whole[:n, n:] @ np.linalg.pinv(whole[n:, n:], hermitian=True) @ whole[n:, :n]
+        return (whole[:n, :n] - inner) * scale[:n] * scale[:n, None]
 
-    def growth(self, transitions: Sequence[Array]) -> tuple[float, bool]:
-        """Return how much an error of the state grows in a window, and whether too much in the next stage.
+    def growth(self, transitions: Sequence[Array]) -> tuple[float, float]:
+        """Return how much an error of the state grows in a window and in one of the next stage.
 
-        Both are medians of the windows; too much is more than tenfold, exponentially.
+        Both are medians of the windows; 0 if it does not grow exponentially.
         """
         growths = []
         for length in (1, GROWTH // 2, GROWTH):
@@ -383,8 +402,8 @@ class Shooting:
                     each.append(np.linalg.norm(product, 2))
             growths.append(float(np.median(each)) if each else 0.0)
         one, half, all_of = np.maximum(growths, 1e-300)
-        too_much = all_of > MOST_GROWTH and all_of / half > (half / one) ** _EXPONENT
-        return growths[0], bool(too_much)
+        exponential = all_of / half > (half / one) ** _EXPONENT
+        return (growths[0], growths[-1]) if exponential else (0.0, 0.0)
 
     def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
         """Return the simulator's responses at several points; NaN for a failed call."""
@@ -441,25 +460,53 @@ class Shooting:
         self, window: Window, x: Array, sizes: Array, values: Mapping[str, float]
     ) -> Array:
         """Return the initial state with the least residuals of a window and of the step from x."""
-        unit = self.noise.max() / np.sqrt(len(window.part.y))
         states = slice(len(self.varied), len(self.varied) + len(x))
 
-        def residuals(z: Array, slopes: bool) -> tuple[Array, Array]:
-            point = values, z * sizes
-            steps, by_state = (z - x / sizes) / unit, np.diag(1 / unit + 0 * z)
+        def run(state: Array, slopes: bool) -> tuple[Array, Array]:
             if not slopes:
-                y = self.respond(window.part, [point])[0][0]
-                return np.concatenate([self._weighted(window, y), steps]), by_state
-            y, _, dy, _ = self._derivatives(window.part, point)
-            left = self._weighted(window, y)
-            rows = dy[..., states] * sizes / (self.scale * self.noise)[:, None]
-            rows = rows.reshape(-1, len(z)) * (np.abs(left) < BAD)[:, None]
-            return np.concatenate([left, steps]), np.vstack([_finite(rows), by_state])
+                return self.respond(window.part, [(values, state)])[0]
+            y, _, dy, _ = self._derivatives(window.part, (values, state))
+            return y, dy[..., states]
 
-        return minimise(squared(residuals), x / sizes, -np.inf, np.inf, _STATE_ROUNDS)[0] * sizes
+        spread = sizes * self.noise.max() / np.sqrt(len(window.part.y))
+        unit = self.noise * self.scale
+        return likely_state(run, window.part.y, unit, x, spread, x, _STATE_ROUNDS, BAD)[0]
 
-    def _weighted(self, window: Window, y: Array) -> Array:
-        return np.nan_to_num(self._errors(window.part, y) / self.noise).ravel()
+
+def likely_state(
+    run: Callable[[Array, bool], tuple[Array, Array]],
+    measured: Array,
+    unit: Array,
+    mean: Array,
+    spread: Array,
+    begin: Array,
+    rounds: int,
+    limit: float,
+) -> tuple[Array, float]:
+    """Return the state of the least errors and distance from its prior, and half their squares.
+
+    Parameters
+    ----------
+    run : Returns the channels from a state on, `(time, ny)`, and if asked for their derivatives.
+    measured, unit : Samples, `(time, ny)`, NaN in gaps, and the unit of errors, `(ny,)`.
+    mean, spread : Of the prior, `(nx,)`.
+    begin, rounds : State at the beginning, and the largest number of steps.
+    limit : Largest size of a residual.
+    """
+
+    def residuals(z: Array, slopes: bool) -> tuple[Array, Array]:
+        y, slope = run(mean + spread * z, slopes)
+        left = _limited((y - np.nan_to_num(measured)) / unit, limit)
+        left = np.where(np.isnan(measured), 0.0, left)
+        every = np.concatenate([left.ravel(), z])
+        if not slopes:
+            return every, left
+        good = (np.abs(left) < limit) & ~np.isnan(measured)
+        rows = np.where(good[..., None], slope * spread / unit[:, None], 0.0)
+        return every, np.vstack([_finite(rows.reshape(left.size, -1)), np.eye(len(z))])
+
+    at, cost = minimise(squared(residuals), (begin - mean) / spread, -np.inf, np.inf, rounds)
+    return mean + spread * at, cost
 
 
 def squared(residuals: Callable[[Array, bool], tuple[Array, Array]]) -> Evaluate:
@@ -595,26 +642,17 @@ class Adjusted:
         """Search from several states, and return the most likely result."""
         names = () if self.simulator.states else self.simulator.known.initial
 
-        def residuals(z: Array, slopes: bool) -> tuple[Array, Array]:
-            point = self._began(mean + spread * z)
+        def run(state: Array, slopes: bool) -> tuple[Array, Array]:
+            simulator, point = self.simulator, self._began(state)
             with np.errstate(all="ignore"), _running():
                 if slopes:
-                    found = self.simulator.derivatives(history.time, history.u, point, names)
-                else:
-                    (found,) = self.simulator.respond(history.time, history.u, [point])
-            left = _limited((found[0] - np.nan_to_num(history.y)) / self.noise, FAILED)
-            left = np.where(np.isnan(history.y), 0.0, left).ravel()
-            if not slopes:
-                return np.concatenate([left, z]), left
-            rows = (found[2][..., : len(z)] * spread / self.noise[:, None]).reshape(len(left), -1)
-            whole = (np.abs(left) < FAILED) & ~np.isnan(history.y).ravel()
-            rows = _finite(np.where(whole[:, None], rows, 0.0))
-            return np.concatenate([left, z]), np.vstack([rows, np.eye(len(z))])
+                    found = simulator.derivatives(history.time, history.u, point, names)
+                    return found[0], found[2][..., : len(state)]
+                return simulator.respond(history.time, history.u, [point])[0]
 
-        begins = [(state - mean) / spread for state in begin]
-        evaluate = squared(residuals)
-        minima = [minimise(evaluate, z, -np.inf, np.inf, _MOST_ROUNDS) for z in begins]
-        return np.asarray(mean + spread * min(minima, key=lambda minimum: minimum[1])[0])
+        how = run, history.y, self.noise, mean, spread
+        minima = [likely_state(*how, state, _MOST_ROUNDS, FAILED) for state in begin]
+        return min(minima, key=lambda minimum: minimum[1])[0]
 
 
 @contextmanager
