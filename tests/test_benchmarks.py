@@ -131,9 +131,11 @@ def test_the_families_are_drawn_from_their_seeds_and_tabled(
         assert len(one) == families.SAMPLES
     row = {"family": "crane", "draw": 1000, "recommended": "gru", "regret": 2.0}
     errors = {"gru": 1.0, "filtered-gru": 0.5, "residual-gru": 0.8, "simulator": 3.0}
-    *_, line = families.table([row | {"errors": errors, "floors": {"low": 0.25}}]).splitlines()
+    _, _, line, *_ = families.table(
+        [row | {"errors": errors, "floors": {"low": 0.25}}]
+    ).splitlines()
     cells = [cell.split(" (")[0] for cell in line.strip("|").split(" | ")]
-    assert cells == [" crane", "network", "1", "2", "1", "0.5", "0.8", "1", "3", "", "0.25 "]
+    assert cells == [" crane †", "network", "1", "2", "1", "0.5", "0.8", "1", "3", "", "0.25 "]
 
 
 def test_constants_that_were_halved_and_doubled_are_no_worse_as_they_are(
@@ -154,21 +156,27 @@ def test_constants_that_were_halved_and_doubled_are_no_worse_as_they_are(
     assert len(halved) > 10
 
 
-def test_a_run_that_is_there_is_not_run_again(
+def test_a_run_of_todays_code_is_not_run_again_and_a_stale_one_is_replaced(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
-    clock = importlib.import_module("benchmarks.clock")
+    clock, claims = map(importlib.import_module, ("benchmarks.clock", "benchmarks.claims"))
+    monkeypatch.setattr(claims, "reference", lambda: 2.0)
     rows, seen = [{"record": name, "asked": 30.0} for name in ("a", "b")], list[str]()
+    path = tmp_path / "runs.jsonl"
+    path.write_text(json.dumps(rows[1] | {"errors": [9.0], "commit": "before"}) + "\n")
 
     def run(row: dict[str, Any], folder: Path) -> dict[str, Any]:
         seen.append(row["record"])
         return row | {"errors": [1.0]}
 
     for some in (rows[:1], rows, [rows[0] | {"asked": 60.0}]):
-        clock.complete(tmp_path / "runs.jsonl", some, run)
+        clock.complete(path, some, run)
     assert seen == ["a", "b", "a"]
-    assert len(clock.read(tmp_path / "runs.jsonl")) == 3
+    found = claims.read(path)
+    assert [row["errors"] for row in found] == [[1.0]] * 3
+    assert {row["sources"] for row in found} == {claims.sources()}
+    assert found[0]["computer"]["reference_seconds"] == [2.0, 2.0]
 
 
 @pytest.fixture

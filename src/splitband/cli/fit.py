@@ -152,10 +152,14 @@ def _try_out(forecaster: Forecaster, ahead: int | None) -> None:
 
 
 def _training_error(forecaster: Forecaster) -> float | None:
-    """Return the RMSE of a free run over the training record, if it is longer than the warm-up."""
-    record = forecaster.require_fitted().record
+    """Return the RMSE of a free run over the training record; None where it shows nothing.
+
+    That is where a record is no longer than the warm-up, and of an unstable model.
+    """
+    fitted = forecaster.require_fitted()
+    record, stable = fitted.record, fitted.report.stable
     start = first_origin(record, len(record), forecaster.warmup).at
-    if start == len(record):
+    if start == len(record) or not stable:
         return None
     with printing.without_warnings():
         y = forecaster.predict(**after(record, start)).y

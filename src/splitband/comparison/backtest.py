@@ -5,6 +5,7 @@ All protocols of a comparison and the trial on held-out training samples use the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -92,6 +93,7 @@ class Fit:
     unfiltered : Signals before a model's filters, for the forecast that begins inside the training
         part; empty for a model without filters, and without such a forecast.
     seconds : Of the whole job, forecasts included.
+    began : When the job began, by the clock of `runtime.deadlines.now`; infinite where it did not.
     notes : What the fit has chosen and what went wrong, in words.
     failure : Why there is no model, in words; empty where there is one.
     cut : Whether a deadline ended the job early; without a model: whether that is the reason.
@@ -105,6 +107,7 @@ class Fit:
     tests_ahead: Sequence[Mapping[Origin, Prediction]] = ()
     unfiltered: Mapping[str, Array] = field(default_factory=dict)
     seconds: float = 0.0
+    began: float = math.inf
     notes: tuple[str, ...] = ()
     failure: str = ""
     cut: bool = False

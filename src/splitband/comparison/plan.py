@@ -27,6 +27,7 @@ from splitband.forecasters.held_out import (
     held_out_origins,
     many_origins,
 )
+from splitband.forecasters.initialisation import reach_of
 from splitband.forecasters.network import Network, with_defaults
 from splitband.records import Record, check_alike
 from splitband.records.signals import first_after
@@ -38,7 +39,7 @@ from splitband.simulators.identification import check_runs
 from splitband.simulators.open_simulator import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
 from splitband.training import TrainingSettings
-from splitband.training.settings import default_warmup, recipe_settings
+from splitband.training.settings import default_warmup, recipe_settings, within_reach
 
 BUDGET = 120.0
 """Default wall time of a comparison that searches how to train its networks, in s."""
@@ -59,6 +60,8 @@ class Plan:
     settings, bands, sizes : Training settings, bands and sizes of those that had none of their own.
     searched : Names of the networks whose settings are searched; True: their sizes, too.
     extended : Whether a network on the best baseline is a method, too, if it is the best one.
+    reach : Samples ahead for which forecasts of an unstable plant are worth making, and which
+        windows of trainings predict; None for any other record.
     tests : Records that nothing is fitted to, with distinct names.
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
@@ -76,6 +79,7 @@ class Plan:
     searched: Mapping[str, bool] = field(default_factory=dict)
     extended: bool = False
     ahead: int | None = None
+    reach: int | None = None
     others: tuple[Record, ...] = ()
     tests: tuple[Record, ...] = ()
     initial: int | None = None
@@ -109,6 +113,11 @@ class Plan:
         Outputs that are probably inputs come first.
         """
         unnamed = of_unnamed(unnamed_inputs(self.record))
+        if self.reach is not None and self.ahead is None:
+            unnamed.append(
+                "The plant is unstable, and a controller holds it: errors of a free run grow until "
+                f"it leaves the record. Judge forecasts instead: --ahead {self.reach}."
+            )
         others = (*self.others, *self.tests)
         found = [f"{each.name}: {said}" for each in others for said in each.warnings()]
         own = f"{self.record.name}: " if others and self.record.name else ""
@@ -174,7 +183,8 @@ def plan(asked: PlanRequest) -> Plan:
         asked = _beside(asked, beside, longer=any(each.calibrates for each in listed))
     record, horizon = _cut_to_horizon(asked, train)
     training, given, others = beginning(record, train), asked.bands or OPEN, asked.others
-    decided, search = _settings(asked, training)
+    reach = reach_of(training, others)
+    decided, search = _settings(asked, training, reach)
     usual = default and not (base or asked.calibrate or asked.conditioned)
     if usual:
         listed, low, high = usual_methods(given, training, decided, sizes)
@@ -221,6 +231,7 @@ def plan(asked: PlanRequest) -> Plan:
         searched,
         extended=usual and bool(searched),
         ahead=asked.ahead,
+        reach=reach,
         others=tuple(others),
         tests=tuple(asked.tests),
         initial=asked.initial,
@@ -236,6 +247,8 @@ def plan(asked: PlanRequest) -> Plan:
     _check_ahead(planned)
     if asked.horizon != 0 or asked.tests:
         check_trial(planned)
+    if reach is not None:
+        planned = replace(planned, reach=int(min(reach, _least_room(planned)[1])))
     return replace(planned, tests=_with_distinct_names(asked.tests, record.name))
 
 
@@ -286,10 +299,13 @@ def _beside(asked: PlanRequest, simulator: Simulator, longer: bool) -> PlanReque
     return replace(asked, record=record, others=others, tests=tests)
 
 
-def _settings(asked: PlanRequest, training: Record) -> tuple[TrainingSettings, bool]:
+def _settings(
+    asked: PlanRequest, training: Record, reach: int | None
+) -> tuple[TrainingSettings, bool]:
     """Return the settings of trainings, and whether more of them are searched.
 
-    Where some are given, others follow from these.
+    Where some are given, others follow from these. Windows of an unstable plant are short enough
+    for the growth of their errors.
     """
     if isinstance(asked.settings, TrainingSettings):
         return asked.settings, False
@@ -307,7 +323,7 @@ def _settings(asked: PlanRequest, training: Record) -> tuple[TrainingSettings, b
     if "milestones" in changes:
         changes.setdefault("one_cycle", False)
     try:
-        found = replace(usual, **changes)
+        found = within_reach(replace(usual, **changes), None if "window" in changes else reach)
     except TypeError:
         known = ", ".join(vars(usual))
         raise InputError(f"settings must be out of {known}, got {', '.join(changes)}") from None
@@ -389,8 +405,8 @@ def _check_records(plan: Plan) -> None:
             raise InputError(f"the {name} part must have a measured sample in every channel")
 
 
-def _check_ahead(plan: Plan) -> None:
-    """Check that there is an origin with `ahead` samples after it wherever methods are judged."""
+def _least_room(plan: Plan) -> tuple[str, float]:
+    """Return the fewest samples in which methods are judged, and where they are."""
     room = {
         "held-out last quarter of the training part": plan.train - first_held_out(plan.train),
         "part after the training part": len(plan.record) - plan.train or math.inf,
@@ -398,10 +414,15 @@ def _check_ahead(plan: Plan) -> None:
     for test in plan.tests:
         begin = first_after(test.y_with_gaps, _warmup_on_tests(plan))
         room[f"part of the test record {test.name} after a warm-up"] = len(test) - (begin or 0)
-    place = min(room, key=lambda place: room[place])
-    if plan.ahead is not None and plan.ahead > room[place]:
+    return min(room.items(), key=lambda each: each[1])
+
+
+def _check_ahead(plan: Plan) -> None:
+    """Check that there is an origin with `ahead` samples after it wherever methods are judged."""
+    place, room = _least_room(plan)
+    if plan.ahead is not None and plan.ahead > room:
         raise InputError(
-            f"ahead must be at most {room[place]}, the samples of the {place}, got {plan.ahead}"
+            f"ahead must be at most {room}, the samples of the {place}, got {plan.ahead}"
         )
 
 

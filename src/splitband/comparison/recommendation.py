@@ -12,7 +12,6 @@ from statistics import median_low
 import numpy as np
 
 from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score, median_forecasts
-from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import held_out_errors, interval_errors
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import channel_rmse, rmse, spread
@@ -149,7 +148,7 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
         else:
             kept.append(fit)
     if not kept:
-        kept, said = [*fits], [UNSTABLE]
+        kept, said = [*fits], [fits[0].report.unstable()]
     return [replace(kept[0], notes=(*kept[0].notes, *said)), *kept[1:]]
 
 

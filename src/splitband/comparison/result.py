@@ -238,7 +238,9 @@ class Comparison:
         fit = self.medians[self.recommended]
         if fit.tests:
             return tests_on(self.trained(), self.tests[0])
-        return () if fit.forecast is None else tests_of(self.record, fit.forecast)
+        if fit.forecast is None or not fit.report.stable:
+            return ()
+        return tests_of(self.record, fit.forecast, late=False)
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:

@@ -243,8 +243,9 @@ def _in_one_run(
 def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
     """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
-    They are kept with it. `ahead` : See `held_out_origins`. Raises ValueError for a loaded
-    forecaster without them, which does not have all of its training records.
+    They are kept with it. `ahead` : See `held_out_origins`; by default as far as forecasts of an
+    unstable model reach. Raises ValueError for a loaded forecaster without them, which does not
+    have all of its training records.
     """
     if forecaster.held_out is not None:
         return forecaster.held_out
@@ -256,7 +257,8 @@ def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
             "interval before it is saved, or fit it with --intervals"
         )
     shorter = forecaster.for_trial(len(record))
-    origins = held_out_origins(forecaster, record, ahead)
+    origins = held_out_origins(forecaster, record, ahead or fitted.report.reach)
+    origins = origins or held_out_origins(forecaster, record)
     found, seed = dict[Origin, Array](), fitted.report.seed
     for model, group in refitted(shorter, record, origins, fitted.others, seed=seed):
         found |= {origin: said.y for origin, said in forecasts(model, record, group).items()}

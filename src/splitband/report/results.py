@@ -179,7 +179,7 @@ def save_check(
     """Write results.json, with `facts` first, and the page of a check of a model."""
     page = _page()
     facts = facts | check.as_json() | {"kind": model.in_words()}
-    for response in responses:
+    for response in responses if model.require_fitted().report.stable else ():
         gains = {
             column: dict(zip(response.inputs, map(float, row), strict=True))
             for column, row in zip(response.columns, response.y[-1], strict=True)

@@ -16,7 +16,6 @@ from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
 from splitband.metrics import Extrapolation
@@ -48,11 +47,13 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     """Return predicted outputs and records, with fit and error of the recommended method.
 
     The records are the test records, or else the samples after the training part. Without either,
-    the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first.
+    the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first; of an
+    unstable plant there is nothing else.
     """
     best = comparison.recommended
     if comparison.plan.ahead is not None and comparison.steps_of_interval(best):
-        return [*_ahead_headline(comparison), *_free_headline(comparison)]
+        free = _free_headline(comparison) if comparison.plan.reach is None else []
+        return [*_ahead_headline(comparison), *free]
     return _free_headline(comparison)
 
 
@@ -191,7 +192,7 @@ def warnings(comparison: Comparison) -> list[str]:
             if test.unrelated or not test.accepted
         ),
         *_useless_term(comparison),
-        *_left_range(comparison),
+        *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
         *_missing(comparison),
@@ -221,8 +222,8 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
 def _unstable(comparison: Comparison) -> list[str]:
     """Return a sentence on a recommended model that is unstable, or integrates."""
     fits = comparison.fits[comparison.recommended]
-    if not all(fit.report.stable for fit in fits):
-        return [f"The recommended model is {UNSTABLE}."]
+    if said := [*filter(None, (fit.report.unstable() for fit in fits))]:
+        return [f"The recommended model is {said[0]}."]
     if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
         return ["The recommended model integrates: a constant input makes it grow steadily."]
     return []

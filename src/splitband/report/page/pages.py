@@ -276,7 +276,9 @@ def of_check(
 ) -> Page:
     """Return the page of a check of a model."""
     record, name = result.record, result.method
-    shown = Predicted("start", "simulation", record, {name: result.simulation})
+    stable = model.require_fitted().report.stable
+    said = "simulation" if stable else "predictions one sample ahead"
+    shown = Predicted("start", said, record, {name: result.simulation})
     styles = {name: Method(name, label=model.in_words() or name)}
     drawn = plots.OverTime(shown, styles)
     facts = []
