@@ -136,6 +136,7 @@ def test_the_equation_is_compiled_with_its_terms(monkeypatch: pytest.MonkeyPatch
     plain, fast = (solve(p, *rest, (np.empty(0), 0.0), (1e-9, 1e-9)) for _ in range(2))
     assert solve.compiled
     np.testing.assert_allclose(fast[0], plain[0], atol=1e-11)
+
     def slope(t: float, x: Array) -> list[float]:
         sine = np.interp(t, time, np.sin(3 * time))
         return [x[1], sine - 4.0 * x[0] - terms[1].value(x[1:]).item()]
@@ -151,7 +152,8 @@ def test_another_number_of_quantities_is_refused() -> None:
     u = np.empty(0)
     with pytest.raises(sb.InputError, match="of must return 2 quantities, as in training, got 1"):
         short.at(np.zeros(2), u)
-    solve, time = Solver(lambda t, x, u, p, w: [w[0], w[0]], 5, (short.of,)), np.arange(3.0)
+    of: Any = (short.of,)
+    solve, time = Solver(lambda t, x, u, p, w: [w[0], w[0]], 5, of), np.arange(3.0)
     inputs = np.empty((3, 0)), False
     with pytest.raises(ValueError, match="as many quantities"):
         solve(((), packed([short])), np.zeros(2), time, inputs, (np.empty(0), 0.0), (1e-6, 1e-6))

@@ -3,12 +3,19 @@
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import splitband as sb
 from splitband.simulators import Effort, identify
 
 pytestmark = pytest.mark.usefixtures("compiled_soon")
+
+
+@pytest.fixture(autouse=True)
+def few_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splitband.simulators.identification.DECAYS", (1e-2,))
+    monkeypatch.setattr("splitband.simulators.identification.MEMBERS", 1)
 
 
 def rubbing(t: float, x: Any, u: Any, p: Any, w: Any) -> list[float]:
@@ -22,7 +29,7 @@ def friction(v: Any) -> Any:
 def drive(samples: int = 200) -> sb.Record:
     """With an inertia of 0.5."""
     rng = np.random.default_rng(0)
-    u = np.repeat(rng.normal(0, 1.5, samples // 20), 20)[:, None]
+    u: npt.NDArray[np.float64] = np.repeat(rng.normal(0, 1.5, samples // 20), 20)[:, None]
     rig = sb.Ode(lambda t, x, u: [2 * (u[0] - friction(x[0]))], [0.0])
     v = np.asarray(rig.simulate(0.05 * np.arange(samples), u))
     return sb.Record(v + rng.normal(0, 0.005, v.shape), 0.05, u=u, y_true=v)
@@ -55,10 +62,8 @@ def test_a_parameter_that_a_term_could_replace_takes_what_it_can() -> None:
         return [x[1], u[0] - p.k * x[0] - 0.5 * x[1] - w[0]]
 
     rng = np.random.default_rng(0)
-    u = np.repeat(rng.normal(0, 3.0, 20), 15)[:, None]
-    rig = sb.Ode(
-        lambda t, x, u: [x[1], u[0] - 4 * x[0] - x[0] ** 3 - 0.5 * x[1]], [0.5, 0.0]
-    )
+    u: npt.NDArray[np.float64] = np.repeat(rng.normal(0, 3.0, 20), 15)[:, None]
+    rig = sb.Ode(lambda t, x, u: [x[1], u[0] - 4 * x[0] - x[0] ** 3 - 0.5 * x[1]], [0.5, 0.0])
     x = np.asarray(rig.simulate(0.05 * np.arange(300), u))
     record = sb.Record(x + rng.normal(0, 0.005, x.shape), 0.05, u=u)
     term = sb.Unknown(lambda x, u: [x[0]], hidden=4, odd=True)
@@ -71,3 +76,4 @@ def test_a_parameter_that_a_term_could_replace_takes_what_it_can() -> None:
     # The least squares of the whole force by a linear one: the term has no part of it.
     linear = float((x**2).sum() * 4 + (x**4).sum()) / float((x**2).sum())
     assert found.values["k"] == pytest.approx(linear, rel=0.15)
+    assert "unknown terms could take the place of k: its value is the part" in str(found)

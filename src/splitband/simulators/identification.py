@@ -70,6 +70,9 @@ Rounding."""
 _LEAST_WEIGHT = 0.1
 """Least error of a channel, as a share of the largest one, by which channels are weighted. By eye.
 """
+TAKEN = 10.0
+"""Standard error of a parameter beside unknown terms, by that with these terms known, from which on
+they can take its place. By eye."""
 _NEAR = 3.0
 """Largest step from the given initial state to that of a first window, in errors of a state that
 the window's samples determine, with which the given state is kept. By eye."""
@@ -180,7 +183,8 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         estimate = _build_estimate(shooting, fit.unknowns, window if window < longest else 0)
         if shooting.trained.any():
             terms = held(shooting, shooting.compare(fit.unknowns).path)
-            estimate = replace(estimate, terms=terms, members=members)
+            said = (*estimate.remarks, *_replaceable(shooting, fit.unknowns))
+            estimate = replace(estimate, terms=terms, members=members, remarks=said)
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
     reason = next(iter(lost), "")
@@ -339,6 +343,21 @@ def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimat
     of = {labelled(name): float(error) for name, _, error in named}
     rmse = np.sqrt(np.nanmean(errors**2, axis=0)) * shooting.scale
     return Estimate(values, of, correlations, tuple(map(float, rmse)), tuple(remarks), window)
+
+
+def _replaceable(shooting: Shooting, unknowns: Array) -> list[str]:
+    """Return a remark on parameters that are far less certain as terms can take their place."""
+    normal, n = shooting.compare(unknowns, slopes=True).normal, len(shooting.names)
+    keep = [*range(n), *range(shooting.common, len(normal))]
+    both = [shooting.information(each) for each in (normal, normal[np.ix_(keep, keep)])]
+    with np.errstate(all="ignore"):
+        free, alone = (np.diag(np.linalg.pinv(each, hermitian=True)) for each in both)
+    pairs = zip(shooting.names, free > TAKEN**2 * alone, strict=True)
+    names = [labelled(name) for name, is_so in pairs if is_so]
+    if not names:
+        return []
+    its = "its value is the part that they leave it"
+    return [f"unknown terms could take the place of {', '.join(names)}: {its}"]
 
 
 def _doubt(shooting: Shooting, fit: Fit, window: int, deadline: Deadline) -> str:

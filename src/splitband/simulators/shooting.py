@@ -473,7 +473,7 @@ class Shooting:
         return likely_state(run, window.part.y, unit, x, spread, x, _STATE_ROUNDS, BAD)[0]
 
 
-def likely_state(
+def likely_state(  # noqa: PLR0913
     run: Callable[[Array, bool], tuple[Array, Array]],
     measured: Array,
     unit: Array,
