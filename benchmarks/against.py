@@ -29,7 +29,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 
 import splitband as sb
+from benchmarks import claims
 from benchmarks.commands import RECORDS
 from benchmarks.driven import drawn
 from benchmarks.peers import installed
@@ -183,26 +184,24 @@ def _write(record: Record, path: Path) -> None:
 def complete(
     name: str, libraries: Iterable[str], seeds: int, seconds: list[float], path: Path, peer: str
 ) -> None:
-    """Measure what the file lacks, and write each to it."""
+    """Measure what the file lacks, or has of older code, and write each to it."""
 
-    def keep(point: Point) -> None:
-        write_json(path, {"environment": environment(), "points": [*points(path), point]})
-        print(name, *point.values(), flush=True)
+    def keep(new: Sequence[Point], instead_of: Sequence[Point] = ()) -> None:
+        kept = [point for point in points(path) if point not in instead_of]
+        write_json(path, {"environment": environment(), "points": [*kept, *new]})
+        print(name, *new, sep="\n", flush=True)
 
     for library in libraries:
         for seed in range(seeds):
             there = [p for p in points(path) if (p["library"], p["seed"]) == (library, seed)]
             if library == TSFAST:
                 for each in {*seconds} - {p["asked"] for p in there}:
-                    keep(tsfasts(name, seed, each))
-            elif not there:
-                found = (
-                    ours(name, seed, max(seconds))
-                    if library == SPLITBAND
-                    else jax_sysids(name, seed, seconds, peer)
-                )
-                for point in [*found]:
-                    keep(point)
+                    keep([tsfasts(name, seed, each)])
+            elif library == JAX_SYSID and not there:
+                keep([*jax_sysids(name, seed, seconds, peer)])
+            elif library == SPLITBAND and not (there and all(map(claims.current, there))):
+                about = claims.marked({"commit": environment()["commit"]}, claims.reference())
+                keep([point | about for point in ours(name, seed, max(seconds))], there)
 
 
 def path_of(out: Path, name: str) -> Path:
@@ -211,8 +210,9 @@ def path_of(out: Path, name: str) -> Path:
 
 
 def points(path: Path) -> list[Point]:
-    """Return what a file holds."""
-    return list(json.loads(path.read_text(encoding="utf-8"))["points"]) if path.exists() else []
+    """Return what a file holds; points that do not say their commit are of that of the file."""
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"points": []}
+    return [{"commit": found["environment"]["commit"]} | point for point in found["points"]]
 
 
 def main() -> None:

@@ -27,8 +27,8 @@ import scipy
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-from benchmarks import clock, page
-from benchmarks.clock import Row
+from benchmarks import claims, clock, page
+from benchmarks.claims import Row
 from benchmarks.commands import written
 from benchmarks.kinds import DEVELOPMENT, REPORTED
 from benchmarks.page import spread
@@ -219,9 +219,9 @@ def table(rows: Sequence[Row]) -> str:
         error = (row["errors"][row["recommended"]] for row in of)
         regret = spread(row["regret"] for row in of)
         advised = [", ".join(chosen), spread(error), regret, f"{sum(map(pays, of))}"]
-        lines.append([name, *advised, *errors, middle(floors)])
+        lines.append([name + claims.sign(of), *advised, *errors, middle(floors)])
     heads = ["family", "recommended", "its error", "regret", "filter pays", *COLUMNS]
-    return page.table([*heads, "perfect network"], lines)
+    return page.table([*heads, "perfect network"], lines) + claims.note(rows)
 
 
 def drawn(rows: Sequence[Row]) -> Figure:
@@ -262,8 +262,8 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="print the table, and run nothing")
     given = parser.parse_args()
     if given.table:
-        print(table(clock.read(given.out)))
-        page.save(drawn(clock.read(given.out)), PICTURE)
+        print(table(claims.read(given.out)))
+        page.save(drawn(claims.read(given.out)), PICTURE)
         return
     draws = (DEVELOPMENT if given.development else REPORTED)[: given.draws]
     shared = {"asked": seconds(given.budget), "seed": 0, "beside": 0}

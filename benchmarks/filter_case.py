@@ -69,8 +69,8 @@ import scipy
 from torch import Tensor
 
 import splitband as sb
-from benchmarks import clock, families, page
-from benchmarks.clock import Row
+from benchmarks import claims, families, page
+from benchmarks.claims import Row
 from benchmarks.families import SAMPLES, STEP, Array, Generator
 from splitband import models
 from splitband.comparison.defaults import chosen_bands, high_bands
@@ -273,7 +273,7 @@ def key(row: Row) -> tuple[Any, ...]:
 
 def missing(path: Path, every: Iterable[Row]) -> list[Row]:
     """Return the runs that are not in the file."""
-    there = {key(row) for row in clock.read(path)}
+    there = {key(row) for row in claims.read(path)}
     return [*{key(row): row for row in every if key(row) not in there}.values()]
 
 
@@ -407,7 +407,7 @@ def main() -> None:
     if given.run:
         complete(given.out, rows(), given.jobs)
         return
-    found = clock.read(given.out)
+    found = claims.read(given.out)
     for each in (errors(found).reset_index(), comparisons(found)):
         told = each.map(lambda value: f"{value:.3g}" if isinstance(value, float) else f"{value}")
         print(page.table([*map(str, told)], told.replace("nan", "").to_numpy().tolist()))

@@ -1,13 +1,15 @@
 """What a commit computes, to the bit, against what another one computes on this machine.
 
     python -m benchmarks.frozen COMMIT [--records "drill string" demo] [--rounds 2]
+    python -m benchmarks.frozen COMMIT --list
 
 Both commits run `splitband compare --rounds 2 --seed 0` on the same records, each with its own
 source (COMMIT from a worktree that is removed afterwards). Compared are the errors of every method,
 the predictions as written, and to eight digits what the stream of the saved model says and what it
 says once exported to C. A change that should alter no number is one after which each line says
 "equal"; the others name what differs and by how much. Rounding differs between processors, so that
-nothing is stored.
+no number is stored. `--list` compares all records and, where all are equal, adds the hashes of both
+sources to those for which stored runs of either are current (`benchmarks.claims`).
 """
 
 from __future__ import annotations
@@ -21,10 +23,13 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from benchmarks import claims
 from benchmarks.commands import RECORDS
+from splitband.report.environment import environment
 
 ROOT = Path(__file__).parents[1]
 _STEPPED = """
@@ -109,9 +114,13 @@ def main() -> None:
     parser.add_argument("commit")
     parser.add_argument("--records", nargs="*", default=[*COMPARED, "demo"])
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--list", action="store_true", help="keep that all are equal")
     given = parser.parse_args()
-    differ = False
+    if given.list and (len(given.records), given.rounds) != (len(COMPARED) + 1, 2):
+        parser.error("--list compares all records in two rounds: leave out --records and --rounds")
+    lines, equal = list[str](), True
     with source_of(given.commit) as old:
+        hashes = [claims.sources(old), claims.sources()]
         for name in given.records:
             found = []
             for source in (old, ROOT):
@@ -120,10 +129,21 @@ def main() -> None:
                     command = ["compare", *words] if words else ["demo"]
                     options = ["--rounds", str(given.rounds), "--seed", "0"] if words else []
                     found.append(computed(source, [*command, *options], Path(at)))
-            said = differences(*found)
-            differ |= bool(said)
-            print(f"{name}: {'; '.join(said) or f'equal ({len(found[0])} facts)'}", flush=True)
-    sys.exit(differ)
+            differ = differences(*found)
+            equal &= not differ
+            lines.append(f"{name}: {'; '.join(differ) or f'equal ({len(found[0])} facts)'}")
+            print(lines[-1], flush=True)
+        if equal and given.list:
+            list_as_equal(given.commit, hashes, lines)
+    sys.exit(not equal)
+
+
+def list_as_equal(commit: str, hashes: list[str], lines: list[str]) -> None:
+    """Add two sources that compute the same to the list, with the output of the check."""
+    commits, today = [commit, environment()["commit"]], datetime.now(UTC).date().isoformat()
+    row = {"date": today, "commits": commits, "sources": hashes, "output": lines}
+    with claims.EQUAL.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
 
 
 if __name__ == "__main__":

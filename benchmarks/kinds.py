@@ -234,6 +234,18 @@ def five_inputs(rng: np.random.Generator) -> Record:
     return Record(_noisy(np.array(states), 0.02, rng), 0.1, u=u, name="five inputs")
 
 
+def four_channels(rng: np.random.Generator, samples: int) -> Record:
+    """Two inputs that switch, two outputs through four linear channels of order 2; 2 % noise."""
+    u = np.sign(held_levels(rng, samples, 2) - 1)
+    poles = rng.uniform(0.8, 0.97, (4, 1)) * np.exp(1j * rng.uniform(0.05, 0.5, (4, 1)) * [1, -1])
+    parts = [
+        scipy.signal.lfilter([0, 1 - abs(each[0])], np.poly(each).real, u[:, i % 2])
+        for i, each in enumerate(poles)
+    ]
+    y = np.stack([parts[0] + parts[1], parts[2] + parts[3]], axis=1)
+    return Record(_noisy(y, 0.02, rng), 0.1, u=u, name="four channels")
+
+
 def two_tones(rng: np.random.Generator, samples: int) -> Record:
     """A slow oscillation with a faster one on it that is no sinusoid; 2 % noise."""
     n = np.arange(samples)

@@ -1,18 +1,15 @@
 """The linear model against independent answers: fit, order, delay, time; its errors; closed loops.
 
     python -m benchmarks.linear                 all tables; `--table plants` one of them
-    pip install --no-deps nfoursid              for the column of N4SID (its import needs no more)
 
 "sizes": seconds, and memory up to then, from a thousand samples to a million, and for a structure
-of 22 modes from one record and from six. "field": stand-ins for records that were measured, a
-structure of 16 modes with a hardening joint and a drive that is started in one direction and in
-both; the public record of two tanks.
+of 22 modes from one record and from six.
 "plants": fifteen plants, of orders 1 to 40, with delays to 1,000 samples. "errors": how often an
 estimate lies within 1.96 standard errors. "loop": bias behind a controller. "filter": the error one
 step ahead as a multiple of the true Kalman filter's.
 
 The independent answer is the drawn system itself, whose outputs without noise the fit is measured
-on, for another draw of the input; and nfoursid's model of the true order, where there is no delay.
+on, for another draw of the input.
 """
 
 from __future__ import annotations
@@ -22,7 +19,6 @@ import resource
 import time
 import warnings
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
@@ -30,7 +26,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks.sets import SETS, load
 from splitband import Linear, Record
 from splitband.linear.identification import identified
 from splitband.linear.model import LinearModel
@@ -130,80 +125,21 @@ def fit_of(model: LinearModel, u: Array, y: Array, known: int) -> Array:
     return np.asarray(fit_percent(y[known:], ahead[known:]))
 
 
-def n4sid(y: Array, u: Array, order: int, test: Pair, known: int) -> str:
-    """Return nfoursid's fit to 1,500 samples (its memory grows with their square).
-
-    Its state is that of its Kalman filter after the known samples.
-    """
-    y, u = y[:1500], u[:1500]
-    try:
-        frame, found = (
-            import_module("pandas").DataFrame,
-            import_module("nfoursid.nfoursid").NFourSID,
-        )
-        kalman = import_module("nfoursid.kalman").Kalman
-    except ImportError:
-        return "-"
-    names = [f"u{j}" for j in range(u.shape[1])], [f"y{k}" for k in range(y.shape[1])]
-    data = frame(np.hstack([u, y]), columns=[*names[0], *names[1]])
-    rows = max(order // y.shape[1] + 2, 10)
-    try:
-        model = found(data, output_columns=names[1], input_columns=names[0], num_block_rows=rows)
-        model.subspace_identification()
-        system, covariance = model.system_identification(rank=order)
-        observer = kalman(system, covariance)
-        v, x = test
-        for row, value in zip(v[:known], x[:known], strict=True):
-            observer.step(value[:, None], row[:, None])
-        state, ahead = observer.x_predicteds[-1][:, 0], []
-        for row in v[known:]:
-            ahead.append(system.c @ state + system.d @ row)
-            state = system.a @ state + system.b @ row
-        return f"{fit_percent(x[known:], np.array(ahead)).min():.2f}"
-    except (ValueError, np.linalg.LinAlgError) as error:
-        return type(error).__name__
-
-
 def plants() -> None:
     """Print the fit, order and delay of fifteen plants."""
-    print(f"{'plant':32} {'order':>9} {'fit %':>7} {'n4sid':>7} {'CPU s':>6}  dead times")
+    print(f"{'plant':32} {'order':>9} {'fit %':>7} {'CPU s':>6}  dead times")
     for name, plant in PLANTS.items():
         runs = [plant.record(seed, plant.samples) for seed in range(plant.runs)]
         model, seconds = fitted([(seen, u) for u, _, seen in runs])
         late = int(np.max(plant.delay))
         v, x, _ = plant.record(99, max(plant.samples // 2, 600) + late)
         known = late + int(WARMUP * len(v))
-        other = "-" if late else n4sid(runs[0][2], runs[0][0], len(plant.system[0]), (v, x), known)
         # A held input acts one sample late without a dead time.
         dead = [max(delay - 1, 0) for _, delay in model.taps]
         order = f"{model.order} / {len(plant.system[0])}"
         said = dead if late or np.any(dead) else ""
         fit = fit_of(model, v, x, known).min()
-        print(f"{name:32} {order:>9} {fit:7.2f} {other:>7} {seconds:6.2f}  {said}", flush=True)
-
-
-def hardening(seed: int, samples: int, amplitude: float) -> tuple[Array, Array]:
-    """Return inputs and outputs of 16 modes, one joint of which hardens."""
-    a, b, c, d = modes(16, 3, 3, 7, 0.01)
-    rng = np.random.default_rng(seed)
-    u, x, y = amplitude * rng.standard_normal((samples, 3)), np.zeros(32), np.zeros((samples, 3))
-    joint = c[0] / np.linalg.norm(c[0])
-    for n in range(samples):
-        y[n] = c @ x + d @ u[n]
-        x = a @ x + b @ u[n] - 1e-4 * joint * (joint @ x) ** 3
-    return u, y
-
-
-def drive(seed: int, both: bool) -> tuple[Array, Array]:
-    """Return torque and speed of a drive with friction, started in one direction or both."""
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.uniform(0.3, 1.0, 20), 200)
-    u = u * np.repeat(rng.choice([-1, 1], 20), 200) if both else u
-    speed, y = 0.0, np.zeros(4000)
-    for n in range(4000):
-        y[n] = speed
-        speed = 0.99 * speed + 0.01 * (u[n] - 0.1 * np.tanh(speed / 0.02))
-    return u[:, None], y[:, None]
+        print(f"{name:32} {order:>9} {fit:7.2f} {seconds:6.2f}  {said}", flush=True)
 
 
 def multisine(rng: np.random.Generator, samples: int, inputs: int) -> Array:
@@ -263,28 +199,6 @@ def sizes() -> None:
     test = structure(99, 8192)
     show("3 x 3, 22 modes, 16,384 samples", noisy[:1], test)
     show("3 x 3, 22 modes, 6 x 16,384 samples", noisy, test)
-
-
-def field() -> None:
-    """Print the rows of records that tools were reported to fail on; stand-ins are drawn."""
-    rng = np.random.default_rng(0)
-    (u, y), (v, x) = hardening(1, 16_000, 1.0), hardening(2, 8000, 1.0)
-    model, seconds = fitted([(y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), u)])
-    fit = fit_of(model, v, x, 500).round(2)
-    print(f"structure, hardening joint: {model}; {fit} %, {seconds:.1f} s")
-    for both in (False, True):
-        (u, y), (v, x) = drive(1, both), drive(2, both)
-        model, seconds = fitted([(y + 0.01 * rng.standard_normal(y.shape), u)])
-        said = "both directions" if both else "one direction"
-        print(f"drive, {said}: {model}; {fit_of(model, v, x, 200).round(2)} %, {seconds:.1f} s")
-    record, test = load(SETS["tanks"].training), load(SETS["tanks"].tests[0])
-    assert record.u is not None
-    assert test.u is not None
-    model, seconds = fitted([(record.y_with_gaps, record.u)])
-    for known in (5, 50):
-        ahead, *_ = model.continued(test.u, test.y_with_gaps[:known])
-        error = np.sqrt(np.mean((ahead[known:] - test.y_with_gaps[known:]) ** 2))
-        print(f"cascaded tanks from {known} samples: {model}; {error:.3f} V, {seconds:.1f} s")
 
 
 def errors(seeds: int) -> None:
@@ -368,7 +282,7 @@ def filters(seeds: int) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    tables: dict[str, Callable[..., None]] = {"sizes": sizes, "field": field, "plants": plants}
+    tables: dict[str, Callable[..., None]] = {"sizes": sizes, "plants": plants}
     tables |= {"errors": errors, "loop": loop, "filter": filters}
     parser.add_argument("--table", choices=tables)
     parser.add_argument("--seeds", type=int, default=100)

@@ -1,6 +1,7 @@
 """Make the tables and the picture of docs/results/benchmarks.md of the results that are there.
 
     python -m benchmarks.page
+    python -m benchmarks.page --budget [--out FOLDER]      where the time of runs went
 
 The results are those of `benchmarks.clock` and `benchmarks.against`.
 """
@@ -19,9 +20,10 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from benchmarks import against, clock
+from benchmarks import against, claims, clock
+from benchmarks.claims import Row
 from benchmarks.sets import SETS, Benchmark
-from splitband.runtime.files import replacing
+from splitband.runtime.files import replacing, write_text
 
 AGAINST = "against.png"
 OUT = Path(__file__).parents[1] / "docs/results/benchmarks"
@@ -32,6 +34,8 @@ TABLES = {
     "benchmark-time": None,
 }
 """Files of docs/tables, and their records; None for all records."""
+UNDER = "benchmark-against"
+"""The file of docs/tables below the picture: where its runs were measured."""
 
 Array = npt.NDArray[np.float64]
 Points = dict[str, list[against.Point]]
@@ -42,60 +46,102 @@ def main() -> None:
     """Draw the picture and write the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=OUT)
-    out = parser.parse_args().out
+    parser.add_argument("--budget", action="store_true", help="print where the time went alone")
+    given = parser.parse_args()
+    out = given.out
+    if given.budget:
+        print(budget(claims.read(out / clock.FILE)))
+        return
     points = _points(out)
     if points:
         save(_over_time(points), out / AGAINST)
     for name in TABLES:
-        with replacing(Path("docs/tables", f"{name}.md")) as temporary:
-            temporary.write_text(table_of(name, out), encoding="utf-8")
+        write_text(Path("docs/tables", f"{name}.md"), table_of(name, out))
+    write_text(Path("docs/tables", f"{UNDER}.md"), under_picture(out))
 
 
 def table_of(name: str, out: Path = OUT) -> str:
     """Return one of `TABLES` in Markdown: of a public benchmark, or of what becomes of the time."""
-    rows = clock.read(out / clock.FILE)
+    rows = claims.read(out / clock.FILE)
     record = TABLES[name]
     if record is None:
         return _all(rows)
     return _benchmark(SETS[record], [row for row in rows if row["record"] == record])
 
 
-def _benchmark(benchmark: Benchmark, rows: Sequence[clock.Row]) -> str:
+def under_picture(out: Path = OUT) -> str:
+    """Return where the package's runs in the picture were measured, in Markdown."""
+    points = [point for of in _points(out).values() for point in of]
+    ours = [point for point in points if point["library"] == against.SPLITBAND]
+    return claims.note(ours).lstrip()
+
+
+def _benchmark(benchmark: Benchmark, rows: Sequence[Row]) -> str:
     """What the command came to, beside what others have published."""
     ours = [
         [
-            f"`splitband compare --budget {asked:g}s`{_beside(beside)}",
-            clock.usual(of),
+            f"`splitband compare --budget {asked:g}s`{_beside(beside)}{claims.sign(of)}",
+            clock.recommended(of),
             *(spread(each, benchmark.scale) for each in zip(*_errors(of), strict=True)),
             str(len(of)),
         ]
         for (_, asked, beside), of in clock.groups(rows).items()
     ]
     others = [[method, "", *errors, ""] for method, errors in benchmark.published.items()]
-    return table(["", "recommended", *_heads(benchmark), "seeds"], ours + others)
+    heads = ["", "recommended", *_heads(benchmark), "seeds"]
+    return table(heads, ours + others) + claims.note(rows)
 
 
-def _all(rows: Sequence[clock.Row]) -> str:
+def _all(rows: Sequence[Row]) -> str:
     """What the command makes of its time, on all records."""
     lines = [
         [
-            name,
+            name + claims.sign(of),
             f"{asked:g} s{', busy' * bool(beside)}",
             spread(row["used"] for row in of),
             f"{100 * statistics.median(row['in_trainings'] for row in of):.0f} %",
-            clock.usual(of),
+            clock.recommended(of),
             "above" if name in SETS else spread(row["errors"][0] for row in of),
         ]
         for (name, asked, beside), of in clock.groups(rows).items()
     ]
-    return table(["record", "asked", "used (s)", "trains", "recommended", "error"], lines)
+    heads = ["record", "asked", "used (s)", "trains", "recommended", "error"]
+    return table(heads, lines) + claims.note(rows)
+
+
+def budget(rows: Sequence[Row]) -> str:
+    """Return where the time of the command goes, as medians of the runs that say it.
+
+    Seconds to the first training of a network; shares of the wall time of the parts that follow
+    each other, `pages` being all that is written meanwhile, and of what is written at the end.
+    `trains`: share of the time of all cores; `waits`: what is left of it after the first training.
+    """
+    parts = ("start", "simulators", "baselines", "rounds", "finals", "pages")
+    lines = []
+    for (name, asked, beside), every in clock.groups(rows).items():
+        of = [row for row in every if row.get("parts")]
+        if of:
+            first = [row["first_training"] for row in of if row["first_training"] is not None]
+            shares = {
+                part: [row["parts"].get(part, 0) / row["took"] for row in of] for part in parts
+            }
+            shares["end"] = [1 - row["used"] / row["took"] for row in of]
+            shares["trains"] = [row["in_trainings"] * row["used"] / row["took"] for row in of]
+            began = [(row["first_training"] or row["took"]) / row["took"] for row in of]
+            both = zip(began, shares["trains"], strict=True)
+            shares["waits"] = [1 - before - trains for before, trains in both]
+            found = [f"{100 * statistics.median(share):.0f} %" for share in shares.values()]
+            about = f"{name}{', busy' * bool(beside)}", f"{asked:g} s", spread(first)
+            lines.append([*about, *found])
+    heads = ["record", "asked", "first training (s)", *parts, "end", "trains", "waits"]
+    return table(heads, lines) + claims.note([row for row in rows if row.get("parts")])
 
 
 def _beside(count: int) -> str:
     return f" beside {count} busy processes" if count else ""
 
 
-def _errors(rows: Iterable[clock.Row]) -> list[list[float]]:
+def _errors(rows: Iterable[Row]) -> list[list[float]]:
     return [row["errors"] for row in rows]
 
 
@@ -132,7 +178,8 @@ def _over_time(points: Points) -> Figure:
             if of:
                 times, errors = _steps(of, i, longest)
                 lowest, median, highest = scale * np.quantile(errors, [0, 0.5, 1], axis=0)
-                (line,) = axis.step(times, median, where="post", label=library)
+                mark = claims.sign(of) if library == against.SPLITBAND else ""
+                (line,) = axis.step(times, median, where="post", label=library + mark)
                 axis.fill_between(
                     times, lowest, highest, step="post", alpha=0.15, color=line.get_color()
                 )

@@ -10,8 +10,8 @@ differs as much as it does for networks. `--methods default` does all that `spli
 by its clock, on one core each: networks, whose training is searched, and baselines together.
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
-records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once:
-stop it, go on. The tables of baselines and of `default` go to docs/tables.
+records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once
+for each state of the code: stop it, go on. The tables of baselines and `default` go to docs/tables.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks import claims
 from benchmarks.kinds import DEVELOPMENT, KINDS, REPORTED, SAMPLES, TRAINING, WITH_INPUTS, drawn
 from reproduction.systems import double_torsion_pendulum
 from splitband import Comparison, compare
@@ -39,6 +40,7 @@ from splitband.forecasters.intervals import Interval
 from splitband.metrics import rmse
 from splitband.records import Record, double_torsion, drill_string
 from splitband.records.named import double_mass_spring, van_der_pol
+from splitband.report.environment import environment
 from splitband.runtime.files import write_json
 from splitband.runtime.workers import Workers, run_jobs
 
@@ -194,7 +196,7 @@ def table(facts: Facts) -> str:
         error = f" ± {of_kind['inside_error']:.0%}" if of_kind["records"] > 1 else ""
         usual = kind == "all" or of_kind["records"] == 1 + last - first
         cells = [
-            kind if usual else f"{kind} ({of_kind['records']})",
+            (kind if usual else f"{kind} ({of_kind['records']})") + claims.sign([facts]),
             f"{of_kind['inside']:.0%}{error}",
             f"{of_kind['width']:.2f}",
             f"{of_kind['inside_of_all_methods']:.0%}",
@@ -204,7 +206,7 @@ def table(facts: Facts) -> str:
             of_baselines = math.exp(of_kind["mean_log_over_baselines"])
             cells += [str(of_kind["networks"]), f"{of_baselines:.2f}"]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" + claims.note([facts])
 
 
 def main() -> None:
@@ -217,16 +219,18 @@ def main() -> None:
     parser.add_argument("--methods", default=BASELINES, help=f"{BASELINES}, {DEFAULT} or names")
     parser.add_argument("--development", action="store_true", help="print, and write nothing else")
     arguments = parser.parse_args()
-    arguments.parts.mkdir(parents=True, exist_ok=True)
+    parts = arguments.parts / claims.sources()  # those of older code are made again
+    parts.mkdir(parents=True, exist_ok=True)
     seeds = (DEVELOPMENT if arguments.development else REPORTED)[arguments.skip :]
     seeds = seeds[: arguments.seeds]
     # What the default command does on the paper's records is in docs/results/beyond.
     others = not arguments.development and arguments.methods != DEFAULT
-    todo = jobs(seeds, others, arguments.methods, arguments.parts)
+    before = claims.reference()
+    todo = jobs(seeds, others, arguments.methods, parts)
     with Workers(arguments.jobs) as workers:
         done = {job.name: future.result() for job, future in run_jobs(_measured, todo, workers)}
     found = [done[job.name] for job in todo]
-    facts = {
+    facts = claims.marked({"commit": environment()["commit"]}, before) | {
         "seeds": [seeds[0], seeds[-1]],
         "seeds_are": "development" if arguments.development else "reported",
         "methods": arguments.methods,

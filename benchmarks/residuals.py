@@ -1,16 +1,13 @@
-"""How often the residual tests reject models that are wrong, and models that are right.
-
-    python -m benchmarks.residuals [--seeds 100] [--first 1000]
+"""Models that are wrong, and models that are right, by which the residual tests are judged.
 
 A system of first order, for even seeds, or with a resonance, for odd ones, is driven by one of the
 `INPUTS` for 1,000 samples, and measured with one of the `NOISES` of a tenth of the output's
-deviation. Each of the `MODELS` is tested on it. The right model leaves the noise alone. The tests
-have a level of 99 %; it was developed on the seeds 0 to 99.
+deviation. The right one of the `MODELS` leaves the noise alone. The tests have a level of 99 %; it
+was developed on the seeds 0 to 99 (docs/results/rules.md).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 
 import numpy as np
@@ -135,25 +132,3 @@ def tested(kind: str, noise: str, model: str, seed: int) -> ResidualTests:
     e, simulated, u = drawn(kind, noise, model, seed)
     (test,) = residual_tests(e[:, None], u[:, None], ("y",), ("u",), simulated[:, None])
     return test
-
-
-def main() -> None:
-    """Print how many of the models are rejected, in percent."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--first", type=int, default=1000)
-    given = parser.parse_args()
-    seeds = range(given.first, given.first + given.seeds)
-    columns = [("right", noise) for noise in NOISES]
-    columns += [(model, noise) for model in MODELS[1:] for noise in ("white", "AR(0.8)")]
-    print("rejected in %:", *(f"{model}, {noise}" for model, noise in columns), sep=" | ")
-    for kind in INPUTS:
-        rejected = [
-            sum(bool(tested(kind, noise, model, seed).dependent) for seed in seeds) / len(seeds)
-            for model, noise in columns
-        ]
-        print(kind, *(f"{100 * share:.0f}" for share in rejected), sep=" | ", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy
+
+import splitband as sb
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -40,6 +43,34 @@ def test_a_script_is_imported_and_shows_its_help(
         runpy.run_module(name, run_name="__main__", alter_sys=True)
     assert left.value.code == 0
     assert capsys.readouterr().out.startswith("usage:")
+
+
+def test_the_nano_drone_is_read_and_judged_as_its_authors_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On files of the published layout: flights that turn steadily about z, and accelerate."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    drone = importlib.import_module("benchmarks.nanodrone")
+    monkeypatch.setenv("SPLITBAND_DATA_DIR", str(tmp_path))
+    folder, t = tmp_path / "benchmarks" / "nanodrone" / "test", 0.01 * np.arange(120)
+    folder.mkdir(parents=True)
+    still = dict.fromkeys(["y", "z", "vy", "vz", "qx", "qy", "wx", "wy"], 0 * t)
+    turning = {"qz": np.sin(t / 2), "qw": np.cos(t / 2), "wz": 1 + 0 * t}  # 1 rad/s
+    motors = {name: np.full(120, 60_000.0) for name in drone.MOTORS}
+    moving = {"t": t, "x": t**2, "vx": 2 * t}
+    pd.DataFrame(still | turning | motors | moving).to_csv(folder / "melon_run1.csv")
+    (record,) = drone.flights("test")
+    np.testing.assert_allclose(
+        record.y[:, [0, 3, 8, 11]], np.column_stack([t**2, 2 * t, t, 1 + 0 * t])
+    )
+    np.testing.assert_allclose(record.u, 2 * np.pi * 60_000 / 360)  # six poles
+    found = drone.judged(sb.Persistence().fit(record), [record], 20)
+    ahead = 0.01 * np.arange(1, 51)
+    np.testing.assert_allclose(found["rotation"], ahead, rtol=1e-9)
+    np.testing.assert_allclose(found["velocity"], 2 * ahead, rtol=1e-9)
+    np.testing.assert_allclose(found["rate"], 0, atol=1e-12)
+    last = 0.01 * np.arange(19, 70)  # where the forecasts begin
+    np.testing.assert_allclose(found["position"], ahead**2 + 2 * ahead * last.mean(), rtol=1e-9)
 
 
 def test_every_script_of_the_benchmarks_has_a_help() -> None:
@@ -100,9 +131,11 @@ def test_the_families_are_drawn_from_their_seeds_and_tabled(
         assert len(one) == families.SAMPLES
     row = {"family": "crane", "draw": 1000, "recommended": "gru", "regret": 2.0}
     errors = {"gru": 1.0, "filtered-gru": 0.5, "residual-gru": 0.8, "simulator": 3.0}
-    *_, line = families.table([row | {"errors": errors, "floors": {"low": 0.25}}]).splitlines()
+    _, _, line, *_ = families.table(
+        [row | {"errors": errors, "floors": {"low": 0.25}}]
+    ).splitlines()
     cells = [cell.split(" (")[0] for cell in line.strip("|").split(" | ")]
-    assert cells == [" crane", "network", "1", "2", "1", "0.5", "0.8", "1", "3", "", "0.25 "]
+    assert cells == [" crane †", "network", "1", "2", "1", "0.5", "0.8", "1", "3", "", "0.25 "]
 
 
 def test_constants_that_were_halved_and_doubled_are_no_worse_as_they_are(
@@ -123,21 +156,27 @@ def test_constants_that_were_halved_and_doubled_are_no_worse_as_they_are(
     assert len(halved) > 10
 
 
-def test_a_run_that_is_there_is_not_run_again(
+def test_a_run_of_todays_code_is_not_run_again_and_a_stale_one_is_replaced(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
-    clock = importlib.import_module("benchmarks.clock")
+    clock, claims = map(importlib.import_module, ("benchmarks.clock", "benchmarks.claims"))
+    monkeypatch.setattr(claims, "reference", lambda: 2.0)
     rows, seen = [{"record": name, "asked": 30.0} for name in ("a", "b")], list[str]()
+    path = tmp_path / "runs.jsonl"
+    path.write_text(json.dumps(rows[1] | {"errors": [9.0], "commit": "before"}) + "\n")
 
     def run(row: dict[str, Any], folder: Path) -> dict[str, Any]:
         seen.append(row["record"])
         return row | {"errors": [1.0]}
 
     for some in (rows[:1], rows, [rows[0] | {"asked": 60.0}]):
-        clock.complete(tmp_path / "runs.jsonl", some, run)
+        clock.complete(path, some, run)
     assert seen == ["a", "b", "a"]
-    assert len(clock.read(tmp_path / "runs.jsonl")) == 3
+    found = claims.read(path)
+    assert [row["errors"] for row in found] == [[1.0]] * 3
+    assert {row["sources"] for row in found} == {claims.sources()}
+    assert found[0]["computer"]["reference_seconds"] == [2.0, 2.0]
 
 
 @pytest.fixture

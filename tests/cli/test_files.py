@@ -69,7 +69,17 @@ def test_runs_of_one_file_are_trained_on_together() -> None:
         found.predict(30, records[0], u=u, other_record=True).y,
         expected.predict(30, records[0], u=u, other_record=True).y,
     )
-    assert main(["spectrum", "runs.csv", "--columns", "x", "--runs", "run", "--out", "s"]) == 2
+
+
+def test_inspect_of_several_runs_shows_the_longest_one(capsys: pytest.CaptureFixture[str]) -> None:
+    parts = [logged(0.0, seed, 180 + 20 * seed).assign(run=seed) for seed in range(2)]
+    pd.concat(parts).to_csv("runs.csv", index=False)
+    assert main(["inspect", "runs.csv"]) == 2  # the message names the option
+    assert "--runs run" in capsys.readouterr().err
+    assert main(["inspect", "runs.csv", "--runs", "run"]) == 0
+    said = capsys.readouterr().out
+    assert "2 runs of 180 to 200 samples, of which runs 1:" in said
+    assert "splitband compare runs.csv --inputs u --runs run" in said
 
 
 def test_parts_of_a_run_in_files_and_in_a_long_table() -> None:

@@ -155,14 +155,14 @@ class Inspection:
         return [f"dead time: {', '.join(said) or 'none'}"] if self.dead_times else []
 
     def _spectrum(self) -> list[str]:
-        peaks = ", ".join(f"{f:.4g} Hz ({100 * share:.2g} %)" for f, share in self.peaks)
+        peaks = ", ".join(f"{f:.4g} Hz ({_percent(share)})" for f, share in self.peaks)
         said = [f"strongest frequencies, with their shares of the power: {peaks}"] if peaks else []
         choice, cutoff = self.bands.choice, self.bands.cutoff or 0.0
         if self.simulator is not None:
             return [*said, *([] if choice is None else [choice.reason]), *self.simulator.in_words()]
         if choice is None and not cutoff:
             return said
-        above = f"{100 * self.share_above:.2g} % of the power lies above {cutoff:.4g} Hz"
+        above = f"{_percent(self.share_above)} of the power lies above {cutoff:.4g} Hz"
         if self.share_above < LEFT_BY_NETWORK:
             return [*said, f"no high band: nothing to split, {above}"]
         if choice is not None and choice.expected > MOST_LOST:
@@ -318,6 +318,11 @@ def of_unnamed(columns: Sequence[InspectedColumn]) -> list[str]:
         way = f"inputs={[*found]} (--inputs {quoted(listed([*found]))})"
         said += [f"{how} inputs, not outputs: {why}; {way} takes them as such"] if found else []
     return said
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent, with two digits."""
+    return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * share:.2g} %"
 
 
 def _sampling(record: Record) -> str:

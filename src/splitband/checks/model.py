@@ -17,7 +17,14 @@ from splitband.checks.residuals import (
     residual_tests,
 )
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.held_out import after
+from splitband.forecasters.held_out import (
+    Origin,
+    after,
+    fit_ahead,
+    forecasts,
+    horizons,
+    many_origins,
+)
 from splitband.forecasters.prediction import Prediction
 from splitband.metrics import (
     Extrapolation,
@@ -28,15 +35,13 @@ from splitband.metrics import (
 )
 from splitband.records import Record, check_alike, require_records
 from splitband.records.signals import first_after
-from splitband.runtime.arrays import Array
+from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
 from splitband.runtime.threads import without_warnings
 from splitband.training.settings import default_warmup
 
-AHEAD = (1, 10)
-"""Horizons in samples of the predictions from within the record. Layout."""
-ORIGINS = 100
-"""Largest number of origins of these predictions, evenly spaced. Bounds the time."""
+AHEAD = 10
+"""Usual horizon in samples of the predictions from within the record. Layout."""
 LONGER = 10
 """Length of the free run in the check of stability, in multiples of the record. Bounds the time."""
 
@@ -49,7 +54,8 @@ class ModelCheck:
     ----------
     method : Name of the forecaster.
     record : The record of the check.
-    simulation : The free run from a warm-up on the first samples to the end.
+    simulation : The free run from a warm-up on the first samples to the end. Of an unstable model
+        the predictions one sample ahead, in its place in `tests`, too.
     fits : Fit in percent by output, of "simulation", "1 step ahead" and so on.
     tests : Residual tests by output.
     leaves : Samples of a free run of `LONGER` times the record before it leaves the range of the
@@ -86,7 +92,7 @@ class ModelCheck:
         """Return the results in sentences, without the fits."""
         sentences = [test.finding() for test in self.tests]
         if self.unchecked:
-            sentences.append(f"Stability was not checked: {self.unchecked}.")
+            sentences.append(f"The free run was not checked: {self.unchecked}.")
         elif self.leaves is None:
             sentences.append(f"The free run over {LONGER} times the record stays in range.")
         else:
@@ -132,23 +138,28 @@ class ModelCheck:
         }
 
 
-def check(forecaster: Forecaster, record: Record) -> ModelCheck:
+def check(forecaster: Forecaster, record: Record, ahead: int | None = None) -> ModelCheck:
     """Check a fitted forecaster on a record, preferably not the training record.
 
-    Returns the fit of a simulation and of predictions a few samples ahead, the tests of the
-    residuals, whether a long free run stays in range, and signals beyond their range in training.
-    For an `anchored` forecaster, the time stamps of `record` count from the beginning of the
-    training record.
+    Returns the fit of a simulation and of predictions 1, `ahead` / 10 and `ahead` samples ahead,
+    the tests of the residuals, whether a long free run stays in range, and signals beyond their
+    range in training. `ahead` is by default that for which the model was chosen, or as far as its
+    forecasts reach, or else 10. No free run is demanded of an unstable model: its residuals are
+    those of predictions one sample ahead. For an `anchored` forecaster, the time stamps of `record`
+    count from the beginning of the training record.
 
     Raises
     ------
     ValueError
         For an unfitted forecaster, and a record with other columns or too few samples.
     """
+    if ahead is not None:
+        whole("ahead", ahead)
     fitted = forecaster.require_fitted()
     require_records("record", record)
     check_alike(record, fitted.record, "record")
-    free = _free_run(forecaster, record)
+    unstable = fitted.report.unstable()
+    free = _one_ahead(forecaster, record) if unstable else _free_run(forecaster, record)
     if free is None:
         raise InputError(
             f"record must have {2 * LAGS} samples after the warm-up of {forecaster.name}, "
@@ -157,26 +168,30 @@ def check(forecaster: Forecaster, record: Record) -> ModelCheck:
     with without_warnings(ExtrapolationWarning):
         begin = len(record) - len(free)
         fits = {"simulation": tuple(fit_percent(record.truth[begin:], free.y).tolist())}
-        fits |= _ahead(forecaster, record, begin)
-        unchecked = ""
+        fits = ({} if unstable else fits) | _ahead(forecaster, record, begin, ahead)
+        unchecked = f"the model is {unstable}" if unstable else ""
         if "simulator" in forecaster.needs:
             unchecked = "it needs the simulator's output beyond the record"
         leaves = None if unchecked else _leaves(forecaster, record, begin)
-    tests = tests_of(record, free)
+    tests = tests_of(record, free, late=bool(unstable))
     beyond = *fitted.inputs_beyond(record.u), *fitted.outputs_beyond(record.y_with_gaps)
     title = forecaster.title
     return ModelCheck(forecaster.name, record, free, fits, tests, leaves, unchecked, beyond, title)
 
 
-def tests_of(record: Record, simulated: Prediction) -> tuple[ResidualTests, ...]:
+def tests_of(record: Record, simulated: Prediction, late: bool) -> tuple[ResidualTests, ...]:
     """Test the residuals of a simulation or forecast to the end of a record.
 
-    Returns nothing for fewer than 2 `LAGS` samples.
+    With `late` inputs those of earlier samples alone are tested: behind a controller, inputs depend
+    on the output of their own sample. Returns nothing for fewer than 2 `LAGS` samples.
     """
     if len(simulated) < 2 * LAGS:
         return ()
     left = record.y_with_gaps[len(record) - len(simulated) :] - simulated.y
-    return residual_tests(left, record.u, record.columns, record.inputs, simulated.y)
+    u = record.u
+    if late and u is not None:
+        u = np.concatenate([u[:1], u[:-1]])
+    return residual_tests(left, u, record.columns, record.inputs, simulated.y)
 
 
 def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...]:
@@ -184,37 +199,57 @@ def tests_on(forecaster: Forecaster, record: Record) -> tuple[ResidualTests, ...
 
     Returns nothing for a record with too few samples for `check`.
     """
-    free = _free_run(forecaster, record)
-    return () if free is None else tests_of(record, free)
+    if forecaster.require_fitted().report.stable:
+        free = _free_run(forecaster, record)
+        return () if free is None else tests_of(record, free, late=False)
+    free = _one_ahead(forecaster, record)
+    return () if free is None else tests_of(record, free, late=True)
+
+
+def _begin(forecaster: Forecaster, record: Record) -> int | None:
+    """Return the first sample after a warm-up; None for a short record."""
+    warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
+    begin = first_after(record.y_with_gaps, max(warmup, 2))
+    return None if begin is None or len(record) - begin < 2 * LAGS else begin
 
 
 def _free_run(forecaster: Forecaster, record: Record) -> Prediction | None:
     """Simulate a record to its end, from a warm-up on its first samples; None for a short one."""
-    warmup = forecaster.warmup or default_warmup(len(record))  # as for test records
-    begin = first_after(record.y_with_gaps, max(warmup, 2))
-    if begin is None or len(record) - begin < 2 * LAGS:
+    if (begin := _begin(forecaster, record)) is None:
         return None
     other = not forecaster.anchored
     with without_warnings(ExtrapolationWarning):
         return forecaster.predict(**after(record, begin), other_record=other)
 
 
-def _ahead(forecaster: Forecaster, record: Record, begin: int) -> dict[str, tuple[float, ...]]:
-    """Return the fits of predictions a few samples ahead, from many origins."""
-    last = len(record) - max(AHEAD)
-    origins = np.unique(np.linspace(begin, last, min(ORIGINS, last - begin + 1)).astype(int))
-    other, made = not forecaster.anchored, dict[int, Array]()
-    for at in origins:
-        try:
-            made[at] = forecaster.predict(**after(record, at, max(AHEAD)), other_record=other).y
-        except ValueError:
-            continue  # a gap in the warm-up
-    fits = {}
-    for k in AHEAD if made else ():
-        truth = np.stack([record.truth[at + k - 1] for at in made])
-        fit = fit_percent(truth, np.stack([y[k - 1] for y in made.values()]))
-        fits[f"{k} step{'s' if k > 1 else ''} ahead"] = tuple(fit.tolist())
-    return fits
+def _one_ahead(forecaster: Forecaster, record: Record) -> Prediction | None:
+    """Predict each sample after a warm-up from those before it; None for a short record."""
+    if (begin := _begin(forecaster, record)) is None:
+        return None
+    origins = [Origin(0, at, 1) for at in range(begin, len(record))]
+    made = forecasts(forecaster, record, origins, other_record=not forecaster.anchored)
+    y = np.concatenate([said.y for said in made.values()])
+    return Prediction(y, record[:begin].grid.after(len(y)), record.columns)
+
+
+def _ahead(
+    forecaster: Forecaster, record: Record, begin: int, ahead: int | None
+) -> dict[str, tuple[float, ...]]:
+    """Return the fits of predictions some samples ahead, from many origins."""
+    usual = forecaster.require_fitted().report.reach
+    if forecaster.held_out is not None and forecaster.held_out.ahead is not None:
+        usual = forecaster.held_out.ahead
+    origins = many_origins(0, begin, len(record), ahead or usual or AHEAD)
+    if not origins and ahead is not None:
+        raise InputError(
+            f"ahead must be at most {len(record) - begin}, the samples of the record after a "
+            f"warm-up, got {ahead}"
+        )
+    made = forecasts(forecaster, record, origins, other_record=not forecaster.anchored)
+    return {
+        f"{k} step{'s' if k > 1 else ''} ahead": tuple(fit_ahead(record, made, k).tolist())
+        for k in (horizons(origins[0].steps) if origins else ())
+    }
 
 
 def _leaves(forecaster: Forecaster, record: Record, begin: int) -> int | None:

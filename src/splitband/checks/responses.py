@@ -22,6 +22,8 @@ in training. By eye."""
 SETTLED = 0.02
 """Largest change of the slope in the last quarter of a settled step response, as a share of the
 largest slope: the 2 % of the settling time, a convention."""
+GROWN = 100.0
+"""Growth of an error at which the responses of an unstable model end. By eye."""
 LONGEST = 16
 """Longest simulation for a frequency response, in multiples of `steps`. Bounds the time."""
 
@@ -118,7 +120,7 @@ def step_responses(
     ----------
     forecaster : A forecaster with inputs that needs no simulator's output from a record.
     steps : Samples of the response. Before the step, the outputs settle for as many samples, with
-        constant inputs.
+        constant inputs. Those of an unstable model end when an error has grown a hundredfold.
     at : The operating point, `(nu,)`; by default the means of the training inputs.
     size : Step sizes, `(nu,)`; by default a tenth of the inputs' ranges in training. One run
         steps up by half the size and one down; `y` is their difference, scaled to a step of 1.
@@ -130,7 +132,9 @@ def step_responses(
         For a forecaster without inputs, and one that needs a simulator's output from a record.
     """
     fitted = forecaster.require_fitted()
-    record, steps = fitted.record, whole("steps", steps)
+    record, steps, growth = fitted.record, whole("steps", steps), fitted.report.growth
+    if growth > 1:
+        steps = min(steps, max(int(np.log(GROWN) / np.log(growth)), 2))
     if fitted.u_summary is None:
         raise InputError(f"{forecaster.name} must have inputs to respond to, it has none")
     if "simulator" in forecaster.needs:
@@ -171,7 +175,7 @@ def step_responses(
 
     y = settled = longer = simulated(steps)
     system = forecaster.system_matrices()
-    while system is None and not _settled(settled) and np.isfinite(longer).all():
+    while system is None and growth <= 1 and not _settled(settled) and np.isfinite(longer).all():
         settled = longer
         if len(longer) >= LONGEST * steps:
             break
@@ -207,11 +211,18 @@ def respond_over_range(forecaster: Forecaster) -> list[Responses]:
     remarks = (
         [f"In training {', '.join(still)} never moved: the effect is unknown."] if still else []
     )
+    stable = forecaster.require_fitted().report.stable
+    if not stable:
+        remarks.append(
+            f"{forecaster.name} is unstable: its responses grow without bound, and have no static "
+            "gain."
+        )
     lost = [responses.place for responses in every if responses not in finite]
     remarks += [
         f"The response at {at} of the training inputs is not finite: left out." for at in lost
     ]
-    for moving in [responses for responses in finite if not responses.settled][:1]:
+    unsettled = [responses for responses in finite if stable and not responses.settled]
+    for moving in unsettled[:1]:
         after = len(moving.whole) * moving.sampling_time
         remarks.append(
             f"{forecaster.name} has not settled after {after:.4g} s: its gain and phase at low "

@@ -99,7 +99,7 @@ def _show(result: Comparison, out: Path, used: Usage) -> None:
 def _explain(result: Comparison, called: Mapping[str, str]) -> None:
     """Print why the method is recommended, what its residuals say, and its bands."""
     plan, say = result.plan, printing.console.print
-    say(" ".join(words.why(result.require_trial(), plan.train, called)))
+    say(" ".join(words.why(result.require_trial(), plan.train, called, plan.ahead)))
     for verdict in words.verdicts(result):
         say(f"residual tests: {verdict}")
     chosen = result.fits[result.recommended][0].fitted.untrained()

@@ -47,6 +47,7 @@ def fit(
     train: Annotated[
         int | None, options.plain("Samples at the beginning to train on.", usual="all")
     ] = None,
+    ahead: options.Ahead = None,
     calibrate: options.Calibrate = False,
     conditioned: options.Conditioned = False,
     intervals: Annotated[
@@ -69,13 +70,13 @@ def fit(
             "them, and --like takes that of an earlier result; got none"
         )
     asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
-    asked = replace(asked, train=train, calibrate=calibrate, conditioned=conditioned)
+    asked = replace(asked, train=train, ahead=ahead, calibrate=calibrate, conditioned=conditioned)
     plan = planned(asked, context, fitting=True)
     with workers(jobs) as where, running(plan, out) as how, _bar() as progress:
         forecaster = fit_planned(plan, **where, **how, progress=progress)
     late = how["clock"].notes
     if intervals:
-        _try_out(forecaster)
+        _try_out(forecaster, plan.ahead)
     training, settled = plan.training, plan.as_json()
     fitted, calibration = forecaster.require_fitted(), forecaster.calibration
     training_in_words = forecaster.training_in_words()
@@ -141,20 +142,24 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
         yield update
 
 
-def _try_out(forecaster: Forecaster) -> None:
+def _try_out(forecaster: Forecaster, ahead: int | None) -> None:
     """Calibrate intervals; if that fails, warn, and the model is saved without them."""
     try:
         with printing.without_warnings():
-            held_out_of(forecaster)
+            held_out_of(forecaster, ahead)
     except (InputError, FloatingPointError) as error:
         printing.warn(f"the model has no intervals: {error}")
 
 
 def _training_error(forecaster: Forecaster) -> float | None:
-    """Return the RMSE of a free run over the training record, if it is longer than the warm-up."""
-    record = forecaster.require_fitted().record
+    """Return the RMSE of a free run over the training record; None where it shows nothing.
+
+    That is where a record is no longer than the warm-up, and of an unstable model.
+    """
+    fitted = forecaster.require_fitted()
+    record, stable = fitted.record, fitted.report.stable
     start = first_origin(record, len(record), forecaster.warmup).at
-    if start == len(record):
+    if start == len(record) or not stable:
         return None
     with printing.without_warnings():
         y = forecaster.predict(**after(record, start)).y

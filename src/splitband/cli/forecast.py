@@ -23,6 +23,7 @@ def forecast(
     simulator: options.SimulatorOrBaseOptions,
     further: options.FurtherRecords,
     steps: Annotated[int, options.plain("Samples to forecast.", min=1)],
+    ahead: options.Ahead = None,
     method: Annotated[
         str | None,
         options.plain("One of those that `splitband methods` lists.", usual="the best one"),
@@ -49,7 +50,7 @@ def forecast(
         epochs=epochs, budget=budget, rounds=rounds, seed=seed, device=device
     )
     asked = Request(record, reading, simulator, further, model=model, methods=method, like=like)
-    plan = planned(replace(asked, train="all", seeds=seeds), context)
+    plan = planned(replace(asked, train="all", ahead=ahead, seeds=seeds), context)
     u = records.inputs_ahead(future_inputs, plan.record, steps, reading)
     y_sim = records.simulator_ahead(simulator, plan.record, steps, u, reading)
     result = compared(context, plan, out, jobs, cluster)

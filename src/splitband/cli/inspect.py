@@ -40,14 +40,20 @@ def inspect(
 
     Prints the columns with their ranges, which of them are likely inputs and why, dead times,
     warnings, the strongest frequencies, and whether there are two bands to split; then the command
-    that compares models of the record. Nothing is trained. Missing values are masked.
+    that compares models of the record. Nothing is trained. Missing values are masked. Of several
+    runs (--runs) the longest one is shown.
 
     With a simulator, also its coherence with the record and the oracle check: the RMSE that a
     hybrid could reach at each cut-off. The cut-off is the one that `compare` chooses with the same
     --train.
     """
     reading = replace(reading, gaps="mask")
-    whole = records.load_record(record, reading, inputs_by=holds_words)
+    runs = records.load_records(record, reading, inputs_by=holds_words)
+    whole = max(runs, key=len)
+    if len(runs) > 1:
+        shortest, longest = min(map(len, runs)), len(whole)
+        lengths = f"{longest}" if shortest == longest else f"{shortest} to {longest}"
+        printing.console.print(f"{len(runs)} runs of {lengths} samples, of which {whole.name}:")
     opened = records.runnable(simulator, whole, reading.time_column)
     if opened is None and whole.y_sim is not None:  # a named record's own can run for longer
         opened = open_simulator(record, whole)
@@ -58,17 +64,17 @@ def inspect(
     asked = command_of(context)
     reads = {name: value for name, value in vars(reading).items() if name != "gaps"}
     named = {name: of if name == "gaps" else listed(of) for name, of in found.options.items()}
-    runs = comparing(record, reads | vars(simulator) | named)
-    _show(found, runs)
+    command = comparing(record, reads | vars(simulator) | named)
+    _show(found, command)
     if out is None:
-        printing.as_json(asked | found.as_json() | {"run": runs})
+        printing.as_json(asked | found.as_json() | {"run": command})
         return
-    used = replace(usage(asked["command"], asked["arguments"]), commands=[("Run", runs)])
-    results.save_inspection(found, asked | {"run": runs}, out, used)
+    used = replace(usage(asked["command"], asked["arguments"]), commands=[("Run", command)])
+    results.save_inspection(found, asked | {"run": command}, out, used)
     printing.results_of(out)
 
 
-def _show(found: Inspection, runs: str) -> None:
+def _show(found: Inspection, command: str) -> None:
     """Print the columns, sentences, warnings and the command."""
     shown = Table("column", "likely", "range", "missing", "why", title=found.record.name)
     for column in found.columns:
@@ -81,4 +87,4 @@ def _show(found: Inspection, runs: str) -> None:
         printing.console.print(line)
     for warning in found.warnings:
         printing.warn(warning)
-    printing.console.print(f"run:\n    {runs}", soft_wrap=True)
+    printing.console.print(f"run:\n    {command}", soft_wrap=True)

@@ -250,6 +250,15 @@ Methods = Annotated[
 ]
 _SEEDS = "Trainings of each network (in a search: of the best one), for their median."
 Seeds = Annotated[int | None, _TRAINING(_SEEDS, "N", "1 to 8", min=1)]
+Ahead = Annotated[
+    int | None,
+    plain(
+        "Make and judge models for N samples ahead of any origin, with measurements until then.",
+        "N",
+        "one free run",
+        min=1,
+    ),
+]
 Like = Annotated[
     Path | None,
     _TRAINING("Read the record and train as for the model of an earlier run.", "DIR"),

@@ -38,8 +38,10 @@ class Request:
     model: options.ModelOptions = field(default_factory=options.ModelOptions)
     train: options.Train = None
     horizon: Annotated[
-        int | None, options.plain("Samples to predict after the training part.", "N", "all", min=1)
+        int | None,
+        options.plain("Samples of one free run after the training part.", "N", "all", min=1),
     ] = None
+    ahead: options.Ahead = None
     methods: options.Methods = None
     seeds: options.Seeds = None
     calibrate: options.Calibrate = False
@@ -109,6 +111,7 @@ def planned(asked: Request, context: typer.Context | None = None, fitting: bool 
             train,
             chosen,
             horizon=0 if fitting else asked.horizon,
+            ahead=asked.ahead,
             others=[*runs, *others],
             tests=tests,
             initial=test.initial,

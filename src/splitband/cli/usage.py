@@ -31,7 +31,7 @@ _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
 REPLACED_BY_LIKE = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
 """Options that --like replaces."""
 _RECORDS = [*RecordOptions.__annotations__, "gaps", *_FILES, *FurtherRecords.__annotations__]
-_FIT = [*_RECORDS, *_SIMULATOR, *_OF_FIT, *REPLACED_BY_LIKE, "like", "seed", "device"]
+_FIT = [*_RECORDS, *_SIMULATOR, *_OF_FIT, "ahead", *REPLACED_BY_LIKE, "like", "seed", "device"]
 _BLANK = "simulator_inputs", "time_column"
 """Options of which an empty text says something: none of them."""
 _DEFAULTS = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())
@@ -164,7 +164,7 @@ def _python(out: Path, plan: Plan) -> str:
 def _simulate(given: Mapping[str, Any], out: Path, plan: Plan, model: Forecaster) -> str:
     """Return the command that simulates the model beyond its training samples."""
     ahead = 0 if plan.refit else len(plan.record) - plan.train
-    steps = min(plan.horizon or STEPS, STEPS)
+    steps = plan.ahead or min(plan.horizon or STEPS, STEPS)
     options: dict[str, Any] = {name: given.get(name) for name in _FILES}
     if "simulator" in model.needs or model.parameters:
         options |= {name: given.get(name) for name in _SIMULATOR}

@@ -5,6 +5,7 @@ All protocols of a comparison and the trial on held-out training samples use the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,7 +18,9 @@ from splitband.forecasters.held_out import (
     Origin,
     after,
     first_held_out,
+    forecasts,
     held_out_errors,
+    many_origins,
     refitted,
     root_mean_square,
 )
@@ -51,6 +54,8 @@ class BacktestSpec:
     warmup : Length of the history at the beginning of a test record, for a forecaster without a
         warm-up (`Forecaster.warmup` is 0).
     initial : Length of that history for all forecasters: overrides every warm-up on test records.
+    ahead : Test records are also forecast so many samples ahead from many origins; None: they
+        are not.
     components : Whether forecasts keep their components; scores need none.
     """
 
@@ -60,6 +65,7 @@ class BacktestSpec:
     tests: Sequence[Record] = ()
     warmup: int = 1
     initial: int | None = None
+    ahead: int | None = None
     components: bool = True
 
     def __post_init__(self) -> None:
@@ -81,11 +87,13 @@ class Fit:
     method : The forecaster's name.
     seed : Of the fit.
     model : The forecaster that was fitted to the most samples; None where the fit failed.
-    forecasts : By origin, in the order of the spec's, all up to the same last sample.
+    forecasts : By origin, in the order of the spec's.
     tests : Simulations of the test records, to their ends; empty where one of them is impossible.
+    tests_ahead : Forecasts of each test record from many origins; empty where there are no `tests`.
     unfiltered : Signals before a model's filters, for the forecast that begins inside the training
         part; empty for a model without filters, and without such a forecast.
     seconds : Of the whole job, forecasts included.
+    began : When the job began, by the clock of `runtime.deadlines.now`; infinite where it did not.
     notes : What the fit has chosen and what went wrong, in words.
     failure : Why there is no model, in words; empty where there is one.
     cut : Whether a deadline ended the job early; without a model: whether that is the reason.
@@ -96,8 +104,10 @@ class Fit:
     model: Forecaster | None = None
     forecasts: Mapping[Origin, Prediction] = field(default_factory=dict)
     tests: Sequence[Prediction] = ()
+    tests_ahead: Sequence[Mapping[Origin, Prediction]] = ()
     unfiltered: Mapping[str, Array] = field(default_factory=dict)
     seconds: float = 0.0
+    began: float = math.inf
     notes: tuple[str, ...] = ()
     failure: str = ""
     cut: bool = False
@@ -173,18 +183,15 @@ def _with_forecasts(
     found: Fit, model: Forecaster, spec: BacktestSpec, origins: Sequence[Origin]
 ) -> Fit:
     """Return a fit with a model's forecasts from more origins; the model of most samples stays."""
-    forecasts, unfiltered = {**found.forecasts}, found.unfiltered
+    made, unfiltered = forecasts(model, spec.record, origins), found.unfiltered
+    if not spec.components:
+        made = {origin: replace(said, components={}) for origin, said in made.items()}
     for origin in origins:
-        known = after(spec.record, origin.at)
-        with without_warnings(ExtrapolationWarning):  # the prediction holds them
-            forecasts[origin] = model.predict(**known)
-        if not spec.components:
-            forecasts[origin] = replace(forecasts[origin], components={})
         if origin.at < origin.fitted and isinstance(model, Network):
-            unfiltered = model.unfiltered(**known)
+            unfiltered = model.unfiltered(**after(spec.record, origin.at))
     if found.model is not None and _samples(found.model) >= _samples(model):
         model = found.model
-    return replace(found, model=model, forecasts=forecasts, unfiltered=unfiltered)
+    return replace(found, model=model, forecasts={**found.forecasts, **made}, unfiltered=unfiltered)
 
 
 def _samples(model: Forecaster) -> int:
@@ -197,16 +204,25 @@ def _finished(found: Fit, spec: BacktestSpec, began: float, *notes: str) -> Fit:
     There are none for a model that cannot simulate them; a note says what went wrong with one.
     """
     model, tests = found.fitted, list[Prediction]()
+    from_many = list[Mapping[Origin, Prediction]]()
     simulated = "simulator" not in model.needs or all(t.y_sim is not None for t in spec.tests)
     for test in spec.tests if simulated and not model.anchored else ():
         try:
             at = first_origin(test, 0, spec.initial or model.warmup or spec.warmup).at
             with without_warnings(ExtrapolationWarning):
                 tests.append(model.predict(**after(test, at), other_record=True))
+            if spec.ahead is not None:
+                many = many_origins(0, at, len(test), spec.ahead)
+                from_many.append(forecasts(model, test, many, other_record=True))
         except ValueError as error:
-            tests, notes = [], (f"not tested on {test.name or 'a test record'}: {error}", *notes)
+            tests, from_many, notes = (
+                [],
+                [],
+                (f"not tested on {test.name or 'a test record'}: {error}", *notes),
+            )
             break
-    return replace(found, tests=tests, notes=notes, seconds=now() - began)
+    done: dict[str, Any] = {"tests": tests, "tests_ahead": from_many, "seconds": now() - began}
+    return replace(found, notes=notes, **done)
 
 
 def first_origin(record: Record, train: int, warmup: int) -> Origin:

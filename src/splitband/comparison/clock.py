@@ -31,6 +31,9 @@ class Clock:
     writing : Seconds that are kept for writing the result: what the last writing took.
     cores : Trainings that run side by side.
     trained : Seconds that all trainings took together.
+    first_training : When the first training of a network began, by the same clock.
+    part : What the command does now.
+    parts : Seconds of wall time by part of the command, those of the present one left out.
     notes : What the deadline has changed, in sentences.
     settled : Whether every training has settled, so that more time would change little.
     interrupted : Whether Ctrl-C ended it early.
@@ -41,6 +44,9 @@ class Clock:
     writing: float = 0.0
     cores: int = 1
     trained: float = 0.0
+    first_training: float = math.inf
+    part: str = "start"
+    parts: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     interrupted: bool = False
     settled: bool = False
@@ -74,14 +80,24 @@ class Clock:
             return math.inf
         return min(BASELINE_SHARE * self.limit, MOST_OF_BASELINE)
 
+    def enter(self, part: str) -> str:
+        """End the present part of the command, begin another one, and return the present one."""
+        before, self.part = self.part, part
+        self.parts[before] = self.parts.get(before, 0.0) + self.used - sum(self.parts.values())
+        return before
+
     def as_json(self) -> dict[str, Any]:
         """Return the entries of result files."""
+        self.enter(self.part)
+        first = self.first_training - self.began
         return {
             "asked_seconds": self.limit,
             "used_seconds": round(self.used, 2),
             "cores": self.cores,
             "trained_seconds": round(self.trained, 2),
             "writing_seconds": round(self.writing, 2),
+            "first_training_seconds": round(first, 2) if math.isfinite(first) else None,
+            "parts_seconds": {part: round(seconds, 2) for part, seconds in self.parts.items()},
             "notes": [*self.notes],
             "settled": self.settled,
         }

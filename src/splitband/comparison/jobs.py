@@ -87,8 +87,9 @@ def _run(deadline: Deadline, job: Job) -> Fit:
     """Run a job in any process."""
     if deadline.over and job.trains and not job.needed:
         return job.late()
+    began = now()
     with within(min(deadline, Deadline.after(job.limit))):
-        return job.run()
+        return replace(job.run(), began=began)
 
 
 def compile_kernels(

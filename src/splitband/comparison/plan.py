@@ -20,7 +20,14 @@ from splitband.forecasters.bands import OPEN, Bands
 from splitband.forecasters.base import Forecaster, with_parts_changed
 from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.grey_box import GreyBox
-from splitband.forecasters.held_out import Origin, beginning, first_held_out, held_out_origins
+from splitband.forecasters.held_out import (
+    Origin,
+    beginning,
+    first_held_out,
+    held_out_origins,
+    many_origins,
+)
+from splitband.forecasters.initialisation import reach_of
 from splitband.forecasters.network import Network, with_defaults
 from splitband.records import Record, check_alike
 from splitband.records.signals import first_after
@@ -32,7 +39,7 @@ from splitband.simulators.identification import check_runs
 from splitband.simulators.open_simulator import is_fitted, open_simulator, simulated
 from splitband.simulators.parameters import Adjustable
 from splitband.training import TrainingSettings
-from splitband.training.settings import default_warmup, recipe_settings
+from splitband.training.settings import default_warmup, recipe_settings, within_reach
 
 BUDGET = 120.0
 """Default wall time of a comparison that searches how to train its networks, in s."""
@@ -53,10 +60,13 @@ class Plan:
     settings, bands, sizes : Training settings, bands and sizes of those that had none of their own.
     searched : Names of the networks whose settings are searched; True: their sizes, too.
     extended : Whether a network on the best baseline is a method, too, if it is the best one.
+    reach : Samples ahead for which forecasts of an unstable plant are worth making, and which
+        windows of trainings predict; None for any other record.
     tests : Records that nothing is fitted to, with distinct names.
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
-    train, horizon, others, initial, budget, rounds, seed, seeds, refit : See `compare`; decided.
+    train, horizon, ahead, others, initial, budget, rounds, seed, seeds, refit : See `compare`;
+        decided.
     """
 
     record: Record
@@ -68,6 +78,8 @@ class Plan:
     sizes: Sizes = field(default_factory=Sizes)
     searched: Mapping[str, bool] = field(default_factory=dict)
     extended: bool = False
+    ahead: int | None = None
+    reach: int | None = None
     others: tuple[Record, ...] = ()
     tests: tuple[Record, ...] = ()
     initial: int | None = None
@@ -101,6 +113,11 @@ class Plan:
         Outputs that are probably inputs come first.
         """
         unnamed = of_unnamed(unnamed_inputs(self.record))
+        if self.reach is not None and self.ahead is None:
+            unnamed.append(
+                "The plant is unstable, and a controller holds it: errors of a free run grow until "
+                f"it leaves the record. Judge forecasts instead: --ahead {self.reach}."
+            )
         others = (*self.others, *self.tests)
         found = [f"{each.name}: {said}" for each in others for said in each.warnings()]
         own = f"{self.record.name}: " if others and self.record.name else ""
@@ -112,16 +129,20 @@ class Plan:
 
         *From the start*: warm up on the first samples, simulate to the end. *Forecast*: warm up on
         the last training samples, simulate beyond them. *Test record*: warm up on its first
-        samples, simulate to its end.
+        samples, simulate to its end. With `ahead`, also from many origins after the training part
+        and in test records.
         """
-        train, warmup = self.train, self.settings.warmup
+        train, warmup, ahead = self.train, self.settings.warmup, self.ahead
         first = first_origin(self.record, train, forecaster.warmup or warmup)
         origins = [first, Origin(train, train)][: 1 + (self.horizon > 0)]
-        return BacktestSpec(self.record, origins, self.others, self.tests, warmup, self.initial)
+        if ahead is not None:
+            origins += many_origins(train, train, len(self.record), ahead)
+        given = self.record, origins, self.others, self.tests, warmup, self.initial
+        return BacktestSpec(*given, ahead)
 
     def held_out_spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the forecasts of the training part's last quarter, by a fit to the rest of it."""
-        origins = held_out_origins(forecaster, self.held_out)
+        origins = held_out_origins(forecaster, self.held_out, self.ahead)
         return BacktestSpec(self.record, origins, self.others, components=False)
 
     def on_baseline(self, base: str) -> Plan:
@@ -145,7 +166,7 @@ class Plan:
             | asdict(self.sizes)
             | ({} if self.simulator is None else {"parameters": str(self.simulator.known)})
             | {"choice": choice, "searched": [*self.searched]}
-            | {name: getattr(self, name) for name in ("budget", "rounds", "seed", "seeds")}
+            | {name: getattr(self, name) for name in ("ahead", "budget", "rounds", "seed", "seeds")}
         )
 
 
@@ -162,7 +183,8 @@ def plan(asked: PlanRequest) -> Plan:
         asked = _beside(asked, beside, longer=any(each.calibrates for each in listed))
     record, horizon = _cut_to_horizon(asked, train)
     training, given, others = beginning(record, train), asked.bands or OPEN, asked.others
-    decided, search = _settings(asked, training)
+    reach = reach_of(training, others)
+    decided, search = _settings(asked, training, reach)
     usual = default and not (base or asked.calibrate or asked.conditioned)
     if usual:
         listed, low, high = usual_methods(given, training, decided, sizes)
@@ -208,6 +230,8 @@ def plan(asked: PlanRequest) -> Plan:
         sizes,
         searched,
         extended=usual and bool(searched),
+        ahead=asked.ahead,
+        reach=reach,
         others=tuple(others),
         tests=tuple(asked.tests),
         initial=asked.initial,
@@ -220,8 +244,11 @@ def plan(asked: PlanRequest) -> Plan:
         high=high,
     )
     check(planned)
+    _check_ahead(planned)
     if asked.horizon != 0 or asked.tests:
         check_trial(planned)
+    if reach is not None:
+        planned = replace(planned, reach=int(min(reach, _least_room(planned)[1])))
     return replace(planned, tests=_with_distinct_names(asked.tests, record.name))
 
 
@@ -272,16 +299,22 @@ def _beside(asked: PlanRequest, simulator: Simulator, longer: bool) -> PlanReque
     return replace(asked, record=record, others=others, tests=tests)
 
 
-def _settings(asked: PlanRequest, training: Record) -> tuple[TrainingSettings, bool]:
+def _settings(
+    asked: PlanRequest, training: Record, reach: int | None
+) -> tuple[TrainingSettings, bool]:
     """Return the settings of trainings, and whether more of them are searched.
 
-    Where some are given, others follow from these.
+    Where some are given, others follow from these. Windows of an unstable plant are short enough
+    for the growth of their errors.
     """
     if isinstance(asked.settings, TrainingSettings):
         return asked.settings, False
     usual = recipe_settings(asked.recipe, training, asked.others)
     changes = {**(asked.settings or {})}
     searched = asked.recipe == "default" and not {*changes} - {"warmup"}
+    if asked.ahead is not None and "window" not in changes:
+        warmup = whole("warmup", changes.setdefault("warmup", usual.warmup))
+        changes["window"] = min([warmup + asked.ahead, *map(len, asked.others)])
     longest = min(
         [default_warmup(len(test)) for test in asked.tests if "warmup" not in changes], default=None
     )
@@ -290,7 +323,7 @@ def _settings(asked: PlanRequest, training: Record) -> tuple[TrainingSettings, b
     if "milestones" in changes:
         changes.setdefault("one_cycle", False)
     try:
-        found = replace(usual, **changes)
+        found = within_reach(replace(usual, **changes), None if "window" in changes else reach)
     except TypeError:
         known = ", ".join(vars(usual))
         raise InputError(f"settings must be out of {known}, got {', '.join(changes)}") from None
@@ -372,13 +405,38 @@ def _check_records(plan: Plan) -> None:
             raise InputError(f"the {name} part must have a measured sample in every channel")
 
 
+def _least_room(plan: Plan) -> tuple[str, float]:
+    """Return the fewest samples in which methods are judged, and where they are."""
+    room = {
+        "held-out last quarter of the training part": plan.train - first_held_out(plan.train),
+        "part after the training part": len(plan.record) - plan.train or math.inf,
+    }
+    for test in plan.tests:
+        begin = first_after(test.y_with_gaps, _warmup_on_tests(plan))
+        room[f"part of the test record {test.name} after a warm-up"] = len(test) - (begin or 0)
+    return min(room.items(), key=lambda each: each[1])
+
+
+def _check_ahead(plan: Plan) -> None:
+    """Check that there is an origin with `ahead` samples after it wherever methods are judged."""
+    place, room = _least_room(plan)
+    if plan.ahead is not None and plan.ahead > room:
+        raise InputError(
+            f"ahead must be at most {room}, the samples of the {place}, got {plan.ahead}"
+        )
+
+
+def _warmup_on_tests(plan: Plan) -> int:
+    """Return how many samples at the beginning of a test record all methods need at most."""
+    if plan.initial is not None:
+        return max(whole("initial", plan.initial), 2)
+    return max(plan.settings.warmup, 2, *(f.warmup for f in plan.methods))
+
+
 def _check_test(test: Record, plan: Plan) -> None:
     check_alike(test, plan.record, test.name or "a test record")
-    name, samples = "initial", plan.initial
-    if samples is None:
-        name = "warmup"
-        samples = max(plan.settings.warmup, *(f.warmup for f in plan.methods))
-    begin = first_after(test.y_with_gaps, max(whole(name, samples), 2))
+    name, samples = "warmup" if plan.initial is None else "initial", _warmup_on_tests(plan)
+    begin = first_after(test.y_with_gaps, samples)
     if begin in (None, len(test)):
         raise InputError(
             f"{name} must fit into the test record {test.name} of {len(test)} samples, with "

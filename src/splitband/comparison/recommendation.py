@@ -12,7 +12,6 @@ from statistics import median_low
 import numpy as np
 
 from splitband.comparison.backtest import WORTH_TRAINING, Fit, held_out_score, median_forecasts
-from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import held_out_errors, interval_errors
 from splitband.forecasters.intervals import HeldOut, Interval
 from splitband.metrics import channel_rmse, rmse, spread
@@ -98,14 +97,18 @@ def judged(
     `held` and `final` are fits to three quarters of the training part, and to all of it. A
     method that is fitted once for its held-out forecasts, as a network is, may have been lucky.
     Its interval is therefore at least as wide as the change of its forecast by the final fit
-    requires.
+    requires. Forecasts from many origins show by themselves how they vary.
     """
     held = {name: fits for name, fits in held.items() if fits}
     forecasts = {name: median_forecasts(fits) for name, fits in held.items()}
     trained = frozenset(name for name, fits in held.items() if fits[0].fitted.random)
     finals = {name: fits for name, fits in final.items() if name in held}
     held_out = {name: interval_errors(training, said) for name, said in forecasts.items()}
-    once = {name for name, fits in held.items() if not fits[0].fitted.refits}
+    once = {
+        name
+        for name, fits in held.items()
+        if not fits[0].fitted.refits and held_out[name].ahead is None
+    }
     for name in once & finals.keys():
         ahead = [fit.ahead for fit in finals[name]]
         early = [y[len(training) - at.at :] for at, y in sorted(forecasts[name].items())]
@@ -145,7 +148,7 @@ def without_failed(training: Record, fits: Sequence[Fit]) -> list[Fit]:
         else:
             kept.append(fit)
     if not kept:
-        kept, said = [*fits], [UNSTABLE]
+        kept, said = [*fits], [fits[0].report.unstable()]
     return [replace(kept[0], notes=(*kept[0].notes, *said)), *kept[1:]]
 
 

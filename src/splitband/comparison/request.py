@@ -34,6 +34,7 @@ class PlanRequest:
     methods: Sequence[Forecaster | str] | str | None = None
     _: KW_ONLY
     horizon: int | None = None
+    ahead: int | None = None
     others: Sequence[Record] = ()
     tests: Sequence[Record] = ()
     initial: int | None = None
@@ -57,6 +58,12 @@ class PlanRequest:
             if isinstance(several, Record):
                 raise TypeError(f"{name} must be a list of records: write [record]")
             require_records(name, *several)
+        if self.ahead is not None and whole("ahead", self.ahead) and self.horizon:
+            raise InputError(
+                "horizon and ahead exclude each other (the one is how far one free run after the "
+                "training part goes; the other scores forecasts of so many samples from many "
+                f"origins, with the measurements until each), got {self.horizon} and {self.ahead}"
+            )
         if self.initial is not None and not self.tests:
             raise InputError(f"initial must be used with test records, got {self.initial}")
         if self.budget is not None and not self.budget > 0:

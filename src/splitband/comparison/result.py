@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -20,6 +20,7 @@ from splitband.comparison.plan import Plan
 from splitband.comparison.recommendation import Trial
 from splitband.forecasters.base import Forecaster
 from splitband.forecasters.ensemble import fitted_ensemble
+from splitband.forecasters.held_out import Origin, distinct_samples
 from splitband.forecasters.intervals import Misfit
 from splitband.forecasters.prediction import Prediction, median_of
 from splitband.metrics import Extrapolation, extrapolations, input_range, leaves_range, rmse
@@ -152,8 +153,12 @@ class Comparison:
 
     @cached_property
     def predictions(self) -> dict[str, Prediction]:
-        """Return the forecast of each method beyond the training part, with its interval."""
-        intervals = {} if self.trial is None else self.trial.intervals
+        """Return the forecast of each method beyond the training part, with its interval.
+
+        An interval of forecasts `Plan.ahead` is none of this free run.
+        """
+        unknown = self.trial is None or self.plan.ahead is not None
+        intervals = {} if unknown else self.require_trial().intervals
         return {
             name: intervals[name].around(fit.forecast) if name in intervals else fit.forecast
             for name, fit in self.medians.items()
@@ -177,33 +182,65 @@ class Comparison:
     def covers(self, name: str) -> float:
         """Return the share of the forecast's measured samples inside a method's interval, 0 to 1.
 
-        NaN without a forecast.
+        With `Plan.ahead` these are all forecasts from many origins. NaN without a forecast.
         """
-        errors = self._errors_ahead(name)
-        return self.require_trial().intervals[name].coverage(errors) if len(errors) else np.nan
+        errors, _ = self._errors_ahead(name)
+        return self.require_trial().intervals[name].coverage(*errors) if errors else np.nan
 
     def coverages(self, name: str) -> tuple[float, ...]:
-        """Return `covers` for each channel."""
-        return self.require_trial().intervals[name].coverages(self._errors_ahead(name))
+        """Return `covers` for each channel; empty without a forecast."""
+        errors, _ = self._errors_ahead(name)
+        return self.require_trial().intervals[name].coverages(*errors) if errors else ()
 
     def misfits(self, name: str) -> tuple[Misfit, ...]:
         """Return whether a method's interval is too narrow or too wide, for each channel."""
-        return self.require_trial().intervals[name].misfits(self._errors_ahead(name))
+        errors, distinct = self._errors_ahead(name)
+        interval = self.require_trial().intervals[name]
+        return interval.misfits(*errors, distinct=distinct) if errors else ()
 
-    def _errors_ahead(self, name: str) -> Array:
-        return np.asarray(self.record.y_with_gaps[self.plan.train :] - self.medians[name].ahead)
+    def judging(self, name: str) -> list[tuple[Record, Mapping[Origin, Prediction]]]:
+        """Return a method's forecasts that judge it on unseen samples, by record.
+
+        This is the one after the training part or, with `Plan.ahead`, those from many origins after
+        it and, by methods that can simulate them, in test records.
+        """
+        fit, train = self.medians[name], self.plan.train
+        own = {origin: said for origin, said in fit.forecasts.items() if origin.steps}
+        if self.plan.ahead is None and fit.forecast is not None:
+            own = {Origin(train, train): fit.forecast}
+        of_tests = zip(self.tests, fit.tests_ahead, strict=False)
+        return [*of_tests, *([(self.record, own)] if own else [])]
+
+    def steps_of_interval(self, name: str) -> int:
+        """Return how many samples a method's interval is judged for; 0 without a forecast."""
+        return max((len(p) for _, made in self.judging(name) for p in made.values()), default=0)
+
+    def _errors_ahead(self, name: str) -> tuple[list[Array], int | None]:
+        """Return the errors of the forecasts that judge a method, and their distinct samples."""
+        every = self.judging(name)
+        errors = [
+            record.y_with_gaps[origin.at : origin.at + len(said)] - said.y
+            for record, made in every
+            for origin, said in made.items()
+        ]
+        return errors, sum(distinct_samples(made) or 0 for _, made in every) or None
 
     @cached_property
     def residual_tests(self) -> tuple[ResidualTests, ...]:
         """Return tests of the recommended method's residuals on samples that nothing was fitted to.
 
         These are those of the first test record, as `check` tests them, or else of the forecast.
-        There is none where there are fewer than 2 `LAGS` of them.
+        There is none where there are fewer than 2 `LAGS` of them, and with `Plan.ahead`, as they
+        are residuals of a simulation.
         """
+        if self.plan.ahead is not None:
+            return ()
         fit = self.medians[self.recommended]
         if fit.tests:
             return tests_on(self.trained(), self.tests[0])
-        return () if fit.forecast is None else tests_of(self.record, fit.forecast)
+        if fit.forecast is None or not fit.report.stable:
+            return ()
+        return tests_of(self.record, fit.forecast, late=False)
 
     @property
     def inputs_beyond_training(self) -> list[Extrapolation]:
@@ -265,5 +302,9 @@ def median_fit(fits: Sequence[Fit]) -> Fit:
         origin: median_of([fit.forecasts[origin] for fit in fits]) for origin in first.forecasts
     }
     tests = [median_of(each) for each in zip(*(f.tests for f in fits), strict=True)]
-    seconds = sum(fit.seconds for fit in fits)
-    return replace(first, forecasts=forecasts, tests=tests, seconds=seconds)
+    tests_ahead = [
+        {origin: median_of([of[origin] for of in each]) for origin in each[0]}
+        for each in zip(*(f.tests_ahead for f in fits), strict=True)
+    ]
+    both: dict[str, Any] = {"tests": tests, "tests_ahead": tests_ahead}
+    return replace(first, forecasts=forecasts, **both, seconds=sum(f.seconds for f in fits))

@@ -32,6 +32,7 @@ def compare(  # noqa: PLR0913
     methods: Sequence[Forecaster | str] | str | None = None,
     *,
     horizon: int | None = None,
+    ahead: int | None = None,
     others: Sequence[Record] = (),
     tests: Sequence[Record] = (),
     initial: int | None = None,
@@ -65,8 +66,15 @@ def compare(  # noqa: PLR0913
         `len(record)` nothing is left to compare with but the held-out forecasts.
     methods : Forecasters, or names (`splitband methods`). By default the methods worth comparing on
         such a record.
-    horizon : Samples to predict after the training part, by default to the end of the record; 0 is
-        for fitting alone.
+    horizon : How far one free run after the training part goes, in samples, by default to the end
+        of the record; 0 is for fitting alone.
+    ahead : Samples that the model is to predict from any origin, with the measurements until then,
+        as for predictive control, for plants that integrate or are unstable, for signals that
+        wander. Networks are trained over windows of a warm-up and so many samples. Methods are
+        chosen by forecasts of 1 to `ahead` samples from many origins in the held-out part; the
+        table has their fit 1, ahead/10 and `ahead` samples ahead, from many origins after the
+        training part or in the test records, and the interval is that of such forecasts. By
+        default one free run counts, in each of these.
     others : Further records of the same system, to train on.
     tests : Records of the same system that nothing is fitted to; each is simulated to its end after
         a warm-up on its first samples. A simulator that inputs drive runs for them and `others`.

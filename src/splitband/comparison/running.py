@@ -52,6 +52,7 @@ class RunningComparison:
         self._trial: Trial | None = None  # of the trials so far
         self._search: Search | None = None
         self._bases = Bases(runner)
+        clock.enter("simulators")
         ran: dict[Any, Any] = {}
         for state in self.states.values():
             self._simulate(state, ran)
@@ -132,8 +133,11 @@ class RunningComparison:
     def run(self) -> None:
         """Run the plan to its end, or until Ctrl-C."""
         try:
+            self.clock.enter("baselines")
             self._run_quick()
+            self.clock.enter("rounds")
             self._run_rounds()
+            self.clock.enter("finals")
             if not self.clock.interrupted:
                 self._run_finals()
         except KeyboardInterrupt:
@@ -141,6 +145,7 @@ class RunningComparison:
                 raise
             self._interrupt()
         self._complete()
+        self.clock.enter("pages")
 
     def _run_quick(self) -> None:
         """Fit the methods without networks; workers go on with it while they train networks."""
@@ -321,8 +326,14 @@ class RunningComparison:
         self.clock.notes.append(said)
 
     def fits(self) -> dict[str, list[Fit]]:
-        """Return the final fits, without failed trainings where their number was left open."""
+        """Return the final fits, without failed trainings where their number was left open.
+
+        A training fails by its simulation from the start, by which forecasts some samples ahead and
+        models of an unstable plant are not judged.
+        """
         plan = self.plan
+        if plan.ahead is not None or plan.reach is not None:
+            return self.finals
         return {
             name: without_failed(plan.training, fits)
             if name in plan.searched or plan.seeds is None
@@ -411,6 +422,7 @@ class RunningComparison:
             for job, fit in self._ended(jobs):
                 fits[job] = fit
                 self.clock.trained += fit.seconds
+                self.clock.first_training = min(self.clock.first_training, fit.began)
                 self._report(f"{doing}, {len(fits)} of {len(jobs)} trainings")
         except KeyboardInterrupt:
             if not self.trials and not any(fit.model is not None for fit in fits.values()):
@@ -422,7 +434,9 @@ class RunningComparison:
         return_freed()
         self.doing, self.new_table = doing, new_table and bool(self.trials)
         if self._watch is not None and (self.trials or not new_table):
+            before = self.clock.enter("pages")
             self._watch(self)
+            self.clock.enter(before)
 
     def _half(self) -> Deadline:
         """Return the deadline of what does not train networks, where others do."""

@@ -107,6 +107,10 @@ class Search:
         # Comparisons with different seeds share no training seeds, and are independent.
         first = plan.seed * SEEDS
         found = candidates(network, sized, self._record, plan.others, first)
+        limited = plan.ahead is not None or plan.reach is not None
+        if limited and network.settings is not None:  # none over the whole record
+            longest = network.settings.window
+            found = [each for each in found if each.settings.window <= longest]
         self._choices[network.name] = found
         return True
 

@@ -2,7 +2,7 @@
 
 A filter pass is a linear map, so its gradient is the same pass backwards in time. Passes run on
 the CPU as a compiled recurrence: for batches SciPy takes 2 to 3 times as long (50 rows of 180 and
-1,500 samples; speed: benchmarks/filters.py).
+1,500 samples).
 """
 
 from __future__ import annotations

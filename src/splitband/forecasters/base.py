@@ -477,6 +477,14 @@ class Forecaster(WithRepr, ABC):
         return not self.random
 
     @property
+    def filters_history(self) -> bool:
+        """Return whether a forecast runs over the whole history, as a Kalman filter does.
+
+        Forecasts from many origins are then made in one run of its step form.
+        """
+        return any(part.filters_history for part in parts_of(self))
+
+    @property
     def fitted_bases(self) -> list[Forecaster]:
         """Return the fitted forecasters that a network in it learns the error of."""
         return []

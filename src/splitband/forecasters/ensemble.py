@@ -108,9 +108,9 @@ class Ensemble(Forecaster):
         self.members, self.delays = [*members], members[0].delays
         reports = [member.require_fitted().report for member in members]
         notes = tuple(f"seed {r.seed}: {note}" for r in reports for note in r.notes)
-        cut, stable = any(r.cut for r in reports), all(r.stable for r in reports)
+        cut, growth = any(r.cut for r in reports), max(r.growth for r in reports)
         seconds = sum(r.seconds for r in reports)
-        report = FitReport(seed, seconds, reports[0].losses, notes, cut, stable)
+        report = FitReport(seed, seconds, reports[0].losses, notes, cut, growth)
         longest = max((m.require_fitted() for m in members), key=lambda fitted: len(fitted.record))
         self.fitted = replace(longest, report=report)
 

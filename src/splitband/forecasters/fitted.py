@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,8 +16,6 @@ from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.simulators.base import Absent
 
-UNSTABLE = "unstable: a simulation may grow without bound"
-"""What is said of a model that is not `FitReport.stable`."""
 NEAR_ROW = 1e-3
 """Tolerance in samples: a history that begins this close to a training sample begins at it.
 Rounding."""
@@ -41,7 +40,9 @@ class FitReport:
     losses : Mean training loss of each epoch, by network.
     notes : Remarks on the training record, and problems in training that were corrected.
     cut : Whether a deadline ended the training early.
-    stable : False where a simulation is known to be able to grow without bound.
+    growth : Factor by which an error of a simulation grows each sample; above 1 where it is known
+        that a simulation may grow without bound.
+    reach : Samples ahead for which forecasts of an unstable plant are worth making, where known.
     parameters : The fitted parameters of a simulator, in a form that JSON can hold.
     """
 
@@ -50,8 +51,25 @@ class FitReport:
     losses: Mapping[str, Sequence[float]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     cut: bool = False
-    stable: bool = True
+    growth: float = 1.0
+    reach: int | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def stable(self) -> bool:
+        """Return whether nothing is known of a simulation that grows without bound."""
+        return self.growth <= 1
+
+    def unstable(self) -> str:
+        """Return in words that it is unstable, and how far; empty for a stable model."""
+        if self.stable:
+            return ""
+        doubled = math.log(2) / math.log(self.growth)
+        limit = "" if self.reach is None else f"; forecasts up to {self.reach} samples ahead"
+        return (
+            f"unstable: largest pole {self.growth:.4g}, an error doubles every {doubled:.3g} "
+            f"samples{limit}"
+        )
 
 
 @dataclass(frozen=True, eq=False)

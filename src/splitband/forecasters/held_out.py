@@ -1,11 +1,13 @@
-"""Forecast held-out samples of a training record, whose errors give methods scores and intervals.
+"""Forecast known samples from many origins: held-out ones give methods scores and intervals.
 
-Forecasters are passed to these functions, on which `Forecaster.predict` is built.
+A method is judged by one long forecast from each of a few origins or, for predictive control, by
+forecasts of some samples ahead from many. Forecasters are passed to these functions, on which
+`Forecaster.predict` is built.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -13,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splitband.forecasters.intervals import HeldOut
-from splitband.metrics import ExtrapolationWarning, rmse, spread
+from splitband.forecasters.prediction import Prediction, total
+from splitband.forecasters.steps import NotSteppedError
+from splitband.metrics import ExtrapolationWarning, fit_percent, rmse, spread
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, DeadlineError, current, within
@@ -35,6 +39,8 @@ fit. By eye."""
 FEWEST_FITTED = 20
 """An earlier origin, for the intervals, needs this many measured samples of each channel before it.
 By eye."""
+MOST_ORIGINS = 100
+"""Largest number of origins of forecasts some samples ahead, evenly spaced. Bounds the time."""
 FAILED_FIT_RATIO = 5.0
 """A fit to few samples has failed if the error of its first forecast samples is above this multiple
 of the method's error over as many first samples of the forecasts that are scored. By eye."""
@@ -48,10 +54,12 @@ class Origin:
     ----------
     fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
     at : Index of the first forecast sample; the warm-up is before it.
+    steps : Number of samples to forecast; 0: to the end of the record.
     """
 
     fitted: int
     at: int
+    steps: int = 0
 
 
 def first_held_out(samples: int) -> int:
@@ -68,7 +76,7 @@ def beginning(record: Record, samples: int) -> Record:
 
 def after(record: Record, at: int, steps: int | None = None) -> dict[str, Any]:
     """Return the arguments of `predict` for samples of a record, by default all, from `at` on."""
-    steps = len(record) - at if steps is None else steps
+    steps = steps or len(record) - at
     u = None if record.u is None else record.u[at : at + steps]
     return {"steps": steps, "history": beginning(record, at), "u": u}
 
@@ -101,16 +109,37 @@ def refitted(
             return
 
 
-def held_out_origins(forecaster: Forecaster, record: Record) -> list[Origin]:
+def many_origins(fitted: int, first: int, end: int, ahead: int) -> list[Origin]:
+    """Return origins, evenly spaced, of forecasts `ahead` that lie between two samples.
+
+    There are at most `MOST_ORIGINS`, and none where the samples are too few.
+    """
+    last = end - ahead
+    count = min(MOST_ORIGINS, last - first + 1)
+    return [Origin(fitted, int(at), ahead) for at in np.linspace(first, last, max(count, 0))]
+
+
+def horizons(ahead: int) -> list[int]:
+    """Return the samples ahead for which fits are shown: 1, a tenth of `ahead`, and `ahead`."""
+    return sorted({1, max(ahead // 10, 1), ahead})
+
+
+def held_out_origins(
+    forecaster: Forecaster, record: Record, ahead: int | None = None
+) -> list[Origin]:
     """Return the origins of forecasts of a record's last quarter.
 
-    A network is trained once, and forecasts from the beginning of that quarter, from a third and
-    from two thirds of it, as a method may be lucky from a single origin: persistence is, for
-    instance, if the last sample happens to equal the mean. A linear model is fitted once more, to
-    the first half, which shows how errors grow. A method that is quicker to fit is refitted for
-    each of several origins, some of them earlier.
+    With `ahead`, these are `many_origins` of a single fit. Without it, a network is trained once,
+    and forecasts from the beginning of that quarter, from a third and from two thirds of it, as a
+    method may be lucky from a single origin: persistence is, for instance, if the last sample
+    happens to equal the mean. A linear model is fitted once more, to the first half, which shows
+    how errors grow. A method that is quicker to fit is refitted for each of several origins, some
+    of them earlier.
     """
     samples = len(record)
+    if ahead is not None:
+        fitted = first_held_out(samples)
+        return many_origins(fitted, fitted, samples, ahead)
     held_out = [max(1, round(share * samples)) for share in HELD_OUT_SHARES]
     fitted, ends = first_held_out(samples), dict.fromkeys(max(samples - n, 1) for n in held_out)
     measured = np.cumsum(~np.isnan(record.y_with_gaps), axis=0)
@@ -132,7 +161,7 @@ def held_out_errors(
     """
     seen, first = record.y_with_gaps, first_held_out(len(record))
     return [
-        seen[origin.at :] - y[: len(record) - origin.at]
+        seen[origin.at :][: len(y)] - y[: len(record) - origin.at]
         for origin, y in sorted(forecasts.items(), key=lambda pair: pair[0].at)
         if (origin.at < first) == earlier
     ]
@@ -153,13 +182,69 @@ def interval_errors(record: Record, forecasts: Mapping[Origin, Array]) -> HeldOu
         if not first_samples([error]) <= most:
             break
         kept.append(error)
-    return HeldOut.of(kept, record.y_with_gaps)
+    return HeldOut.of(kept, record.y_with_gaps, distinct_samples(forecasts))
 
 
-def held_out_of(forecaster: Forecaster) -> HeldOut:
+def distinct_samples(origins: Iterable[Origin]) -> int | None:
+    """Return how many samples several forecasts have in all, if all have as many; else None."""
+    every = [*origins]
+    if not all(origin.steps for origin in every):
+        return None
+    return len({n for origin in every for n in range(origin.at, origin.at + origin.steps)})
+
+
+def forecasts(
+    model: Forecaster, record: Record, origins: Sequence[Origin], other_record: bool = False
+) -> dict[Origin, Prediction]:
+    """Return a model's forecasts of a record, each with the measured samples before its origin.
+
+    Those of a model whose forecasts filter the whole history are made by a stream, which is
+    corrected by every sample, and copied at each origin.
+    """
+    found, many = dict[Origin, Prediction](), [each for each in origins if each.steps]
+    with without_warnings(ExtrapolationWarning):  # the predictions hold them
+        if model.filters_history and many:
+            found |= _in_one_run(model, record, many, other_record)
+        for origin in origins:
+            if origin not in found:
+                known = after(record, origin.at, origin.steps)
+                found[origin] = model.predict(**known, other_record=other_record)
+    return {origin: found[origin] for origin in origins}
+
+
+def fit_ahead(record: Record, made: Mapping[Origin, Prediction], steps: int) -> Array:
+    """Return the fit in percent of each output, `(ny,)`, so many samples ahead of the origins."""
+    truth = np.stack([record.truth[origin.at + steps - 1] for origin in made])
+    return np.asarray(fit_percent(truth, np.stack([said.y[steps - 1] for said in made.values()])))
+
+
+def _in_one_run(
+    model: Forecaster, record: Record, origins: Sequence[Origin], other_record: bool
+) -> dict[Origin, Prediction]:
+    """Return forecasts by a stream; none without a step form, and of one that needs a simulator."""
+    now, measured = origins[0].at, record.y_with_gaps
+    try:
+        stream = model.stream(beginning(record, now), other_record)
+    except NotSteppedError:
+        return {}
+    if stream.steps.simulated:
+        return {}
+    found, u = dict[Origin, Prediction](), [None] * len(record) if record.u is None else record.u
+    for origin in origins:
+        for n in range(now, origin.at):
+            stream.observe(measured[n], u[n])
+        now, going = origin.at, stream.copy()
+        y = np.stack([going.step(u[n]) for n in range(now, now + origin.steps)])
+        grid = replace(record.grid, samples=now).after(origin.steps)
+        found[origin] = Prediction(total([y]), grid, record.columns)
+    return found
+
+
+def held_out_of(forecaster: Forecaster, ahead: int | None = None) -> HeldOut:
     """Return the held-out errors of a fitted forecaster, by copies fitted to less of its record.
 
-    They are kept with it. Raises ValueError for a loaded forecaster without them, which does not
+    They are kept with it. `ahead` : See `held_out_origins`; by default as far as forecasts of an
+    unstable model reach. Raises ValueError for a loaded forecaster without them, which does not
     have all of its training records.
     """
     if forecaster.held_out is not None:
@@ -171,13 +256,13 @@ def held_out_of(forecaster: Forecaster) -> HeldOut:
             "level must be left out for a model that was saved without held-out errors: request an "
             "interval before it is saved, or fit it with --intervals"
         )
-    shorter, origins = forecaster.for_trial(len(record)), held_out_origins(forecaster, record)
-    forecasts, seed = dict[Origin, Array](), fitted.report.seed
+    shorter = forecaster.for_trial(len(record))
+    origins = held_out_origins(forecaster, record, ahead or fitted.report.reach)
+    origins = origins or held_out_origins(forecaster, record)
+    found, seed = dict[Origin, Array](), fitted.report.seed
     for model, group in refitted(shorter, record, origins, fitted.others, seed=seed):
-        with without_warnings(ExtrapolationWarning):
-            for origin in group:
-                forecasts[origin] = model.predict(**after(record, origin.at)).y
-    forecaster.held_out = interval_errors(record, forecasts)
+        found |= {origin: said.y for origin, said in forecasts(model, record, group).items()}
+    forecaster.held_out = interval_errors(record, found)
     return forecaster.held_out
 
 

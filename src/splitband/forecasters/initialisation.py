@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from splitband import models
-from splitband.linear.identification import identified
+from splitband.linear.identification import identified, unstable
 from splitband.linear.model import Realisation, realised
 from splitband.records import Record
 from splitband.runtime.arrays import Array
@@ -40,8 +40,21 @@ class LinearPart(Protocol):
     def begin_linear(self, model: Realisation, first: tuple[Array, Array] | None) -> None:
         """Set the linear part to a model; `first` maps the `encoded` samples to its first state."""
 
-    def stable(self) -> bool:
-        """Return whether a simulation cannot grow without bound."""
+    def growth(self) -> float:
+        """Return the factor by which an error of a simulation grows, see `FitReport`."""
+
+
+def reach_of(record: Record, others: Sequence[Record] = ()) -> int | None:
+    """Return for how many samples ahead forecasts of an unstable plant are worth making.
+
+    None for records that show none, see `linear.closed_loop`.
+    """
+    seen = [(each.y_with_gaps, each.u) for each in (record, *others) if each.u is not None]
+    if len({(y.shape[1], u.shape[1]) for y, u in seen}) != 1:
+        return None
+    with one_thread():
+        found = unstable(seen)
+    return None if found is None else found.reach
 
 
 def begin_as_linear(model: Model, records: Sequence[Record], normalize: bool, seed: int) -> None:
@@ -80,8 +93,9 @@ def _set(
     """Set the linear part of one network, which predicts `targets`."""
     delay = np.zeros((targets[0].shape[1], inputs[0].shape[1]), int)
     with one_thread():
-        linear = identified([*zip(targets, inputs, strict=True)], delay=delay, most=cell.states)
-    found = realised(linear, inputs, cell.states, np.random.default_rng(seed))
+        seen = [*zip(targets, inputs, strict=True)]
+        linear = identified(seen, delay=delay, most=cell.states)
+    found = realised(linear, seen, cell.states, np.random.default_rng(seed))
     nu = inputs[0].shape[1]
     # A row of the network's inputs is [u of this sample, u of the next one, other inputs].
     b, d = np.zeros((cell.states, cell.nu)), np.zeros((cell.ny, cell.nu))

@@ -80,27 +80,38 @@ class Interval:
         """Return the half-widths divided by the first one, `(steps, ny)`, without the limit."""
         return np.asarray(np.arange(1.0, steps + 1)[:, None] ** np.array(self.exponent))
 
-    def coverage(self, errors: Array) -> float:
-        """Return the share of measured errors `(time, ny)`, by horizon, that lie inside, 0 to 1."""
-        return _share(abs(errors) <= self.half_widths(len(errors)), errors)
+    def coverage(self, *errors: Array) -> float:
+        """Return the share of measured errors of forecasts that lie inside, 0 to 1.
 
-    def coverages(self, errors: Array) -> tuple[float, ...]:
+        `errors` : Of each forecast, by horizon, `(time, ny)`.
+        """
+        return _share(*self._inside(errors))
+
+    def coverages(self, *errors: Array) -> tuple[float, ...]:
         """Return the coverage of each channel."""
-        inside = abs(errors) <= self.half_widths(len(errors))
-        return tuple(map(_share, inside.T, errors.T))
+        inside, every = self._inside(errors)
+        return tuple(map(_share, inside.T, every.T))
 
-    def misfits(self, errors: Array) -> tuple[Misfit, ...]:
+    def _inside(self, errors: Sequence[Array]) -> tuple[Flags, Array]:
+        """Return which errors lie inside, and the errors, of all forecasts together."""
+        inside = [abs(each) <= self.half_widths(len(each)) for each in errors]
+        return np.concatenate(inside), np.concatenate(errors)
+
+    def misfits(self, *errors: Array, distinct: int | None = None) -> tuple[Misfit, ...]:
         """Return whether the interval is too narrow or too wide for errors, for each channel.
 
         Correlated errors count as fewer: their number over the autocorrelation time of their sizes.
+        `distinct` : See `HeldOut`.
         """
-        sizes = abs(errors) / self.half_widths(len(errors))
+        every = [abs(each) / self.half_widths(len(each)) for each in errors]
+        sizes = np.concatenate(every)
         found = list[Misfit]()
-        for size, coverage in zip(sizes.T, self.coverages(errors), strict=True):
-            known = ~np.isnan(size)
-            spread = size - size[known].mean() if known.any() else size
-            varies = bool(spread[known].any())
-            independent = known.sum() / _autocorrelation_time([spread]) if varies else FEWEST
+        for i, coverage in enumerate(self.coverages(*errors)):
+            known = ~np.isnan(sizes[:, i])
+            mean = sizes[known, i].mean() if known.any() else 0.0
+            spread = [each[:, i] - mean for each in every]
+            varies = any(each[~np.isnan(each)].any() for each in spread)
+            independent = _independent(spread, distinct) if varies else FEWEST
             deviation = np.sqrt(self.share * (1 - self.share) / max(independent, FEWEST))
             least, over = max(CHANCE * deviation, SLACK), coverage - self.share
             found.append("wide" if over > least else "narrow" if over < -least else "")
@@ -122,6 +133,8 @@ class HeldOut:
         measured.
     largest, deviation, bounded : By channel, `(ny,)` each: the largest absolute value, the standard
         deviation over the training record, and whether it does not wander there (see `BOUNDED`).
+    distinct : Number of distinct samples of forecasts from many origins, all as long, which
+        overlap or leave some out; None for forecasts that all end with the longest one.
     doubt : RMS by horizon, `(time, ny)`, of what is known to be uncertain beside these errors: the
         interval is at least as wide as it requires. None without.
     """
@@ -131,6 +144,7 @@ class HeldOut:
     deviation: Array
     bounded: Flags
     doubt: Array | None = None
+    distinct: int | None = None
     _known: dict[float, Interval] = field(default_factory=dict, init=False, repr=False)
 
     def check(self, ny: int) -> None:
@@ -140,14 +154,20 @@ class HeldOut:
         for name in ("largest", "deviation", "bounded"):
             check_shape(name, vars(self)[name], ny)
 
+    @property
+    def ahead(self) -> int | None:
+        """Return the length of forecasts from many origins; None for others."""
+        return None if self.distinct is None else len(self.errors[0])
+
     @classmethod
-    def of(cls, errors: Sequence[Array], y: Array) -> HeldOut:
-        """Return errors that end at the same sample, with statistics of the training record `y`."""
+    def of(cls, errors: Sequence[Array], y: Array, distinct: int | None = None) -> HeldOut:
+        """Return errors with statistics of the training record `y`."""
         known = ~np.isnan(np.concatenate(errors)) if errors else np.empty((0, 1))
         if not known.any(axis=0).all():
             raise InputError("errors must have a sample at least, in every channel")
         bounded = np.array([_is_bounded(channel) for channel in y.T])
-        return cls(tuple(errors), np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0), bounded)
+        largest, deviation = np.nanmax(abs(y), axis=0), np.nanstd(y, axis=0)
+        return cls(tuple(errors), largest, deviation, bounded, distinct=distinct)
 
     def interval(self, share: float) -> Interval:
         """Return the interval that should hold `share` of the samples, 0 to 1; it is cached."""
@@ -157,7 +177,8 @@ class HeldOut:
             return self._known[share]
         # Rounding errors remain even where a forecast is exact.
         least = 16 * np.finfo(np.float64).eps * self.largest
-        laws = [_law([e[:, i] for e in self.errors], share) for i in range(len(least))]
+        by_channel = [[e[:, i] for e in self.errors] for i in range(len(least))]
+        laws = [_law(errors, share, self.distinct) for errors in by_channel]
         first = [max(size, float(floor)) for (size, _), floor in zip(laws, least, strict=True)]
         # Without skill the error is the difference of two independent signals: sqrt(2) times wider.
         without_skill = np.sqrt(2) * _quantile(share) * self.deviation
@@ -189,7 +210,7 @@ def _is_bounded(channel: Array) -> bool:
     return float(np.nanvar(channel)) <= BOUNDED * float(np.mean(within))
 
 
-def _law(errors: Sequence[Array], share: float) -> tuple[float, float]:
+def _law(errors: Sequence[Array], share: float, distinct: int | None) -> tuple[float, float]:
     """Return the first half-width and the exponent of one channel, from its errors `(time,)`.
 
     The exponent a maximises the likelihood of errors e at horizons h with Laplace's distribution of
@@ -205,12 +226,22 @@ def _law(errors: Sequence[Array], share: float) -> tuple[float, float]:
         a * horizon.mean() + np.log(np.mean(sizes * np.exp(-a * horizon))) for a in EXPONENTS
     ]
     exponent = float(EXPONENTS[np.argmin(unlikely)])
-    # Forecasts from several origins overlap: each sample counts once.
-    independent = max(map(len, known)) / _autocorrelation_time(errors)
+    independent = _independent(errors, distinct)
     # Few errors may all be small by chance; Student's quantile allows for that.
     student = float(scipy.special.stdtrit(max(independent, FEWEST), 0.5 + share / 2))
     score = float(np.quantile(sizes * np.exp(-exponent * horizon), share))
     return score * student / _quantile(share), exponent
+
+
+def _independent(errors: Sequence[Array], distinct: int | None) -> float:
+    """Return how many independent errors there are in those of several forecasts, `(time,)` each.
+
+    Forecasts overlap, and each sample counts once: those of the longest one, or the `distinct` ones
+    of forecasts that are all as long.
+    """
+    known, longest = max(int((~np.isnan(e)).sum()) for e in errors), max(map(len, errors))
+    once = 1.0 if distinct is None else distinct / longest
+    return float(once * known / _autocorrelation_time(errors))
 
 
 def _autocorrelation_time(errors: Sequence[Array]) -> float:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import scipy
 
 from splitband.forecasters.base import Forecaster
-from splitband.forecasters.fitted import UNSTABLE, unmoved
+from splitband.forecasters.fitted import unmoved
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import DelayLine, State, Steps
 from splitband.linear.delays import FEWEST_MOVES, LONGEST_DELAY, moves
@@ -37,8 +37,9 @@ class Linear(Forecaster):
 
     x' = A x + B u + K e, y = C x + D u + offset + e. Poles and delays come from a subspace method,
     refined to the least simulation error, or to the least prediction error where a controller acts
-    on the inputs. Several records are fitted together, each with its own initial state. Forecasts
-    begin with the state that the Kalman filter finds in the history.
+    on the inputs; a plant that this controller keeps from running away has poles outside of the
+    unit circle (`linear.closed_loop`). Several records are fitted together, each with its own
+    initial state. Forecasts begin with the state that the Kalman filter finds in the history.
 
     Parameters
     ----------
@@ -89,6 +90,7 @@ class Linear(Forecaster):
         check_shape("mean", self.model.mean, record.nu)
         check_shape("u", self.u, None, record.nu)
 
+    filters_history = True
     refits = False
     """Two fits for its held-out forecasts: with one for each of them, the intervals of 40 drawn
     plants held 92 % as well, in 2.4 times the time."""
@@ -101,17 +103,16 @@ class Linear(Forecaster):
         self.model = identified(seen, self.order, self._delays(records[0]), integrators)
         self.delays = self.model.delays
         self.fitted = self.require_fitted().reporting(
-            cut=current().over,
-            notes=tuple(self._notes(records)),
-            stable=self.model.stable,
+            cut=current().over, growth=self.model.growth, reach=self.model.reach
         )
+        self.fitted = self.fitted.reporting(notes=tuple(self._notes(records)))
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation after the history, from the state at its end."""
         assert known.u is not None
-        time, before = len(known.y), _inputs_before(self.u, known)
+        time, before = len(known.y), _inputs_before(self.model, self.u, known)
         u = known.u[: time + known.steps]
-        if not known.own or before is None:
+        if not known.own or (before is None and self.model.growth <= 1):
             return self.model.continued(u, known.y, before)[0][time:]
         return self.model.simulate(u, self.model.last, before, time)
 
@@ -119,12 +120,18 @@ class Linear(Forecaster):
         """Return its simulation over history and forecast, from a state estimated on the history.
 
         Where all inputs since the first sample of the training record are known, the prior of this
-        state is simulated; else it is the distribution of states in training.
+        state is simulated; else it is the distribution of states in training. Raises ValueError for
+        an unstable model, whose simulation leaves every record.
         """
+        if said := self.require_fitted().report.unstable():
+            raise InputError(
+                f"the slow part of a hybrid must be stable; the linear model is {said}"
+            )
         assert known.u is not None
         y = np.full_like(known.y, np.nan) if known.own else known.y  # its state is fitted
         u = known.u[: len(y) + known.steps]
-        return self.model.without_filter.continued(u, y, _inputs_before(self.u, known))[0]
+        before = _inputs_before(self.model, self.u, known)
+        return self.model.without_filter.continued(u, y, before)[0]
 
     def as_base(self) -> Self:
         """Return it without its Kalman filter, for the slow component of a hybrid."""
@@ -221,7 +228,7 @@ class Linear(Forecaster):
 
     def _notes(self, records: Sequence[Record]) -> list[str]:
         """Return remarks on poles outside of the unit circle, and on inputs that tell nothing."""
-        said = [] if self.model.stable else [UNSTABLE]
+        said = [*filter(None, [self.require_fitted().report.unstable()])]
         said += unmoved(records)
         if self.model.silent:
             step = self.require_fitted().record.sampling_time
@@ -265,9 +272,9 @@ class LinearSteps(Steps):
         model, u, age = self.model, None, 0
         x, covariance = model.centre, model.root @ model.root.T
         if history is not None and history.u is not None:
-            before, u = _inputs_before(self.training, history), history.u
+            before, u = _inputs_before(model, self.training, history), history.u
             _, x, covariance = model.continued(u, history.y, before)
-            if history.own and before is not None:
+            if history.own and (before is not None or model.growth > 1):
                 x = model.last
             u = u if before is None else np.concatenate([before, u])
             age = len(u)
@@ -326,7 +333,12 @@ class LinearSteps(Steps):
         return kept
 
 
-def _inputs_before(training: Array, known: ForecastContext) -> Array | None:
-    """Return the inputs from the first training sample to the history; None if unknown."""
+def _inputs_before(model: LinearModel, training: Array, known: ForecastContext) -> Array | None:
+    """Return the inputs from the first training sample to the history; None if unknown.
+
+    And for an unstable model, whose state they do not tell.
+    """
+    if model.growth > 1:
+        return None
     begin = -1 if known.begin is None or known.begin % 1 else int(known.begin)
     return training[:begin] if 0 <= begin <= len(training) else None

@@ -28,7 +28,7 @@ from splitband.forecasters.base import (
 )
 from splitband.forecasters.fitted import FitReport
 from splitband.forecasters.held_out import first_held_out
-from splitband.forecasters.initialisation import LinearPart, begin_as_linear
+from splitband.forecasters.initialisation import LinearPart, begin_as_linear, reach_of
 from splitband.forecasters.network_steps import NetworkSteps
 from splitband.forecasters.prediction import ForecastContext, known_of, total
 from splitband.forecasters.prehistory import Prehistory
@@ -51,6 +51,7 @@ from splitband.training.settings import (
     checked_starts,
     longest_window,
     recipe_settings,
+    within_reach,
 )
 
 if TYPE_CHECKING:
@@ -303,14 +304,14 @@ class Network(Forecaster):
         self.model.eval()
         notes = (*self._remarks(seen[0]), *history.notes)
         linear = (each for each in self.model.modules() if isinstance(each, LinearPart))
-        stable = all(each.stable() for each in linear)
+        growth = max([1.0, *(each.growth() for each in linear)])
         # The error that is assumed of simulations when a short history is completed.
         error = math.hypot(*(losses[-1] for losses in history.losses.values() if losses))
         self._prehistory = Prehistory.of(self.model, seen, settings.warmup, error)
         cut = history.cut or (
             self._fitted_base is not None and self._fitted_base.require_fitted().report.cut
         )
-        report = FitReport(seed, history.seconds, history.losses, notes, cut, stable)
+        report = FitReport(seed, history.seconds, history.losses, notes, cut, growth)
         self.fitted = replace(self.require_fitted(), report=report)
 
     def extrapolate(self, known: ForecastContext) -> dict[str, Array]:
@@ -454,7 +455,9 @@ class Network(Forecaster):
             return self._build(record, settings)
 
     def _settings_for(self, record: Record, others: Sequence[Record] = ()) -> TrainingSettings:
-        return self.settings or recipe_settings("default", record, others)
+        if self.settings is not None:
+            return self.settings
+        return within_reach(recipe_settings("default", record, others), reach_of(record, others))
 
     def _trained(self) -> Model:
         self.require_fitted()

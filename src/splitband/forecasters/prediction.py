@@ -277,8 +277,8 @@ def time_header(columns: tuple[str, ...]) -> str:
 
 
 OVERFLOWED = 1e100
-"""Replaces predicted values that are not finite, so that their errors are finite, and huge. Its
-square is finite, too."""
+"""Replaces predicted values that are larger or not finite, so that their errors are finite, and
+huge. Its square is finite, too."""
 
 
 def known_of(
@@ -376,6 +376,6 @@ def predicted(forecaster: Forecaster, known: ForecastContext, past: Record) -> P
 
 
 def total(parts: Sequence[Array]) -> Array:
-    """Return the sum of the components, with `OVERFLOWED` where it is not finite."""
-    most = OVERFLOWED
-    return np.nan_to_num(np.sum(parts, axis=0), nan=most, posinf=most, neginf=-most)
+    """Return the sum of the components, with `OVERFLOWED` where it is larger or not finite."""
+    y = np.sum(parts, axis=0)
+    return np.where(abs(y) < OVERFLOWED, y, OVERFLOWED)

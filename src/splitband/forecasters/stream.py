@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 import numpy.typing as npt
 
-from splitband.forecasters.prediction import known_of
+from splitband.forecasters.prediction import OVERFLOWED, known_of, total
 from splitband.forecasters.steps import State, Steps, tick
 from splitband.records import Record, require_records
 from splitband.runtime.arrays import Array
@@ -46,6 +46,7 @@ class Stream:
     def __init__(self, name: str, steps: Steps, state: State, ny: int, nu: int) -> None:
         self.name, self.steps, self.state = name, steps, state
         self.ny, self.nu = ny, nu
+        self._overflowed = False
 
     def observe(
         self, y: npt.ArrayLike, u: npt.ArrayLike | None = None, y_sim: npt.ArrayLike | None = None
@@ -65,6 +66,8 @@ class Stream:
     def step(self, u: npt.ArrayLike | None = None, y_sim: npt.ArrayLike | None = None) -> Array:
         """Predict the next sample, which was not measured, `(ny,)`.
 
+        As in `Forecaster.predict`, 1e100 stands for what is larger, and for all that follows.
+
         Parameters
         ----------
         u, y_sim : See `observe`.
@@ -76,18 +79,22 @@ class Stream:
         """
         before = self.state
         predicted = self._tick(np.full(self.ny, np.nan), u, y_sim)
-        if np.isnan(predicted).any():
+        if np.isnan(predicted).any() and not self._overflowed:
             self.state = before
             needed = self.steps.warmup or "one"
             raise InputError(
                 f"{needed} measured sample(s) must have been observed before {self.name} can "
-                "predict, and its state must not have overflowed"
+                "predict"
             )
+        predicted = total([predicted])
+        self._overflowed = bool((predicted == OVERFLOWED).any())
         return predicted
 
     def copy(self) -> Stream:
         """Return an independent stream with the same state, for what-if runs."""
-        return Stream(self.name, self.steps, self.state, self.ny, self.nu)
+        new = Stream(self.name, self.steps, self.state, self.ny, self.nu)
+        new._overflowed = self._overflowed
+        return new
 
     def __repr__(self) -> str:
         return f"Stream({self.name!r}, ny={self.ny}, nu={self.nu})"
@@ -96,7 +103,8 @@ class Stream:
         steps = self.steps
         inputs = self._signal("u", u, (self.nu,), self.nu > 0)
         simulated = self._signal("y_sim", y_sim, (1 + steps.ahead, self.ny), steps.simulated)
-        self.state, predicted = tick(steps, self.state, y, inputs, simulated)
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may overflow
+            self.state, predicted = tick(steps, self.state, y, inputs, simulated)
         return predicted
 
     def _signal(

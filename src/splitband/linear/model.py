@@ -15,12 +15,15 @@ import scipy
 
 from splitband.linear.delays import check_delays, delayed
 from splitband.linear.kalman import EXACT, most_probable, responses, states, whitening
+from splitband.linear.subspace import filled
 from splitband.linear.uncertainty import Uncertainty
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 
 _CHUNK = 2**18
 """Most samples of which all states are computed at once. Bounds the memory."""
+_LOST = 100.0
+"""Largest growth of an error over a forecast that is worth making. By eye."""
 _FASTEST, _SLOWEST = 0.5, 0.95
 """Range of the poles of additional states, without effect on the output. By eye."""
 
@@ -166,6 +169,7 @@ class LinearModel:
         """Return the state after inputs from the first training sample on, `(n,)`."""
         return self._run(self.tapped(u), self.first, self.first - self.centre)[1]
 
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable model leaves the range of numbers
     def _run(self, tapped: Array, first: Array, away: Array, age: int = 0) -> tuple[Array, Array]:
         """Return the outputs of a simulation, and the state after it.
 
@@ -357,10 +361,30 @@ class LinearModel:
         return np.asarray(np.linalg.eigvals(self.a), np.complex128)
 
     @property
-    def stable(self) -> bool:
-        """Return whether all poles but the integrators are inside of the unit circle."""
+    def growth(self) -> float:
+        """Return the absolute value of the largest pole outside of the unit circle; else 1."""
         poles = sorted(self.poles(), key=lambda pole: abs(pole - 1))[self.integrators :]
-        return all(abs(pole) < 1 for pole in poles)
+        return max([1.0, *map(abs, poles)])
+
+    @property
+    def reach(self) -> int | None:
+        """Return how many samples ahead forecasts are worth making; None for a stable model.
+
+        As far as the expected errors of all outputs are below half of their standard deviations,
+        and an error grows at most a hundredfold; rounded down to 1, 2 or 5 times a power of ten.
+        """
+        if self.growth <= 1:
+            return None
+        longest = max(int(np.log(_LOST) / np.log(self.growth)), 1)
+        steps, spread = 1, np.zeros_like(self.a)
+        while steps < longest:
+            spread = self.a @ spread @ self.a.T + self.gain @ self.noise @ self.gain.T
+            power = np.diag(self.c @ spread @ self.c.T + self.noise)
+            if (np.sqrt(power) > 0.5 * self.scale).any():
+                break
+            steps += 1
+        power = 10 ** int(np.log10(steps))
+        return max(k * power for k in (1, 2, 5) if k * power <= steps)
 
     def __str__(self) -> str:
         poles = f"{self.order} pole{'s' * (self.order != 1)}"
@@ -425,6 +449,7 @@ class Realisation(NamedTuple):
     a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`.
     drift, offset : `(states,)` and `(ny,)`.
     states : State trajectories by record, `(time, states)`.
+    gain : K of the innovations form, `(states, ny)`; None for a stable system.
     """
 
     a: Array
@@ -434,16 +459,22 @@ class Realisation(NamedTuple):
     drift: Array
     offset: Array
     states: tuple[Array, ...]
+    gain: Array | None = None
 
 
 def realised(
-    model: LinearModel, inputs: Sequence[Array], size: int, rng: np.random.Generator
+    model: LinearModel,
+    records: Sequence[tuple[Array, Array]],
+    size: int,
+    rng: np.random.Generator,
 ) -> Realisation:
     """Return a state-space model with `size` states, and its states in the records.
 
     The `model` has no delays. Additional states have no effect on the output; `rng` draws their
-    input matrix. `inputs` are the inputs of the training records, `(time, nu)`.
+    input matrix. `records` are y, NaN in gaps, and u of the training records. The states are those
+    of a simulation; of an unstable model those of its Kalman filter.
     """
+    inputs = [u for _, u in records]
     additional = size - model.order
     poles = np.linspace(_FASTEST, _SLOWEST, additional)
     a = scipy.linalg.block_diag(model.a, np.diag(poles))
@@ -455,7 +486,15 @@ def realised(
     first = np.append(model.first, np.zeros(additional))
     middle = np.append(model.centre, np.zeros(additional))
     starts = [first, *[middle] * (len(inputs) - 1)]
-    runs = [states(a, u @ b.T + drift, x) for x, u in zip(starts, inputs, strict=True)]
+    offset, forces = model.offset - model.d @ model.mean, [u @ b.T + drift for u in inputs]
+    moves, gain = a, None
+    if model.growth > 1:
+        gain = np.concatenate([model.gain, np.zeros((additional, model.ny))])
+        moves = a - gain @ c
+        left = [np.apply_along_axis(filled, 0, y) - u @ model.d.T - offset for y, u in records]
+        forces = [f + e @ gain.T for f, e in zip(forces, left, strict=True)]
+    runs = [states(moves, force, x) for x, force in zip(starts, forces, strict=True)]
     into, out = whitening(np.concatenate(runs))
-    offset, whole = model.offset - model.d @ model.mean, tuple(run @ into.T for run in runs)
-    return Realisation(into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset, whole)
+    whole = tuple(run @ into.T for run in runs)
+    system = into @ a @ out, into @ b, c @ out, model.d, into @ drift, offset
+    return Realisation(*system, whole, None if gain is None else into @ gain)

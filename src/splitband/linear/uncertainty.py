@@ -65,7 +65,8 @@ class Uncertainty:
         """Return poles and static gains, with half of their 95 % intervals."""
         sizes = zip(self.poles, NORMAL * self.pole_errors[:, 2], strict=True)
         lines = [f"pole {pole:.4g}, its absolute value ± {error:.2g}" for pole, error in sizes]
-        for (i, j), gain in np.ndenumerate(self.gains):
+        stable = abs(self.poles).max(initial=0.0) <= 1
+        for (i, j), gain in np.ndenumerate(self.gains) if stable else ():
             error = NORMAL * self.gain_errors[i, j]
             lines.append(f"static gain of output {i} for input {j}: {gain:.4g} ± {error:.2g}")
         return "\n".join(lines)

@@ -168,6 +168,8 @@ class StateSpace(WithRepr, nn.Module):
                 layer.weight[:, units] = weight
             self.transition.bias.copy_(torch.from_numpy(model.drift))
             self.observation.bias.copy_(torch.from_numpy(model.offset))
+            if model.gain is not None:
+                self.gain.copy_(torch.from_numpy(model.gain))
             if first is not None:
                 self.first.copy_(torch.from_numpy(first[0]))
                 self.first_bias.copy_(torch.from_numpy(first[1]))
@@ -178,10 +180,10 @@ class StateSpace(WithRepr, nn.Module):
         out = [layer.weight[:, units] for layer in (self.transition, self.observation)]
         return [*self.f.parameters(), *self.g.parameters(), *out]
 
-    def stable(self) -> bool:
-        """Return whether A is stable: as f is bounded, free runs are then bounded, too."""
+    def growth(self) -> float:
+        """Return the largest pole of A: up to 1, as f is bounded, free runs are bounded, too."""
         a = self.transition.weight[:, : self.states].detach().double()
-        return bool(torch.linalg.eigvals(a).abs().max() < 1)
+        return float(torch.linalg.eigvals(a).abs().max())
 
     def size_in_words(self) -> str:
         """Return the numbers of states and units, for tables."""

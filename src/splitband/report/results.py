@@ -179,7 +179,7 @@ def save_check(
     """Write results.json, with `facts` first, and the page of a check of a model."""
     page = _page()
     facts = facts | check.as_json() | {"kind": model.in_words()}
-    for response in responses:
+    for response in responses if model.require_fitted().report.stable else ():
         gains = {
             column: dict(zip(response.inputs, map(float, row), strict=True))
             for column, row in zip(response.columns, response.y[-1], strict=True)
@@ -209,7 +209,7 @@ def _test_facts(comparison: Comparison) -> Iterator[dict[str, Any]]:
 def _interval(comparison: Comparison, name: str) -> dict[str, Any]:
     """Return a forecast's interval, and its coverage of the measured samples."""
     interval = comparison.require_trial().intervals[name]
-    ahead = len(comparison.medians[name].ahead)
+    ahead = comparison.steps_of_interval(name)
     if not ahead:
         return asdict(interval)
     mean = interval.half_widths(ahead).mean(axis=0)

@@ -32,7 +32,7 @@ OVER_ALL: tuple[Unit, ...] = ("deviation", "seconds", "count")
 
 SHOWN = {"forecast fit %": "fit %", "forecast RMSE": "RMSE"}
 """Displayed headings, below a title with "forecast" or "simulation"."""
-DECISIVE = frozenset({"test fit %", "forecast fit %", "score"})
+DECISIVE = frozenset({"N ahead fit %", "test fit %", "forecast fit %", "score"})
 """Headings with the reason for the recommendation, and its quality."""
 NARROW = 8
 """Smallest width of a heading's line, in characters. Layout."""
@@ -65,6 +65,7 @@ class Column:
     measure: str = ""  # the unit in the output's name, such as "m"
     note: str = ""  # explanation of the heading
     marks: Mapping[str, str] = field(default_factory=dict)  # by row: a word beside the number
+    ahead: int = 0  # samples from each of many origins to the predicted one; 0: a free run
 
     @property
     def title(self) -> str:
@@ -75,7 +76,9 @@ class Column:
     @property
     def shown(self) -> str:
         """Return the displayed heading, with the test record."""
-        return f"{SHOWN.get(self.heading, self.heading)} {self.record}".rstrip()
+        heading = SHOWN.get(self.heading, self.heading)
+        heading = f"fit % {self.ahead} ahead" if self.ahead else heading
+        return f"{heading} {self.record}".rstrip()
 
     @property
     def label(self) -> str:
@@ -122,6 +125,7 @@ class Column:
             "values": {name: v for name, v in self.values.items() if math.isfinite(v)},
             **({"spreads": dict(self.spreads)} if self.spreads else {}),
             **({"marks": dict(self.marks)} if self.marks else {}),
+            **({"ahead": self.ahead} if self.ahead else {}),
         }
 
 

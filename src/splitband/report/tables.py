@@ -20,6 +20,7 @@ from splitband.comparison.recommendation import COVERAGE, RULE, Trial
 from splitband.comparison.result import Comparison
 from splitband.comparison.search import Attempt
 from splitband.forecasters.base import Forecaster, titled
+from splitband.forecasters.held_out import fit_ahead, horizons
 from splitband.forecasters.linear import Linear
 from splitband.linear.uncertainty import NORMAL
 from splitband.metrics import channel_rmse, fit_percent, leaving
@@ -42,7 +43,7 @@ def of_comparison(comparison: Comparison) -> Table:
     title = (
         f"{_called(record)}: {train:,} samples to train on"
         + (f", {ahead}" if train < len(record) else "")
-        + f". {what_was_known(comparison)}"
+        + f". {what_was_known(comparison)}{_from_origins(comparison)}"
     )
     missing = {} if trial is None else trial.without_result
     ranked = ordered(trial, comparison.fits)
@@ -54,6 +55,25 @@ def of_comparison(comparison: Comparison) -> Table:
     }
     called = labels_of(comparison)
     return _ranked(Table(title, columns(comparison), rows, labels=called, details=details), trial)
+
+
+def _from_origins(comparison: Comparison) -> str:
+    """Return a sentence on forecasts from many origins, if there are any."""
+    found = comparison.judging(next(iter(comparison.fits)))
+    if not found or comparison.plan.ahead is None:
+        return ""
+    counts = " and ".join(str(len(forecasts)) for _, forecasts in found)
+    steps = ", ".join(map(str, _horizons(comparison).values()))
+    return (
+        f" Ahead: {steps} samples from each of {counts} origins, with the measurements until then."
+    )
+
+
+def _horizons(comparison: Comparison) -> dict[str, int]:
+    """Return the samples ahead for which fits are shown, by their names; empty for a free run."""
+    if (ahead := comparison.plan.ahead) is None:
+        return {}
+    return {{ahead: "N", 1: "1"}.get(samples, "N/10"): samples for samples in horizons(ahead)}
 
 
 def of_trial(
@@ -160,11 +180,12 @@ class Numbers(NamedTuple):
     test: str = ""  # name of the test record
     spreads: Mapping[str, Any] = MappingProxyType({})
     marks: Mapping[str, Sequence[str]] = MappingProxyType({})
+    ahead: int = 0  # see `Column`
 
 
 def _columns(heading: str, numbers: Numbers) -> list[Column]:
     """Return the columns of these numbers, with one unit each."""
-    values, record, test, spreads, marks = numbers
+    values, record, test, spreads, marks, ahead = numbers
     unit, note, _ = COLUMNS[heading]
     if record is None:
         ranked = unit == "deviation"
@@ -176,7 +197,17 @@ def _columns(heading: str, numbers: Numbers) -> list[Column]:
     by_channel = []
     for i, (name, measure) in enumerate(zip(record.columns, record.units, strict=True)):
         channel, beside = name if record.ny > 1 else "", {n: m[i] for n, m in marks.items() if m[i]}
-        rest = of(i, values), channel, test, of(i, spreads), unit != "share", measure, note, beside
+        rest = (
+            of(i, values),
+            channel,
+            test,
+            of(i, spreads),
+            unit != "share",
+            measure,
+            note,
+            beside,
+            ahead,
+        )
         by_channel.append(Column(heading, unit, *rest))
     return by_channel
 
@@ -198,6 +229,21 @@ def _errors(
         yield Numbers(values, shown.record, test, spreads)
 
 
+def _ahead(name: str, comparison: Comparison) -> Iterator[Numbers]:
+    """Yield the fits of forecasts from many origins, so many samples ahead, by record."""
+    if (steps := _horizons(comparison).get(name)) is None:
+        return
+    for record in (*comparison.tests, comparison.record):
+        fits = dict[str, Array]()
+        for method in comparison.fits:
+            for own, forecasts in comparison.judging(method):
+                if own is record:
+                    fits[method] = fit_ahead(record, forecasts, steps)
+        if fits:
+            test = "" if record is comparison.record else record.name
+            yield Numbers(fits, record, test, ahead=steps)
+
+
 def _scores(trial: Trial, methods: Iterable[str]) -> Numbers:
     scored = trial.final or trial.scores
     return Numbers({name: trial.penalized_score(name) for name in methods if name in scored})
@@ -208,10 +254,13 @@ def _held_out(trial: Trial, record: Record, methods: Iterable[str]) -> Numbers:
 
 
 def _intervals(comparison: Comparison) -> list[Numbers]:
-    if comparison.trial is None or not comparison.predictions:
+    if comparison.trial is None:
         return []
-    held = {name: comparison.coverages(name) for name in comparison.fits}
-    marks = {name: comparison.misfits(name) for name in comparison.fits}
+    methods = [name for name in comparison.fits if comparison.steps_of_interval(name)]
+    if not methods:
+        return []
+    held = {name: comparison.coverages(name) for name in methods}
+    marks = {name: comparison.misfits(name) for name in methods}
     return [Numbers(held, comparison.record, marks=marks)]
 
 
@@ -234,13 +283,17 @@ class Quantity(NamedTuple):
 
 
 _FIT = "100 (1 - |y - prediction| / |y - mean(y)|) of the"
+_OF_AHEAD = (
+    f"{_FIT} samples that are this far ahead of many origins, each with the measurements until "
+    "then: 100 is perfect, 0 is as good as their mean"
+)
 _OF_TEST = f"{_FIT} simulation of this test record: 100 is perfect, 0 is as good as its mean"
 _AHEAD = (
     f"{_FIT} samples after the training part, which are simulated where inputs are known and "
     "forecast where there are none: 100 is perfect, 0 is as good as their mean"
 )
 _INSIDE = (
-    "share of the measured samples after the training part in the interval; "
+    "share of the measured samples after the training part, or of those ahead, in the interval; "
     f"{percent(COVERAGE)} is ideal; narrow or wide: by more than chance"
 )
 _HELD_OUT = "error on the last quarter of the training samples, by models trained on the rest"
@@ -250,6 +303,10 @@ _MEDIAN_OF = "how many the median is of; after ±: the standard deviation of the
 _TESTS, _FORECASTS = partial(_errors, "test"), partial(_errors, "forecast")
 _STARTS = partial(_errors, "start")
 COLUMNS = {
+    **{
+        f"{name} ahead fit %": Quantity("percent", _OF_AHEAD, partial(_ahead, name))
+        for name in ("1", "N/10", "N")
+    },
     "test fit %": Quantity("percent", _OF_TEST, partial(_TESTS, fit_percent)),
     "forecast fit %": Quantity("percent", _AHEAD, partial(_FORECASTS, fit_percent)),
     "score": Quantity("deviation", RULE, lambda c: [_scores(c.trial, c.fits)] if c.trial else []),

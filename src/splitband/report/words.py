@@ -16,13 +16,13 @@ from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import periodogram
 from splitband.forecasters.bands import Bands
 from splitband.forecasters.base import titled
-from splitband.forecasters.fitted import UNSTABLE
 from splitband.forecasters.held_out import HELD_OUT_SHARE, first_held_out
 from splitband.forecasters.linear import Linear
 from splitband.metrics import Extrapolation
 from splitband.records import Record
 from splitband.report.numbers import number, percent
 from splitband.report.predictions import run_of
+from splitband.report.table import Column
 from splitband.report.tables import columns, labels_of, leaving_range
 
 MIN_HELD_OUT = 20
@@ -47,8 +47,35 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
     """Return predicted outputs and records, with fit and error of the recommended method.
 
     The records are the test records, or else the samples after the training part. Without either,
-    the error is the held-out one.
+    the error is the held-out one. With `Plan.ahead`, forecasts from many origins come first; of an
+    unstable plant there is nothing else.
     """
+    best = comparison.recommended
+    if comparison.plan.ahead is not None and comparison.steps_of_interval(best):
+        free = _free_headline(comparison) if comparison.plan.reach is None else []
+        return [*_ahead_headline(comparison), *free]
+    return _free_headline(comparison)
+
+
+def _ahead_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    """Return the fits of forecasts from many origins; see `headline`."""
+    best, lines = comparison.recommended, list[tuple[str, list[str]]]()
+    nearer = columns(comparison, "1 ahead fit %", "N/10 ahead fit %")
+    held = {c.channel: c for c in columns(comparison, "in interval")}
+    share = percent(comparison.require_trial().intervals[best].share)
+    for fit in columns(comparison, "N ahead fit %"):
+        alike = [c for c in nearer if (c.channel, c.record) == (fit.channel, fit.record)]
+        also = ", ".join(f"{c.ahead} ahead: {c.entry(best)} %" for c in alike)
+        facts = [f"fit {fit.entry(best)} %" + (f" ({also})" if also else "")]
+        if fit.channel in held and len(lines) < comparison.record.ny:
+            facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
+        of = f"{fit.ahead} samples ahead" + (f" in test record {fit.record}" if fit.record else "")
+        lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
+    return lines
+
+
+def _free_headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    """Return the fits of free runs, or else the held-out error; see `headline`."""
     best = comparison.recommended
     if not (comparison.tests or comparison.predictions):
         return [
@@ -67,15 +94,18 @@ def headline(comparison: Comparison) -> list[tuple[str, list[str]]]:
         of = f"test record {fit.record}" if fit.record else f"{run} of {ahead:,} samples"
         unit = f" {error.measure}" if error.measure else ""
         facts = [f"fit {fit.entry(best)} %", f"RMSE {error.entry(best)}{unit}"]
-        if fit.channel in held and side == "forecast":
+        if fit.channel in held and side == "forecast" and comparison.plan.ahead is None:
             share = percent(comparison.require_trial().intervals[best].share)
             facts.append(f"inside the {share} interval: {held[fit.channel].entry(best)}")
         lines.append((f"{fit.channel}, {of}" if fit.channel else of, facts))
     return lines
 
 
-def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
-    """Return sentences on the reason for the recommendation; `called` are methods in words."""
+def why(trial: Trial, train: int, called: Mapping[str, str], ahead: int | None = None) -> list[str]:
+    """Return sentences on the reason for the recommendation; `called` are methods in words.
+
+    `ahead` : See `Plan.ahead`.
+    """
     best = trial.recommended
     if len(trial.errors) == 1:
         return [
@@ -95,7 +125,8 @@ def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
     words[0] += "."
     words.append(
         f"The score uses the {train:,} training samples alone: every method was trained on the "
-        f"first {percent(1 - HELD_OUT_SHARE)} of them and predicted the rest."
+        f"first {percent(1 - HELD_OUT_SHARE)} of them and predicted the rest"
+        + (f", 1 to {ahead} samples ahead from many origins." if ahead else ".")
     )
     if trial.trained and set(trial.errors) - trial.trained:
         words.append(f"Networks carry a penalty of {percent(WORTH_TRAINING)}.")
@@ -105,7 +136,7 @@ def why(trial: Trial, train: int, called: Mapping[str, str]) -> list[str]:
 def afterwards(comparison: Comparison) -> list[str]:
     """Return a sentence on methods with a better fit than the recommended one on unseen samples."""
     best = comparison.recommended
-    fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
+    fits = _decisive(comparison)
     if not any(np.isfinite(c.values.get(best, np.nan)) for c in fits) or len(comparison.fits) == 1:
         return []
     better = [
@@ -125,6 +156,12 @@ def afterwards(comparison: Comparison) -> list[str]:
         for c in better
     )
     return [f"In hindsight, a better fit: {names}."]
+
+
+def _decisive(comparison: Comparison) -> list[Column]:
+    """Return the fits on unseen samples by which a method is wanted to do well."""
+    every = (f"{kind} fit %" for kind in ("N ahead", "test", "forecast"))
+    return next(filter(None, (columns(comparison, heading) for heading in every)), [])
 
 
 def without_result(comparison: Comparison) -> list[str]:
@@ -155,7 +192,7 @@ def warnings(comparison: Comparison) -> list[str]:
             if test.unrelated or not test.accepted
         ),
         *_useless_term(comparison),
-        *_left_range(comparison),
+        *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
         *_missing(comparison),
@@ -170,7 +207,7 @@ def warnings(comparison: Comparison) -> list[str]:
 def _worse_than_mean(comparison: Comparison) -> list[str]:
     """Return a sentence on a recommended method worse than the mean on unseen samples."""
     best = comparison.recommended
-    fits = columns(comparison, "test fit %") or columns(comparison, "forecast fit %")
+    fits = _decisive(comparison)
     worse = [c for c in fits if c.values.get(best, 0.0) < 0]
     if not worse:
         return []
@@ -185,8 +222,8 @@ def _worse_than_mean(comparison: Comparison) -> list[str]:
 def _unstable(comparison: Comparison) -> list[str]:
     """Return a sentence on a recommended model that is unstable, or integrates."""
     fits = comparison.fits[comparison.recommended]
-    if not all(fit.report.stable for fit in fits):
-        return [f"The recommended model is {UNSTABLE}."]
+    if said := [*filter(None, (fit.report.unstable() for fit in fits))]:
+        return [f"The recommended model is {said[0]}."]
     if any(isinstance(fit.fitted, Linear) and fit.fitted.model.integrators for fit in fits):
         return ["The recommended model integrates: a constant input makes it grow steadily."]
     return []
@@ -228,7 +265,7 @@ def _left_range(comparison: Comparison) -> list[str]:
 def _wide_interval(comparison: Comparison) -> list[str]:
     """Return a sentence on an interval as wide as one around the record's mean."""
     best, trial, record = comparison.recommended, comparison.require_trial(), comparison.record
-    ahead = len(comparison.medians[best].ahead)
+    ahead = comparison.steps_of_interval(best)
     if not ahead or best not in trial.held_out:
         return []
     interval = trial.intervals[best]

@@ -229,6 +229,16 @@ def recipe_settings(
     return replace(settings, warmup=warmup)
 
 
+def within_reach(settings: TrainingSettings, reach: int | None) -> TrainingSettings:
+    """Return settings whose windows predict at most `reach` samples; None limits nothing.
+
+    Over a longer free run of an unstable plant, errors grow until gradients are useless.
+    """
+    if reach is None:
+        return settings
+    return replace(settings, window=min(settings.window, settings.warmup + reach))
+
+
 def window_starts(records: Sequence[Record], window: int, warmup: int) -> npt.NDArray[np.int_]:
     """Return the first samples of all windows, counted over the records."""
     found, begin = [], 0

@@ -49,12 +49,15 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
     left, errors = [p for s in shown for p in s.residuals()], [p for s in shown for p in s.errors()]
     warnings = (*result.warnings, *words.warnings(result), *words.of_gaps(record))
     warned = [*map(words.sentence, warnings)]
-    why = " ".join(words.why(trial, result.plan.train, listed.labels))
+    plan = result.plan
+    why = " ".join(words.why(trial, plan.train, listed.labels, plan.ahead))
     headline = [(of, "\n".join(facts)) for of, facts in words.headline(result)]
+    ahead = plots.errors_ahead(result, styles)
     sections = [
         Section("answer", answer, words.afterwards(result), warned, facts=headline),
         Section("plot", "Measured and predicted", [what_was_known(result)], plots=curves),
         Section("methods", "All methods", [why], tables=[listed]),
+        *([Section("ahead", "Error by samples ahead", [_AHEAD], plots=ahead)] if ahead else []),
         _residuals([*words.verdicts(result)], result.residual_tests, "Residuals", left),
         *_responses(result, styles),
         *_next_steps(used),
@@ -66,13 +69,17 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
         *_trained(result, styles),
         _settings(_flat(_shared(result)), used),
     ]
-    title, at, train = record.name or "a record", shown[0].axis.values, result.plan.train
+    title, at, train = record.name or "a record", shown[0].axis.values, plan.train
     views = {"Whole record": (at[0], at[-1])}
     if first[0].protocol != "test" and train < len(at):
         views |= {"Training part": (at[0], at[train - 1]), "After it": (at[train], at[-1])}
     return Page(title, words.lead(record), sections, [*styles.values()], views)
 
 
+_AHEAD = (
+    "RMSE of forecasts from many origins, each with the measurements until then. Methods are "
+    "chosen by such forecasts of held-out samples."
+)
 _HORIZON = (
     "RMSE up to each horizon: the error of a model that does not drift stays flat. Lines: the "
     "median of a method's trainings, which is its prediction; shaded: the range of all of them."
@@ -269,7 +276,9 @@ def of_check(
 ) -> Page:
     """Return the page of a check of a model."""
     record, name = result.record, result.method
-    shown = Predicted("start", "simulation", record, {name: result.simulation})
+    stable = model.require_fitted().report.stable
+    said = "simulation" if stable else "predictions one sample ahead"
+    shown = Predicted("start", said, record, {name: result.simulation})
     styles = {name: Method(name, label=model.in_words() or name)}
     drawn = plots.OverTime(shown, styles)
     facts = []

@@ -12,6 +12,7 @@ from bokeh.models.annotations import BoxAnnotation
 from splitband.checks.residuals import Correlation
 from splitband.checks.responses import SHARE, Responses
 from splitband.comparison.backtest import Fit
+from splitband.comparison.result import Comparison
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
 from splitband.forecasters.grey_box import GreyBox
@@ -182,6 +183,40 @@ class OverTime:
         for k, (part, y) in enumerate(curves.items()):
             chart.line(y, part, [f"c{k}"], line_width=1.4)
         return chart
+
+
+def errors_ahead(comparison: Comparison, styles: Mapping[str, Method]) -> list[Chart]:
+    """Return plots by output of the RMSE over the samples ahead of many origins, by record."""
+    plots = list[Chart]()
+    if comparison.plan.ahead in (None, 1):
+        return plots
+    every = {name: comparison.judging(name) for name in styles}
+    for record in (*comparison.tests, comparison.record):
+        errors = {
+            name: np.stack([record.truth[o.at : o.at + o.steps] - p.y for o, p in made.items()])
+            for name, found in every.items()
+            for own, made in found
+            if own is record
+        }
+        if not errors:
+            continue
+        of = "" if record is comparison.record else f", test record {record.name}"
+        for i, (column, unit) in enumerate(zip(record.columns, record.units, strict=True)):
+            curves = {n: _grown_ahead(e[:, :, i]) for n, e in errors.items()}
+            axis = Axis.over(np.arange(1.0, 1 + len(next(iter(curves.values())))), "samples ahead")
+            low, high = log_limits(np.concatenate([*curves.values()]))
+            scale, caption = (low, min(high, 1e12 * low)), f"{column}: error by samples ahead{of}"
+            chart = Chart(axis, _with("RMSE", unit), scale, caption, log=True)
+            for name, y in curves.items():
+                chart.method(y, styles[name], styles[name].label or name)
+            plots.append(chart)
+    return plots
+
+
+def _grown_ahead(errors: Array) -> Array:
+    """Return the RMSE over the samples ahead of errors `(origins, steps)`, NaN in gaps."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(np.nansum(errors**2, axis=0) / (~np.isnan(errors)).sum(axis=0)))
 
 
 def _look(style: Method, width: float) -> dict[str, Any]:

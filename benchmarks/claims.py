@@ -1,0 +1,183 @@
+"""Which stored results are of today's code, and on what machine they were measured.
+
+    python -m benchmarks.claims         count the stored runs whose code has changed since
+
+A run carries `sources`: a hash of all code that decides accuracy, as Python's parser reads it, so
+that comments, docstrings and layout do not count. It is current if that is today's hash, or if
+`python -m benchmarks.frozen COMMIT --list` found the same numbers, to the bit, for both. A commit
+would need the history, which shallow clones lack, and would change when branches are rebased. Runs
+without a hash are older than it. Tables mark what is not current; README.md leaves it out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+ROOT = Path(__file__).parents[1]
+STORED = ROOT / "docs/results/benchmarks"
+EQUAL = STORED / "equal.jsonl"
+"""Pairs of hashes whose sources compute the same, with the output of that check."""
+ROOMS = (
+    *("baselines", "comparison", "filters", "forecasters", "kernels"),
+    *("linear", "models", "networks", "simulators", "training"),
+)
+"""Folders of the package that decide accuracy, beside `metrics.py`: whatever is fitted, trained,
+searched or chosen. Not those that read records and run processes, whose results tests compare
+exactly, nor those that show and export what was found."""
+SIGN = "†"
+_STEPS = 60
+
+
+def sources(root: Path = ROOT) -> str:
+    """Return the hash of the code below `root` that decides accuracy."""
+    package, found = root / "src/splitband", hashlib.sha256()
+    paths = [package / "metrics.py"]
+    paths += sorted(path for room in ROOMS for path in (package / room).rglob("*.py"))
+    for path in paths:
+        told = _told(ast.parse(path.read_text(encoding="utf-8")))
+        found.update(f"{path.relative_to(package).as_posix()}: {told}\n".encode())
+    return found.hexdigest()[:12]
+
+
+def _told(node: Any) -> Any:
+    """Return a syntax tree as tuples, which are the same for every version of Python."""
+    if isinstance(node, list):
+        return [_told(each) for each in node if not _is_text(each)]
+    if not isinstance(node, ast.AST):
+        return node
+    fields = ((name, _told(value)) for name, value in ast.iter_fields(node))
+    return type(node).__name__, *(
+        (name, value) for name, value in fields if value not in ([], None)
+    )
+
+
+def _is_text(node: Any) -> bool:
+    """Return whether a statement is a docstring, or a string that explains a constant."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+@cache
+def equal(path: Path = EQUAL) -> frozenset[str]:
+    """Return the hashes of the sources that are known to compute what today's do."""
+    pairs = [{*row["sources"]} for row in read(path)]
+    found = {sources()}
+    while more := {each for pair in pairs if pair & found for each in pair} - found:
+        found |= more
+    return frozenset(found)
+
+
+def current(row: Row) -> bool:
+    """Return whether a run is of today's sources, or of equal ones."""
+    return row.get("sources") in equal()
+
+
+def sign(rows: Iterable[Row]) -> str:
+    """Return the mark of a line of a table, if one of its runs is not current."""
+    return "" if all(map(current, rows)) else f" {SIGN}"
+
+
+def note(rows: Sequence[Row]) -> str:
+    """Return the sentences below a table: where its runs were measured, and the mark's meaning."""
+    old = [row for row in rows if not current(row)]
+    new = [row for row in rows if current(row)]
+    said = []
+    if old:
+        said.append(f"{SIGN} Measured at {_where(old)}, before code that decides accuracy changed.")
+    if new:
+        said.append(f"{'The others were measured' if old else 'Measured'} at {_where(new)}.")
+    return "".join(f"\n{sentence}\n" for sentence in said)
+
+
+def _where(rows: Iterable[Row]) -> str:
+    """Return commits and machines of runs in words."""
+    rows = [*rows]
+    commits = [*dict.fromkeys(row.get("commit") or "unknown" for row in rows)]
+    machines: dict[str, list[float]] = {}
+    for row in rows:
+        of = row.get("computer")
+        name = f"{of['processor']}, {of['cores']} cores" if of else "machine unknown"
+        machines.setdefault(name, []).extend(of["reference_seconds"] if of else ())
+    said = [
+        f"{name}, reference training {min(took):.2g} to {max(took):.2g} s" if took else name
+        for name, took in machines.items()
+    ]
+    return f"commit {' and '.join(commits)} ({'; '.join(said)})"
+
+
+def reference() -> float:
+    """Return the seconds of a fixed training on one thread, of torch's own GRU."""
+    import torch  # noqa: PLC0415
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        torch.manual_seed(0)
+        network, u = torch.nn.GRU(2, 32, batch_first=True), torch.randn(50, 150, 2)
+        adam = torch.optim.Adam(network.parameters())
+        began = time.perf_counter()
+        for _ in range(_STEPS):
+            adam.zero_grad()
+            network(u)[0].square().mean().backward()
+            adam.step()
+        return time.perf_counter() - began
+    finally:
+        torch.set_num_threads(threads)
+
+
+def marked(row: Row, *before: float) -> Row:
+    """Return a run with the hash of today's sources and the computer.
+
+    `before`: seconds of reference trainings before the run, to which one is added now.
+    """
+    took = [round(seconds, 3) for seconds in (*before, reference())]
+    computer = {"processor": _processor(), "cores": os.cpu_count(), "reference_seconds": took}
+    return row | {"sources": sources(), "computer": computer}
+
+
+def _processor() -> str:
+    """Return the name of the processor; the platform module knows none on Linux."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
+
+
+def read(path: Path) -> list[Row]:
+    """Return the runs of a file, one in a line."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
+def stored() -> Iterator[tuple[str, list[Row]]]:
+    """Yield each file of runs of the plain command, and its runs."""
+    for name in ("clock", "families"):
+        yield f"{name}.jsonl", read(STORED / f"{name}.jsonl")
+    for path in sorted(STORED.glob("against-*.json")):
+        points = json.loads(path.read_text(encoding="utf-8"))["points"]
+        yield path.name, [point for point in points if point["library"] == "splitband"]
+
+
+def main() -> None:
+    """Print how many runs of each file are not current."""
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
+    for name, rows in stored():
+        print(f"{name}: {sum(not current(row) for row in rows)} of {len(rows)} runs are stale")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""`--ahead`: models for some samples ahead of any origin, from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import splitband as sb
+from tests.cli.support import WARMUP, assert_fails, call, results
+
+pytestmark = pytest.mark.usefixtures("inside", "short_rounds")
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_comparison_is_made_for_some_samples_ahead(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = "compare record.csv --columns a,b --methods gru,persistence --hidden 4,3 --rounds 1"
+    call(f"{asked} --warmup {WARMUP} --ahead 12 --jobs 1", tmp_path / "out")
+    said, found = capsys.readouterr().out, results(tmp_path / "out")
+    best = found["recommended"]
+    assert found["settings"]["ahead"] == 12
+    ahead = [column for column in found["table"] if column.get("ahead")]
+    assert [(column["ahead"], column["channel"]) for column in ahead] == [
+        (steps, name) for steps in (1, 12) for name in "ab"
+    ]
+    assert f"a, 12 samples ahead: fit {ahead[2]['values'][best]:.1f} % (1 ahead: " in said
+    assert "simulation of" in said or "forecast of" in said
+    assert "Ahead: 1, 12 samples from each of" in said
+    assert f"windows of {WARMUP + 12}" in found["methods"]["gru"]["description"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Error by samples ahead" in page
+    assert "--steps 12" in page  # how the model is used
+    # The model says so where it is checked.
+    call(f"check {tmp_path}/out/model --record record.csv", tmp_path / "checked")
+    assert {"1 step ahead", "12 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
+    call(f"check {tmp_path}/out/model --record record.csv --ahead 3", tmp_path / "checked")
+    assert {"1 step ahead", "3 steps ahead"} < {*results(tmp_path / "checked")["fit"]}
+
+
+def test_one_method_is_fitted_for_some_samples_ahead(tmp_path: Path) -> None:
+    asked = f"fit record.csv --columns a --method gru --hidden 4,3 --warmup {WARMUP} --ahead 15"
+    call(f"{asked} --rounds 1", tmp_path / "searched")
+    call(f"{asked} --epochs 1 --intervals", tmp_path / "given")
+    for name in ("searched", "given"):
+        model = sb.load(tmp_path / name)
+        assert f"windows of {WARMUP + 15}" in model.describe()
+        assert model.held_out is not None
+        assert model.held_out.ahead == 15
+
+
+@pytest.mark.parametrize(
+    ("asked", "parts"),
+    [
+        ("--ahead 5 --horizon 20", ["horizon and ahead exclude each other", "20 and 5"]),
+        ("--ahead 100", ["--ahead must be at most 38", "held-out", "got 100"]),
+        ("--ahead 0", ["--ahead", "greater than or equal to 1"]),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(
+    tmp_path: Path, asked: str, parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"compare record.csv --columns a --methods persistence {asked} --out {tmp_path}/out"
+    assert_fails(line, tuple(parts), capsys)
+
+
+def test_the_largest_number_that_a_message_names_is_taken(tmp_path: Path) -> None:
+    call("compare record.csv --columns a --methods persistence --ahead 38", tmp_path / "out")
+    assert results(tmp_path / "out")["recommended"] == "persistence"
