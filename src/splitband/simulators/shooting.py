@@ -383,7 +383,8 @@ class Shooting:
         """Return the normal matrix of the parameters with all other unknowns optimal."""
         n, scale = len(self.names), np.sqrt(np.maximum(np.diag(normal), 1e-300))
         whole = normal / scale / scale[:, None]
-        inner = whole[:n, n:] @ np.linalg.pinv(whole[n:, n:], hermitian=True) @ whole[n:, :n]
+        others = whole[n:, n:] + 1e-12 * np.eye(len(whole) - n)  # of which some may not matter
+        inner = whole[:n, n:] @ np.linalg.solve(others, whole[n:, :n])
         return (whole[:n, :n] - inner) * scale[:n] * scale[:n, None]
 
     def growth(self, transitions: Sequence[Array]) -> tuple[float, float]:
