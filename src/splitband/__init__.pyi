@@ -54,6 +54,7 @@ from .simulators import (
     Ode as Ode,
     Recorded as Recorded,
     Simulator as Simulator,
+    Unknown as Unknown,
     identify as identify,
 )
 from .training import TrainingSettings as TrainingSettings

@@ -5,6 +5,7 @@ import os
 import pickle  # noqa: TID251
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +29,10 @@ def decay(time, u, p):
 
 def slip(t, x, u, p):
     return [p.rat * (u[0] - x[0])]
+
+
+def drag(t, x, u, p, w):
+    return [p.rate * (u[0] - x[0]) - w[0]]
 
 
 plant = sb.Ode(lag, [0.0], parameters={"rate": (0.1, 1.0)})
@@ -87,6 +92,27 @@ def test_an_ode_of_a_file_says_its_ranges_itself_to_every_process() -> None:
     assert sent.estimate.remarks == ("rate is at its upper bound, 1",)
 
 
+def test_unknown_terms_of_an_equation_stand_beside_it_and_beside_hybrids() -> None:
+    how = {"parameters": "rate=0.1:10,x0_1=0", "unknown": ["y", "u"], "unknown_odd": True}
+    simulator = SimulatorOrBaseOptions("plant.py:drag", **how)  # type: ignore[arg-type]
+    plan = planned(Request("record.csv", RecordOptions(inputs="u"), simulator))
+    methods: dict[str, Any] = {method.name: method for method in plan.methods}
+    rows = ["simulator-as-given", "grey-box-without-terms", "grey-box"]
+    assert [name for name in methods if name in rows] == rows
+    found = {name: methods[name].simulator.matched(["y"], ["u"]).terms for name in rows}
+    assert [[term.free for term in terms] for terms in found.values()] == [
+        [False, False],
+        [False, False],
+        [True, True],
+    ]
+    assert [(term.label(0), term.odd) for term in found["grey-box"]] == [("y", True), ("u", True)]
+    assert not any(methods["simulator-as-given"].simulator.known.free)
+    outside = methods["residual-grey-box-state-space-conditioned"].base.simulator
+    assert not any(term.free for term in outside.terms)
+    sent = pickle.loads(pickle.dumps(methods["grey-box"])).simulator
+    assert repr(sent.unknown) == repr(methods["grey-box"].simulator.unknown)
+
+
 def test_a_saved_grey_box_simulates_with_its_values(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,6 +127,18 @@ def test_a_saved_grey_box_simulates_with_its_values(
     line = f"simulate {tmp_path}/model --history history.csv --future-inputs coming.csv --steps 5"
     says = ("no attribute 'rat' (plant.py, line 14)",)
     assert_fails(f"{line} --out other.csv --simulator plant.py:slip", says, capsys)
+
+
+def test_a_saved_equation_knows_of_what_its_unknown_term_is_a_function(tmp_path: Path) -> None:
+    how = "--simulator plant.py:drag --parameters rate=2,x0_1=0 --unknown y --unknown-odd"
+    call(f"fit record.csv --inputs u {how} --method grey-box --train 80 --jobs 1", tmp_path / "m")
+    low, high = results(tmp_path / "m")["parameters"]["unknown"][0]["in_training"]["y"]
+    largest = pd.read_csv("record.csv")["y"][:80].abs().max()
+    assert -low == high == pytest.approx(largest, rel=0.05)
+    line = f"simulate {tmp_path}/m --history history.csv --future-inputs coming.csv --steps 20"
+    call(f"{line} --simulator plant.py:drag", tmp_path / "ahead.csv")
+    found = pd.read_csv(tmp_path / "ahead.csv")["y"]
+    np.testing.assert_allclose(found, pd.read_csv("record.csv")["y"][80:], atol=0.1)
 
 
 def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
@@ -134,6 +172,18 @@ def test_held_inputs_are_doubted_where_they_fit_worse_and_kept_in_the_model(
         ("--simulator plant.py:lag --parameters rate=0.1:1", "how many states"),
         ("--simulator plant.py:number --parameters rate=0.1:1", "must define a function"),
         ("--simulator record.csv --parameters rate=0.1:1", "--parameters must be left out but for"),
+        ("--simulator plant.py:drag --parameters rate=1,x0_1=0", "--unknown must say of what"),
+        (f"{LAG} --unknown x1", "rhs must take the outputs w of unknown terms"),
+        (
+            "--simulator plant.py:drag --parameters x0_1=0 --unknown v",
+            "inputs of the record, u: got v",
+        ),
+        ("--simulator plant.py:decay --unknown y", "left out but for a differential equation"),
+        (
+            "--unknown x1",
+            "unknown (--unknown) must be left out but for a simulator that is FILE.py",
+        ),
+        ("--unknown-odd", "--unknown must say of what"),
         ("--methods grey-box", "needs a simulator with parameters"),
         (f"{LAG} --test history.csv --test-simulator nothing.csv", "--test-simulator must be left"),
     ],

@@ -39,6 +39,21 @@ def timed(t: float, x: Any, u: Any, p: Any) -> Any:
     return slope
 
 
+def sliding(t: float, x: Any, u: Any, p: Any, w: Any) -> list[Any]:
+    return [x[1], p.k * (u[0] - x[0]) - p.c * x[1] - w[0] + 0.3 * w[1]]
+
+
+def term(*names: str, **options: Any) -> sb.Unknown:
+    """A term with random weights, held beyond 5."""
+    made, z = (
+        sb.Unknown(names, hidden=5, **options),
+        np.array([[-5.0], [5.0]]).repeat(len(names), 1),
+    )
+    state = made.begun(z)
+    weights = np.random.default_rng(0).normal(size=state.weights.shape)
+    return replace(made, trained=replace(state, weights=weights)).holding(z)
+
+
 def of_inputs(x: Any, u: Any, p: Any) -> Any:
     return np.column_stack([x[:, 0] + 0.1 * u[:, 0], p.c * x[:, 1]])
 
@@ -59,6 +74,13 @@ EQUATIONS: dict[str, Callable[[], sb.Ode]] = {
     "time, and an array that is written to": lambda: sb.Ode(
         timed, [0.0, 0.0], parameters={"k": (0.5, 5.0)}, tolerances=EXACT, start=3.0
     ),
+    "unknown terms": lambda: sb.Ode(
+        sliding,
+        [0.1, 0.0],
+        parameters=RANGES,
+        tolerances=EXACT,
+        unknown=[term("x2", odd=True, bounded=(-1, 1)), term("x1", "u", increasing=True)],
+    ),
     "channels of states, inputs and parameters": lambda: sb.Ode(
         stiffening, [0.1, 0.0], of_inputs, RANGES, tolerances=EXACT
     ),
@@ -68,7 +90,7 @@ EQUATIONS: dict[str, Callable[[], sb.Ode]] = {
 def record_of(ode: sb.Ode, columns: int) -> sb.Record:
     """The equation with values within the ranges, and noise."""
     u = inputs()
-    matched = ode.matched([f"y{i}" for i in range(columns)], ["force"])
+    matched = ode.matched([f"y{i}" for i in range(columns)], ["u"])
     within = {name: 0.4 * low + 0.6 * high for name, (low, high) in RANGES.items()}
     fixed = matched.fixed({name: within[name] for name in RANGES if name in matched.known.given})
     start = float(ode.start)
@@ -294,3 +316,46 @@ def test_an_fmu_and_onnx_integrate_it_too(tmp_path: Path) -> None:
     _, rollout = model.export(tmp_path / "rig.onnx")
     signals = {"y": np.full((50, 1), np.nan), "u": record.u[150:]}
     np.testing.assert_allclose(session(rollout).run(None, signals)[1], wanted, atol=1e-9)
+
+
+def test_unknown_terms_go_wherever_the_equation_goes(tmp_path: Path) -> None:
+    """Over a gap, on a second record, saved, below a hybrid, and in every program."""
+    ode = EQUATIONS["unknown terms"]()
+    record: Any = record_of(ode, 1)
+    holed = replace(record, measured=((np.arange(200) < 60) | (np.arange(200) >= 70))[:, None])
+    model = sb.GreyBox(ode, starts=1).fit(holed[:150], record[:100])
+    wanted, u = model.predict(50, u=record.u[150:]).y, record.u[150:]
+    truth = ode.matched(record.columns, record.inputs).fixed({"k": 5.8, "c": 1.24})
+    exact = np.asarray(truth.simulate(0.1 * np.arange(200.0), record.u))[150:]
+    assert np.abs(wanted - exact).max() < 0.02 * np.ptp(exact)
+    stream, step = model.stream(), sb.casadi_step(model)
+    np.testing.assert_allclose([stream.step(each) for each in u], wanted, atol=1e-9)
+    state, found = step.state(), []
+    for each in u:
+        state, said = step(state, each)
+        found.append(said.full()[:, 0])
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    model.export(tmp_path / "rig.fmu")
+    instance = Instance(tmp_path / "rig.fmu", tmp_path / "rig", record)
+    np.testing.assert_allclose([instance.step(u=each) for each in u], wanted, atol=1e-9)
+    _, rollout = model.export(tmp_path / "rig.onnx")
+    signals = {"y": np.full((50, 1), np.nan), "u": u}
+    np.testing.assert_allclose(session(rollout).run(None, signals)[1], wanted, atol=1e-9)
+    model.save(tmp_path / "model")
+    terms = [sb.Unknown(["x2"], hidden=5, odd=True, bounded=(-1, 1))]
+    terms.append(sb.Unknown(["x1", "u"], hidden=5, increasing=True))
+    again = sb.load(tmp_path / "model", simulator=replace(ode, unknown=terms))
+    np.testing.assert_array_equal(again.predict(50, u=u).y, wanted)
+    for other, message in (
+        (terms[:1], r"must have 2 term\(s\), as in training, got 1"),
+        ([terms[0], sb.Unknown(hidden=4)], r"weights must have the shape \(17,\), got \(21,\)"),
+    ):
+        with pytest.raises(sb.InputError, match=message):
+            sb.load(tmp_path / "model", simulator=replace(ode, unknown=other))
+    settings = sb.TrainingSettings.paper(window=30, warmup=5, epochs=1)
+    hybrid = sb.Residual(ode, sb.GRU(2), settings=settings).fit(record[:150])
+    stream = hybrid.stream()
+    found = [stream.step(each) for each in u]
+    np.testing.assert_allclose(found, hybrid.predict(50, u=u).y, atol=1e-6)
+    compiled = Compiled(hybrid.export(tmp_path / "hybrid.c")[0])
+    np.testing.assert_allclose([compiled.step(1, each) for each in u], found, atol=1e-6)

@@ -413,6 +413,15 @@ class SimulatorOptions:
         "sb.Ode of a file, which may have its ranges itself.",
         "k=0.1:10,c=0.05",
     )
+    unknown: list[str] | None = _simulator(
+        "Train an unknown term of these quantities, states x1, x2, ... and columns: "
+        "FILE.py:RHS is a function of (t, x, u, p, w), and w has the term. May be repeated.",
+        "NAMES",
+    )
+    unknown_odd: bool = _simulator("Unknown terms are odd, as friction is.", default=False)
+    unknown_increasing: bool = _simulator(
+        "Unknown terms increase with each quantity.", default=False
+    )
 
 
 @dataclass(frozen=True)

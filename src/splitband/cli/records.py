@@ -38,6 +38,7 @@ from splitband.simulators.open_simulator import (
     read_beside,
     simulated,
 )
+from splitband.simulators.unknown import Unknown
 
 
 def load_record(
@@ -286,7 +287,9 @@ def simulator_of(options: SimulatorOptions, record: Record, time_column: str | N
             f"--simulator must be given where {option} is, as an .fmu or FILE.py:FUNCTION, got "
             f"{name or 'none'}"
         )
-    if options.parameters is None and (name is None or name in BASES):
+    fitted = options.parameters is not None or options.unknown is not None
+    fitted |= options.unknown_odd or options.unknown_increasing
+    if not fitted and (name is None or name in BASES):
         return name
     return open_simulator(name or "", record, **_how(options, time_column))
 
@@ -295,6 +298,11 @@ def _how(options: SimulatorOptions, time_column: str | None) -> dict[str, Any]:
     """Return the arguments of `open_simulator` that say how a simulator is opened."""
     how = {option.removeprefix("simulator_"): value for option, value in vars(options).items()}
     del how["simulator"]
+    kind = {name: how.pop(f"unknown_{name}") for name in ("odd", "increasing")}
+    if options.unknown is not None:
+        how["unknown"] = [Unknown(names(of), **kind) for of in options.unknown]
+    elif any(kind.values()):
+        raise InputError("--unknown must say of what the unknown terms are functions, such as x2")
     if (inputs := options.simulator_inputs) is not None:
         how["inputs"] = names(inputs, blank=True) if inputs.strip() else []
     return how | {"columns": names(options.simulator_columns or ""), "time_column": time_column}

@@ -25,12 +25,13 @@ from splitband.report.page.parts import Usage
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.system import over_lines, quoted
 
-_SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name != "parameters"]
+_OF_FIT = "parameters", "unknown", "unknown_odd", "unknown_increasing"
+_SIMULATOR = [name for name in SimulatorOptions.__annotations__ if name not in _OF_FIT]
 _FILES = [name for name in FileOptions.__annotations__ if name != "gaps"]
 REPLACED_BY_LIKE = [name for name in ModelOptions.__annotations__ if name not in ("seed", "device")]
 """Options that --like replaces."""
 _RECORDS = [*RecordOptions.__annotations__, "gaps", *_FILES, *FurtherRecords.__annotations__]
-_FIT = [*_RECORDS, *_SIMULATOR, "parameters", "ahead", *REPLACED_BY_LIKE, "like", "seed", "device"]
+_FIT = [*_RECORDS, *_SIMULATOR, *_OF_FIT, "ahead", *REPLACED_BY_LIKE, "like", "seed", "device"]
 _BLANK = "simulator_inputs", "time_column"
 """Options of which an empty text says something: none of them."""
 _DEFAULTS = vars(FileOptions()) | vars(SimulatorOptions()) | vars(ModelOptions())

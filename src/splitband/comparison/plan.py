@@ -45,6 +45,8 @@ BUDGET = 120.0
 """Default wall time of a comparison that searches how to train its networks, in s."""
 UNFITTED_SIMULATOR = "simulator-as-given"
 """Name of a simulator whose parameters are not fitted, but the middles of their ranges."""
+WITHOUT_TERMS = "grey-box-without-terms"
+"""Name of an equation with fitted parameters whose unknown terms stay as before training."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,11 +193,20 @@ def plan(asked: PlanRequest) -> Plan:
         low, high = bands_of(listed, given, training, decided)
     if fitted is not None:
         check_runs(fitted, record)
+        alone = fitted.without_terms()
         if default:
-            middle = fitted.fixed(fitted.known.middle())
             at = [method.name for method in listed].index(GREY_BOX)
+            if alone is not fitted and fitted.known.free:
+                listed.insert(at, GreyBox(alone, name=WITHOUT_TERMS))
+            middle = alone.fixed(fitted.known.middle())
             listed.insert(at, GreyBox(middle, name=UNFITTED_SIMULATOR))
-        listed = [with_parts_changed(each, partial(_with_simulator, fitted)) for each in listed]
+        # Below a hybrid, a network outside of the equation is in place of the unknown terms.
+        listed = [
+            with_parts_changed(
+                each, partial(_with_simulator, fitted if isinstance(each, GreyBox) else alone)
+            )
+            for each in listed
+        ]
     searched = {
         method.name: asked.sizes is None and not is_built(method)
         for method in listed

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any, ClassVar, Unpack, final
 
 import numpy as np
+import numpy.typing as npt
 
 from splitband.forecasters.base import Forecaster, Training
 from splitband.forecasters.prediction import ForecastContext
 from splitband.forecasters.steps import GivenSteps, NotSteppedError, State, Steps
-from splitband.metrics import rmse
+from splitband.metrics import ExtrapolationWarning, rmse
 from splitband.records import Record
 from splitband.records.preparation import check_level
 from splitband.runtime.arrays import Array, check_shape
@@ -23,6 +25,7 @@ from splitband.simulators.functions import Ode
 from splitband.simulators.identification import Effort, check_runs, identify
 from splitband.simulators.parameters import Adjustable, Estimate, Response
 from splitband.simulators.shooting import Adjusted, Experiment
+from splitband.simulators.unknown import Unknown, UnknownCurve
 
 STARTS = 0.5, 2 / 3, 5 / 6
 """Origins of the forecasts that choose the `memory`, as shares of the training record. By eye."""
@@ -99,6 +102,8 @@ class GreyBox(Forecaster):
         if self.adjusted is None:
             return {}
         found = {**self.estimate.as_json(), "used": dict(self.adjusted.values)}
+        if self.adjusted.terms:
+            found["unknown"] = [{"in_training": term.ranges()} for term in self.terms]
         hold = None if self.u is None or self.simulator is None else self.simulator.hold
         return found if hold is None else {**found, "hold": hold}
 
@@ -138,16 +143,22 @@ class GreyBox(Forecaster):
         """
         given = isinstance(self.simulator, Adjustable) and not self.simulator.known.free
         fitted = not given if self.adjusted is None else self.estimate.values
+        terms: Sequence[Any] = () if self.adjusted is None else self.adjusted.terms
+        if self.adjusted is None and self.simulator is not None:
+            terms = [term for term in self.simulator.terms if term.free]
+        if terms:
+            return "equation with trained unknown terms"
         return "simulator with fitted parameters" if fitted else "simulator as given"
 
     def learn(self, records: Sequence[Record], **how: Unpack[Training]) -> None:
         """Fit the parameters to all records together."""
         simulator = self._matched(records[0])
-        effort = Effort(self.starts, self.seconds, how["workers"])
+        effort = Effort(self.starts, self.seconds, how["workers"], how["seed"])
         self.estimate = identify(simulator, *records, effort=effort)
         experiments = [Experiment.of(record, simulator) for record in records]
         adjusted = Adjusted.of(simulator, self.estimate, experiments)
         self.adjusted = replace(adjusted, simulator=None)
+        self.estimate = replace(self.estimate, terms=(), members=())
         self.u, self.y = records[0].u, records[0].y_with_gaps
         self.memory = self._chosen_memory(experiments[0])
         self.fitted = self.require_fitted().reporting(cut=self.estimate.cut)
@@ -158,9 +169,15 @@ class GreyBox(Forecaster):
 
     def extrapolate(self, known: ForecastContext) -> Array:
         """Return the simulation from the state estimated from the last samples of the history."""
-        if not 0 < self.memory < len(known.y):
-            return self.trajectory(known)[len(known.y) :]
-        return self._ahead(self._experiment(known), len(known.y), self.memory)
+        return self._forecast(known)[0]
+
+    def _forecast(self, known: ForecastContext) -> Response:
+        """Return channels and states of a forecast."""
+        samples, whole = len(known.y), self._experiment(known)
+        if 0 < self.memory < samples:
+            return self._ahead(whole, samples, self.memory)
+        y, x = self._simulated(known, whole)
+        return y[samples:], x[samples:]
 
     def trajectory(self, known: ForecastContext) -> Array:
         """Return the simulation over the history and the forecast, `(time + steps, ny)`.
@@ -243,11 +260,72 @@ class GreyBox(Forecaster):
 
     def describe(self) -> str:
         """Return the values with standard errors, and those that the record does not determine."""
-        return str(self.estimate)
+        terms = [str(term) for term in self.terms if term.trained]
+        return "; ".join(filter(None, [str(self.estimate), *terms]))
 
     def doubts(self, known: ForecastContext) -> list[str]:
-        """Return that the record favours the other course of inputs between samples, if it does."""
-        return [self.estimate.doubt] if self.estimate.doubt else []
+        """Return that the record favours the other course of inputs between samples, if it does.
+
+        Also return the quantities of unknown terms that leave their range in training.
+        """
+        said = [self.estimate.doubt] if self.estimate.doubt else []
+        if not any(term.trained for term in self.terms) or not known.steps:
+            return said
+        _, x = self._forecast(known)
+        u = None if known.u is None else known.u[len(known.y) :][: len(x)]
+        return [*said, *(sentence for term in self.terms for sentence in term.leaves(x, u))]
+
+    @property
+    def terms(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms of the fitted equation."""
+        terms: tuple[Unknown, ...] = (
+            () if self.adjusted is None else self._adjusted().simulator.terms
+        )
+        return terms
+
+    def unknown_curve(
+        self,
+        term: int = 0,
+        quantity: int = 0,
+        at: npt.ArrayLike | None = None,
+        z: npt.ArrayLike | None = None,
+    ) -> UnknownCurve:
+        """Return what a trained unknown term was found to be, over one of its quantities.
+
+        Parameters
+        ----------
+        term, quantity : Numbers of the term, and of the quantity.
+        at : Values of all quantities of the term, of which the others are used, `(quantities,)`; by
+            default the middles of their ranges in training.
+        z : Values of the quantity, `(points,)`; by default 101 over its range in training.
+
+        Raises
+        ------
+        ValueError
+            For a model without this term, or before it is trained.
+
+        Warns
+        -----
+        ExtrapolationWarning
+            For values outside the range in training, where the term is held.
+        """
+        terms = self.terms
+        if not 0 <= term < len(terms) or terms[term].trained is None:
+            raise InputError(
+                "term must be the number of a trained unknown term, from 0 on, got "
+                f"{term} of {len(terms)} term(s) of {self.name}"
+            )
+        assert self.adjusted is not None
+        curve = terms[term].curve(quantity, at, z, self.adjusted.members[term :: len(terms)])
+        low, high = curve.range
+        if len(curve.z) and not (low <= curve.z.min() and curve.z.max() <= high):
+            warnings.warn(
+                f"{curve.quantity} was from {low:.4g} to {high:.4g} in training: outside the "
+                "unknown term is held",
+                ExtrapolationWarning,
+                stacklevel=2,
+            )
+        return curve
 
     def _begin(self, known: ForecastContext) -> float:
         """Return where a history begins, in samples after the first one of training."""
@@ -288,7 +366,8 @@ class GreyBox(Forecaster):
     def _adjusted(self) -> Adjusted:
         """Return the simulator with the fitted values, for the channels of the record."""
         assert self.adjusted is not None
-        return replace(self.adjusted, simulator=self._matched(self.require_fitted().record))
+        simulator = self._matched(self.require_fitted().record)
+        return replace(self.adjusted, simulator=simulator.taught(self.adjusted.terms))
 
     def _experiment(self, known: ForecastContext) -> Experiment:
         """Return history and forecast as one experiment, with NaN for the samples to come."""
@@ -297,11 +376,12 @@ class GreyBox(Forecaster):
         u = None if known.u is None else known.u[: len(time)]
         return Experiment(time, np.concatenate([known.y, ahead]), u)
 
-    def _ahead(self, whole: Experiment, samples: int, memory: int) -> Array:
-        """Return the simulation after `samples`, from a state estimated on the last `memory`."""
+    def _ahead(self, whole: Experiment, samples: int, memory: int) -> Response:
+        """Return channels and states after `samples`, from a state told by the last `memory`."""
         adjusted, part = self._adjusted(), whole.part(samples - memory, len(whole.y))
         state = adjusted.beginning(part.part(0, memory))
-        return adjusted.response(part.time, part.u, state)[0][memory:]
+        y, x = adjusted.response(part.time, part.u, state)
+        return y[memory:], x[memory:]
 
     def _chosen_memory(self, experiment: Experiment) -> int:
         """Return the memory with the lowest forecast error: for a correct model 0, all samples."""
@@ -325,7 +405,7 @@ class GreyBox(Forecaster):
         while length <= min(window or samples, origins[0]):
             try:
                 parts = ((experiment.part(0, b), a) for a, b in zip(origins, ends, strict=True))
-                found = error([self._ahead(part, a, length) for part, a in parts])
+                found = error([self._ahead(part, a, length)[0] for part, a in parts])
             except ValueError:
                 found = np.inf
             if found < best:

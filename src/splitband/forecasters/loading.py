@@ -43,12 +43,12 @@ from splitband.records.preparation import check_level
 from splitband.runtime.errors import InputError
 from splitband.runtime.outputs import MODEL_FOLDER
 from splitband.runtime.states import Arrays, array_of
-from splitband.simulators import Simulator, base
+from splitband.simulators import Simulator, Unknown, base
 from splitband.simulators.base import Absent, KnownSimulator, Recorded, as_known, matched
 from splitband.simulators.open_simulator import check_runs_as_it_is, open_simulator
 from splitband.training import TrainingSettings
 
-OPTIONS = Forecaster, Template, TrainingSettings, Bands, Recorded, Absent
+OPTIONS = Forecaster, Template, TrainingSettings, Bands, Recorded, Absent, Unknown
 """What options may be, beside values of JSON, dates and arrays."""
 LARGEST_NUMBER = 1_000_000
 """Largest whole number that a cell's constructor gets: a larger one in a file is a forgery."""
@@ -109,7 +109,8 @@ def give_simulator(
     """
     used, runs = forecaster.parameters.get("used"), ".py:" in name or name[-4:].lower() == ".fmu"
     for saved in filter(None, map(description_of, simulations(forecaster)) if runs else ()):
-        own = {"hold": saved.hold, "start": saved.start or None, "step": saved.step}
+        own: dict[str, Any] = {"hold": saved.hold, "start": saved.start or None, "step": saved.step}
+        own["unknown"] = saved.unknown or None
         how |= {option: value for option, value in own.items() if how.get(option) is None}
     if used is not None:
         if not runs:
@@ -164,6 +165,8 @@ def _give(forecaster: Forecaster, simulator: KnownSimulator) -> None:
         warnings.warn(said, stacklevel=3)
     for each in given:
         each.simulator = simulator
+        if each.fitted is not None:
+            each.complete()
 
 
 def _read(folder: Path) -> Forecaster:

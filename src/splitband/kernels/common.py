@@ -49,12 +49,12 @@ _SOURCES = hashlib.sha256(
 ).hexdigest()
 
 
-def kernel(function: F) -> F:
+def kernel(function: F, fastmath: Any = _OPTIONS["fastmath"]) -> F:
     """Compile on the first call and keep the result on disk, until a file of this folder changes.
 
     Numba itself compares the kernel's own file only, not those of the parts.
     """
-    compiled: Any = njit(cache=True, **_OPTIONS)(function)
+    compiled: Any = njit(cache=True, **_OPTIONS | {"fastmath": fastmath})(function)
     cache = compiled._cache._cache_file
     cache._source_stamp = cache._source_stamp, _SOURCES
     compile_or_load = compiled.compile

@@ -10,21 +10,26 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Callable, Sequence
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 from numba import njit, types
-from numba.extending import overload
+from numba.extending import overload, register_jitable
+from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from splitband.kernels.common import kernel
+from splitband.kernels.terms import evaluate, gathered
 from splitband.runtime.arrays import Array
 
 Rhs = Callable[..., Any]
 
 MOST_STEPS = 10_000
 """Most steps between two samples, rejected ones included. Bounds the time."""
+STEP = 1e-6
+"""Step of the differences of a right-hand side, as a share of a state or a range. Rounding."""
 SHORTEST = 1e-12
 """Shortest step, as a share of the interval between two samples. Rounding."""
 WORTH_COMPILING = 30_000
@@ -42,11 +47,15 @@ WEIGHTS[6, :6] = 35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
 """Weights of the stages at `NODES`; the last stage is the step."""
 _ERRORS = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 """Weights of order 5 less those of order 4."""
+_NO_TERMS = np.empty(0), np.empty(0), np.empty((0, 6), dtype=np.int64)
 
 
-def solve(  # noqa: PLR0912  one loop, for Numba
-    rhs: Rhs,
-    p: Any,
+@register_jitable
+def solve(  # noqa: PLR0912, PLR0915  one loop, for Numba
+    rhs: Any,
+    gather: Any,
+    p: Array,
+    terms: tuple[Array, Array, Any],
     initial: Array,
     time: Array,
     inputs: tuple[Array, bool],
@@ -60,8 +69,10 @@ def solve(  # noqa: PLR0912  one loop, for Numba
 
     Parameters
     ----------
-    rhs : `rhs(t, x, u, p) -> dx/dt`, as a list, a tuple or an array.
-    p : Parameters, passed on to `rhs`.
+    rhs, gather : `rhs(t, x, u, p, w, out)` and `gather(x, u, layout, z)`, which write dx/dt, and
+        the quantities of unknown terms, to their last arguments.
+    p : Parameters, `(np,)`.
+    terms : Unknown terms, as `simulators.unknown.packed` returns them.
     initial : `(nx,)`, at the first time.
     time : `(time,)`, in s.
     inputs : `(time, nu)`, and whether to hold them between samples, else linear interpolation.
@@ -72,7 +83,9 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     u, held = inputs
     schedule, size = steps
     rtol, atol = tolerances
+    theta, scaling, layout = terms
     nx, nu = initial.shape[0], u.shape[1]
+    z, w, nothing = np.empty(layout[:, 0].sum()), np.empty(layout[:, 2].sum()), np.empty((0, 0))
     states = np.full((time.shape[0], nx), np.nan)
     ends, taken = np.empty(max(len(schedule), 2 * time.shape[0])), 0
     k, stage, now = np.empty((7, nx)), np.empty(nx), np.empty(nu)
@@ -100,9 +113,10 @@ def solve(  # noqa: PLR0912  one loop, for Numba
                 share = begin + NODES[s] * (end - begin)
                 for j in range(nu):
                     now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
-                slope = rhs(time[n] + share * width, stage, now, p)
-                for j in range(nx):
-                    k[s, j] = slope[j]
+                if len(w):
+                    gather(stage, now, layout, z)
+                    evaluate(theta, scaling, layout, z, w, nothing, nothing)
+                rhs(time[n] + share * width, stage, now, p, w, k[s])
             stages = 1
             error = 0.0
             for j in range(nx):  # the last stage is the new state
@@ -129,6 +143,183 @@ def solve(  # noqa: PLR0912  one loop, for Numba
     return states, ends[:taken], size
 
 
+@register_jitable
+def axpy(factor: float, row: Array, out: Array) -> None:
+    """Add `factor` times a row to another one."""
+    for d in range(row.shape[0]):
+        out[d] += factor * row[d]
+
+
+@register_jitable
+def sensitivities(  # noqa: PLR0912, PLR0915  one loop, for Numba
+    rhs: Any,
+    gather: Any,
+    p: Array,
+    terms: tuple[Array, Array, Any],
+    initial: Array,
+    time: Array,
+    inputs: tuple[Array, bool],
+    schedule: Array,
+    moves: tuple[Array, Array, Any],
+) -> Array:
+    """Return the derivatives of the states of `solve`, with the same steps, `(time, nx, n)`.
+
+    They are those by the parameters, by the initial state, and by the weights of the terms, one
+    after another. They go through the stages of each step exactly; the right-hand side is
+    differentiated by differences, the terms are by their own derivatives. NaN from the end of the
+    schedule on.
+
+    Parameters
+    ----------
+    rhs, gather, p, terms, initial, time, inputs, schedule : As for `solve`.
+    moves : Steps of the differences by states `(nx,)` and by the wanted parameters, and the
+        places of these in `p`.
+    """
+    u, held = inputs
+    theta, scaling, layout = terms
+    by_state, by_parameter, wanted = moves
+    nx, nu, count = initial.shape[0], u.shape[1], len(wanted)
+    total = count + nx + len(theta)
+    z, w = np.empty(layout[:, 0].sum()), np.empty(layout[:, 2].sum())
+    by_z, by_theta = np.empty((len(w), len(z))), np.empty((len(w), len(theta)))
+    moved_z, by_x, by_w = z.copy(), np.empty((nx, nx)), np.empty((nx, len(w)))
+    derivatives = np.full((time.shape[0], nx, total), np.nan)
+    k, dk = np.empty((7, nx)), np.empty((7, nx, total))
+    stage, now, moved, dstage = np.empty(nx), np.empty(nu), np.empty(nx), np.empty((nx, total))
+    x, dx, p = initial.copy(), np.zeros((nx, total)), p.copy()
+    for j in range(nx):
+        dx[j, count + j] = 1.0
+    derivatives[0] = dx
+    taken = 0
+    for n in range(time.shape[0] - 1):
+        width = time[n + 1] - time[n]
+        begin, first = 0.0, 0
+        while begin < 1.0:
+            if taken >= len(schedule):
+                return derivatives
+            end = schedule[taken]
+            taken += 1
+            h = (end - begin) * width
+            for s in range(first, 7):
+                for j in range(nx):
+                    stage[j] = x[j]
+                    dstage[j] = dx[j]
+                    for r in range(s):
+                        factor = h * WEIGHTS[s, r]
+                        stage[j] += factor * k[r, j]
+                        if factor != 0.0:
+                            axpy(factor, dk[r, j], dstage[j])
+                share = begin + NODES[s] * (end - begin)
+                t = time[n] + share * width
+                for j in range(nu):
+                    now[j] = u[n, j] if held else u[n, j] + share * (u[n + 1, j] - u[n, j])
+                if len(w):
+                    gather(stage, now, layout, z)
+                    evaluate(theta, scaling, layout, z, w, by_z, by_theta)
+                rhs(t, stage, now, p, w, k[s])
+                for o in range(len(w)):
+                    kept, step = w[o], 1e-6 * max(abs(w[o]), 1.0)
+                    w[o] = kept + step
+                    rhs(t, stage, now, p, w, moved)
+                    w[o] = kept
+                    for j in range(nx):
+                        by_w[j, o] = (moved[j] - k[s, j]) / step
+                for i in range(nx):
+                    kept, step = stage[i], by_state[i]
+                    stage[i] = kept + step
+                    rhs(t, stage, now, p, w, moved)
+                    for j in range(nx):
+                        by_x[j, i] = (moved[j] - k[s, j]) / step
+                    if len(w):
+                        gather(stage, now, layout, moved_z)
+                        for q in range(len(z)):
+                            slope = (moved_z[q] - z[q]) / step
+                            if slope != 0.0:
+                                for o in range(len(w)):
+                                    for j in range(nx):
+                                        by_x[j, i] += by_w[j, o] * by_z[o, q] * slope
+                    stage[i] = kept
+                for j in range(nx):
+                    for d in range(total):
+                        dk[s, j, d] = 0.0
+                    for i in range(nx):
+                        slope = by_x[j, i]
+                        if slope != 0.0:
+                            axpy(slope, dstage[i], dk[s, j])
+                    for o in range(len(w)):
+                        if by_w[j, o] != 0.0:
+                            axpy(by_w[j, o], by_theta[o], dk[s, j, count + nx :])
+                for i in range(count):
+                    kept, step = p[wanted[i]], by_parameter[i]
+                    p[wanted[i]] = kept + step
+                    rhs(t, stage, now, p, w, moved)
+                    p[wanted[i]] = kept
+                    for j in range(nx):
+                        dk[s, j, i] += (moved[j] - k[s, j]) / step
+            begin, first = end, 1
+            x[:] = stage
+            dx[:] = dstage
+            k[0] = k[6]
+            dk[0] = dk[6]
+        derivatives[n + 1] = dx
+    return derivatives
+
+
+def derivatives(
+    rhs: Any,
+    gather: Any,
+    p: Array,
+    terms: tuple[Array, Array, Any],
+    initial: Array,
+    time: Array,
+    inputs: tuple[Array, bool],
+    widths: tuple[Array, Any],
+    tolerances: tuple[float, float],
+) -> tuple[Array, Array, Array, Array]:
+    """Return the states of `solve`, their `sensitivities`, and a run beside them.
+
+    The run beside them, by the same steps, has parameters, initial state and weights that are moved
+    by `steps`; it is returned less the states. An equation that jumps has other derivatives than
+    its right-hand side, and this run tells.
+
+    Parameters
+    ----------
+    rhs, gather, p, terms, initial, time, inputs, tolerances : As for `solve`.
+    widths : Ranges of the wanted parameters, with the sign of steps within them, and the places of
+        these parameters in `p`.
+    """
+    x, ends, _ = solve(rhs, gather, p, terms, initial, time, inputs, (np.empty(0), 0.0), tolerances)
+    by_parameter, wanted = STEP * widths[0], widths[1]
+    nx, count = len(initial), len(wanted)
+    sizes = np.zeros(nx)
+    for n in range(len(x)):
+        for j in range(nx):
+            if np.isfinite(x[n, j]):
+                sizes[j] = max(sizes[j], abs(x[n, j]))
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    moves = STEP * sizes, by_parameter, wanted
+    dx = sensitivities(rhs, gather, p, terms, initial, time, inputs, ends, moves)
+    steps = np.empty(dx.shape[2])
+    for d in range(len(steps)):
+        most = 1e-300
+        for n in range(len(dx)):
+            for j in range(nx):
+                most = max(most, abs(dx[n, j, d]) / sizes[j])
+        steps[d] = STEP / most if d % 2 else -STEP / most
+        if d < count:
+            steps[d] = np.sign(by_parameter[d]) * min(abs(steps[d]), abs(by_parameter[d]))
+        elif d >= count + nx:
+            steps[d] = min(max(steps[d], -STEP), STEP)
+    theta, scaling, layout = terms
+    moved = p.copy()
+    for d in range(count):
+        moved[wanted[d]] += steps[d]
+    beside = initial + steps[count : count + nx]
+    shifted = theta + steps[count + nx :], scaling, layout
+    apart, _, _ = solve(rhs, gather, moved, shifted, beside, time, inputs, (ends, 0.0), tolerances)
+    return x, dx, steps, apart - x
+
+
 @overload(np.clip, strict=False)
 def _clip(a: Any, a_min: Any, a_max: Any) -> Any:
     """Return `np.clip` of a number, such as a hard saturation: Numba clips arrays only."""
@@ -136,7 +327,35 @@ def _clip(a: Any, a_min: Any, a_max: Any) -> Any:
     return (lambda a, a_min, a_max: np.minimum(np.maximum(a, a_min), a_max)) if numbers else None
 
 
-_compiled = njit(**_OPTIONS)(solve)
+_T: Any = types
+_ROW, _ROWS, _CUBE, _PLACES = _T.f8[::1], _T.f8[:, ::1], _T.f8[:, :, ::1], _T.i8[::1]
+_LAYOUT = _T.i8[:, ::1]
+_RHS = _T.void(_T.f8, _ROW, _ROW, _ROW, _ROW, _ROW)
+_GATHER = _T.i8(_ROW, _ROW, _LAYOUT, _ROW)
+_EQUATION = (
+    _T.FunctionType(_RHS),
+    _T.FunctionType(_GATHER),
+    _ROW,
+    _T.Tuple((_ROW, _ROW, _LAYOUT)),
+    _ROW,
+    _ROW,
+    _T.Tuple((_ROWS, _T.boolean)),
+)
+"""Types of the arguments that the kernels share. Functions are passed as pointers,
+so that the kernels are compiled once for all equations."""
+_SOLVE = _T.Tuple((_ROWS, _ROW, _T.f8))(*_EQUATION, _T.Tuple((_ROW, _T.f8)), _T.UniTuple(_T.f8, 2))
+_DERIVATIVES = _T.Tuple((_ROWS, _CUBE, _ROW, _ROWS))(
+    *_EQUATION, _T.Tuple((_ROW, _PLACES)), _T.UniTuple(_T.f8, 2)
+)
+
+
+@cache
+def _compiled(function: Any, signature: Any) -> Any:
+    """Return a kernel, compiled for a signature, from the disk if it is there."""
+    made: Any = kernel(function, fastmath=False)
+    made.compile(signature)
+    made.disable_compile()
+    return made
 
 
 class Solver:
@@ -144,14 +363,14 @@ class Solver:
 
     Parameters
     ----------
-    rhs : A function of the first `arguments` of (t, x, u, p), see `solve`.
-    arguments : The number of arguments of `rhs`, 2 to 4.
+    rhs : A function of the first `arguments` of (t, x, u, p, w).
+    arguments : The number of arguments of `rhs`, 2 to 5.
+    of : The functions of the quantities of unknown terms.
     """
 
-    def __init__(self, rhs: Rhs, arguments: int) -> None:
-        self.rhs, self.arguments = rhs, arguments
-        self.python: Rhs = partial(solve, _prefixed(rhs, arguments))
-        self.solve: Rhs = self.python
+    def __init__(self, rhs: Rhs, arguments: int, of: Sequence[Rhs | None] = ()) -> None:
+        self.rhs, self.arguments, self.of = rhs, arguments, of
+        self.compiled: dict[Any, Any] = {}
         self.taken, self.tried = 0, False
         self.kept: list[Any] = []
 
@@ -164,35 +383,76 @@ class Solver:
         steps: tuple[Array, float],
         tolerances: tuple[float, float],
     ) -> tuple[Array, Array, float]:
-        """Return the result of `solve`."""
-        with np.errstate(all="ignore"):
-            if self.solve is not self.python and self.kept != referred(self.rhs):
-                self.solve, self.taken, self.tried = self.python, 0, False
-            if self.taken > WORTH_COMPILING and not self.tried:
-                probe = p, initial, time[:3], (inputs[0][:3], inputs[1]), (np.empty(0), 0.0)
-                self._compile(*probe, tolerances)
-            solution: tuple[Array, Array, float] = self.solve(
-                p, initial, time, inputs, steps, tolerances
-            )
+        """Return the result of `solve`; `p` are named parameters, or these and unknown terms."""
+        solution: tuple[Array, Array, float] = self._run(
+            solve, _SOLVE, p, initial, time, inputs, steps, tolerances
+        )
         self.taken += len(solution[1])
         return solution
 
-    def _compile(self, *probe: Any) -> None:
+    def derivatives(
+        self,
+        p: Any,
+        initial: Array,
+        time: Array,
+        inputs: tuple[Array, bool],
+        widths: tuple[Array, Any],
+        tolerances: tuple[float, float],
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the result of `derivatives`."""
+        found: tuple[Array, Array, Array, Array] = self._run(
+            derivatives, _DERIVATIVES, p, initial, time, inputs, widths, tolerances
+        )
+        self.taken += 10 * len(time)
+        return found
+
+    def _run(
+        self, function: Any, signature: Any, p: Any, initial: Array, time: Array, *rest: Any
+    ) -> Any:
+        """Return the result of a kernel, compiled or not."""
+        # Arrays of a record cannot be written to, which is another type for Numba.
+        time, u = (np.require(each, float, ("C", "W")) for each in (time, rest[0][0]))
+        given: Any = (time, (u, rest[0][1]), *rest[1:])
+        named, terms = p if self.arguments == 5 else (p, _NO_TERMS)
+        p, kind = np.array(named, dtype=float), type(named)
+        with np.errstate(all="ignore"):
+            if self.tried and self.kept != self._referred():
+                self.compiled, self.taken, self.tried = {}, 0, False
+            if self.taken > WORTH_COMPILING and not self.tried:
+                self._compile(kind, p, terms, initial, given)
+            if (fast := self.compiled.get(kind)) is None and self.compiled:
+                fast = self.compiled[kind] = self._functions(kind, len(p), fast=True)
+            if fast is not None:
+                return _compiled(function, signature)(*fast, p, terms, initial, *given)
+            return function(*self._functions(kind, len(p)), p, terms, initial, *given)
+
+    def _functions(self, kind: Any, count: int, fast: bool = False) -> tuple[Any, Any]:
+        """Return `rhs` and `gather` of the kernels for a class of named parameters."""
+        if not fast:
+            named = _flat(_with_five(self.rhs, self.arguments), kind, count, _numbers)
+            return named, gathered(self.of)
+        made: Any = njit(**_OPTIONS)
+        rhs = made(getattr(self.rhs, "py_func", self.rhs))
+        named = rhs if self.arguments == 5 else made(_with_five(rhs, self.arguments))
+        flat = _flat(named, kind, count, to_fixed_tuple)
+        return njit(_RHS, **_OPTIONS)(flat), _pointer(gathered(self.of, made))
+
+    def _compile(self, kind: Any, p: Array, terms: Any, initial: Array, given: Any) -> None:
         """Use compiled code, without checks of indices, if it agrees on a short simulation."""
-        self.tried, self.kept = True, referred(self.rhs)
-        expected = self.python(*probe)[0]
+        self.tried, self.kept = True, self._referred()
+        time, (u, held), tolerances = given[0], given[1], given[-1]
+        few = time[:3], (u[:3], held), (np.empty(0), 0.0)
+        probe: Any = (p, terms, initial, *few, tolerances)
+        expected = solve(*self._functions(kind, len(p)), *probe)[0]
         try:
-            fast = wrapped = njit(**_OPTIONS)(getattr(self.rhs, "py_func", self.rhs))
-            if self.arguments <= 3:
-                wrapped = njit(**_OPTIONS)(_prefixed(fast, self.arguments))
-            compiled = partial(_compiled, wrapped)
-            states = compiled(*probe)[0]
+            fast = self._functions(kind, len(p), fast=True)
+            states = _compiled(solve, _SOLVE)(*fast, *probe)[0]
         except Exception as error:  # code without support in Numba
             lines = [line for line in str(error).splitlines() if not line.startswith("Failed in")]
             reason = next(iter(lines), "") or type(error).__name__
         else:
             if np.allclose(states, expected, rtol=1e-6, equal_nan=True):
-                self.solve = compiled
+                self.compiled[kind] = fast
                 return
             reason = "compiled, it gives other numbers"
         name = getattr(self.rhs, "__name__", type(self.rhs).__name__)
@@ -203,11 +463,54 @@ class Solver:
             stacklevel=2,
         )
 
+    def _referred(self) -> list[Any]:
+        """Return the present values of the names in all functions."""
+        return [referred(function) for function in (self.rhs, *self.of)]
+
 
 @cache
-def solver(rhs: Rhs, arguments: int) -> Solver:
+def solver(rhs: Rhs, arguments: int, of: tuple[Rhs | None, ...] = ()) -> Solver:
     """Return the common solver of an equation."""
-    return Solver(rhs, arguments)
+    return Solver(rhs, arguments, of)
+
+
+def _flat(rhs: Rhs, kind: Any, count: int, numbers: Any) -> Rhs:
+    """Return `rhs(t, x, u, p, w, out)` with an array of parameters, from one with named ones."""
+    if not count:
+
+        def without(t: float, x: Array, u: Array, p: Array, w: Array, out: Array) -> None:
+            slope = rhs(t, x, u, (), w)
+            for j in range(len(out)):
+                out[j] = slope[j]
+
+        return without
+
+    def flat(t: float, x: Array, u: Array, p: Array, w: Array, out: Array) -> None:
+        slope = rhs(t, x, u, kind(*numbers(p, count)), w)
+        for j in range(len(out)):
+            out[j] = slope[j]
+
+    return flat
+
+
+def _numbers(p: Array, _count: int) -> list[float]:
+    return p.tolist()
+
+
+def _pointer(gather: Any) -> Any:
+    """Return a compiled `gather` with the signature of the kernels."""
+    return njit(_GATHER, **_OPTIONS)(gather.py_func)
+
+
+def _with_five(rhs: Rhs, arguments: int) -> Rhs:
+    """Return `rhs(t, x, u, p, w)` for a function of the first 2 to 5 of these arguments."""
+    if arguments == 2:
+        return lambda t, x, _u, _p, _w: rhs(t, x)
+    if arguments == 3:
+        return lambda t, x, u, _p, _w: rhs(t, x, u)
+    if arguments == 4:
+        return lambda t, x, u, p, _w: rhs(t, x, u, p)
+    return rhs
 
 
 def referred(function: Any) -> list[Any]:
@@ -238,12 +541,3 @@ def _content(value: Any) -> Any:
         return value.dtype, value.shape, value.tobytes()
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
         return repr(value)
-
-
-def _prefixed(rhs: Rhs, arguments: int) -> Rhs:
-    """Return `rhs(t, x, u, p)` for a function of the first 2 to 4 of these arguments."""
-    if arguments == 2:
-        return lambda t, x, _u, _p: rhs(t, x)
-    if arguments == 3:
-        return lambda t, x, u, _p: rhs(t, x, u)
-    return rhs

@@ -9,7 +9,8 @@ import numpy as np
 from splitband.checks.residuals import ResidualTests
 from splitband.comparison.backtest import WORTH_TRAINING
 from splitband.comparison.checks import repeats_training
-from splitband.comparison.methods import HYBRIDS
+from splitband.comparison.methods import GREY_BOX, HYBRIDS
+from splitband.comparison.plan import UNFITTED_SIMULATOR, WITHOUT_TERMS
 from splitband.comparison.recommendation import Trial, by_reason
 from splitband.comparison.result import Comparison
 from splitband.filters.spectrum import periodogram
@@ -191,6 +192,7 @@ def warnings(comparison: Comparison) -> list[str]:
             for verdict, test in verdicts(comparison).items()
             if test.unrelated or not test.accepted
         ),
+        *_useless_term(comparison),
         *(_left_range(comparison) if comparison.plan.reach is None else []),
         *_wide_interval(comparison),
         *_missed_interval(comparison),
@@ -235,6 +237,23 @@ def _seen(comparison: Comparison) -> list[str]:
         "data."
         for test in comparison.tests
         if repeats_training(test, (comparison.plan.training, *comparison.others))
+    ]
+
+
+def _useless_term(comparison: Comparison) -> list[str]:
+    """Return a sentence on unknown terms that help little where a method without them is better."""
+    scores, simulator = comparison.require_trial().scores, comparison.plan.simulator
+    without = WITHOUT_TERMS if WITHOUT_TERMS in scores else UNFITTED_SIMULATOR
+    names = GREY_BOX, without, comparison.recommended
+    if simulator is None or not simulator.terms or not {*names} <= scores.keys():
+        return []
+    found, alone, best = (scores[name] for name in names)
+    if found * (1 + WORTH_TRAINING) < alone or best >= found:
+        return []
+    return [
+        f"The unknown terms help little (held-out RMSE {number(found)}, without them "
+        f"{number(alone)}): what the equation lacks is no function of their quantities, as where a "
+        "state is missing. A hybrid learns it outside of the equation."
     ]
 
 

@@ -11,6 +11,7 @@ from splitband.simulators.fmu import Fmu
 from splitband.simulators.functions import Function, Ode
 from splitband.simulators.identification import Effort, identify
 from splitband.simulators.parameters import Estimate
+from splitband.simulators.unknown import Unknown
 
 __all__ = [
     "Effort",
@@ -22,6 +23,7 @@ __all__ = [
     "Simulator",
     "SimulatorError",
     "SimulatorTimeoutError",
+    "Unknown",
     "identify",
     "run",
 ]

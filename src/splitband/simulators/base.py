@@ -26,6 +26,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.files import sha256_of
 from splitband.runtime.options import WithRepr
+from splitband.simulators.unknown import Trained, Unknown
 from splitband.simulators.user_code import check_open, count_arguments
 
 Start = float | Literal["record"]
@@ -75,6 +76,7 @@ class KnownSimulator:
     own_times : Whether the output has times of its own, and is interpolated to the record's.
     adjustable : Whether the simulator has parameters or needs inputs, and so a `GreyBox`.
     advances : Whether the simulator can be stepped from any state.
+    terms : Unknown terms, see `Ode`.
     """
 
     simulate: Any
@@ -86,6 +88,7 @@ class KnownSimulator:
     own_times = False
     adjustable = False
     advances = False
+    terms: tuple[Unknown, ...] = ()
 
     @property
     def name(self) -> str:
@@ -101,6 +104,27 @@ class KnownSimulator:
         """Return the simulator for records with these channels and inputs, see `Fmu.matched`."""
         return self
 
+    @property
+    def named_terms(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms, before training, if their quantities have names."""
+        return ()
+
+    def without_terms(self) -> Self:
+        """Return a copy with unknown terms that stay as before training."""
+        return self
+
+    def taught(self, trained: Sequence[Trained]) -> Self:
+        """Return a copy whose unknown terms have these states, in their order; itself for none.
+
+        Raises ValueError for another number of terms.
+        """
+        if trained:
+            raise InputError(
+                f"simulator {self.name} must have {len(trained)} unknown term(s), as in training: "
+                "sb.Ode(..., unknown=sb.Unknown(...))"
+            )
+        return self
+
     def require(self) -> Self:
         """Return the simulator; raises ValueError for a mere description."""
         return self
@@ -113,7 +137,12 @@ class KnownSimulator:
         """Return the description of the simulator; `fitted`: whether its parameters are fitted."""
         start = None if self.own_times else self.start or 0.0
         return Absent(
-            *self.facts(fitted), fitted, start, self.hold if self.driven else None, self.step
+            *self.facts(fitted),
+            fitted,
+            start,
+            self.hold if self.driven else None,
+            self.step,
+            self.named_terms,
         )
 
     def reach(self, grid: Grid) -> int:
@@ -418,6 +447,7 @@ class Absent(KnownSimulator):
         has time stamps of its own.
     hold : Course of inputs between samples; None if unspecified.
     step : Communication step in s chosen for an FMU; None for the FMU's own.
+    unknown : Unknown terms of named quantities, before training.
     """
 
     kind: str
@@ -427,6 +457,7 @@ class Absent(KnownSimulator):
     start: Start | None = None
     hold: Hold | None = None
     step: float | None = None
+    unknown: tuple[Unknown, ...] = ()
 
     def __post_init__(self) -> None:
         """Check values, possibly from a file."""
@@ -444,6 +475,10 @@ class Absent(KnownSimulator):
         vars(self)["start"] = check_start(self.start)
 
     def description(self, fitted: bool = False) -> Absent:
+        """Return the description itself."""
+        return self
+
+    def taught(self, trained: Sequence[Trained]) -> Self:
         """Return the description itself."""
         return self
 

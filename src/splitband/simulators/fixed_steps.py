@@ -97,8 +97,10 @@ class FixedSteps:
     def _slope(self, time: Any, x: Array, u: Array) -> Array:
         """Return the right-hand side, `(nx,)`."""
         rhs, states = self.ode.rhs, self.ode.states
-        arguments = time, x, u, self.ode.p(self.values)
+        arguments: tuple[Any, ...] = time, x, u, self.ode.p(self.values)
         with _traceable():
+            if self.ode.terms:
+                arguments = *arguments, self.ode.outputs(x, u)
             slopes = rhs(*arguments[: count_arguments(rhs) or 2])
             slope: Array = np.stack([slopes[i] for i in range(len(slopes))])
         if slope.shape != (states,):

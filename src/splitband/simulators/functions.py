@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from inspect import Signature
+from operator import methodcaller
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -24,8 +25,14 @@ from splitband.simulators.parameters import (
     Response,
     parameters_class,
 )
+from splitband.simulators.unknown import Trained, Unknown, packed
 from splitband.simulators.user_code import arguments, check_arguments, count_arguments
 
+JUMPS = 0.1
+"""Relative error of derivatives that do not go through the steps of an equation, as it jumps. By
+eye."""
+COARSE = 1e-5
+"""Least relative tolerance in a search. Bounds the time."""
 PRECISE = 1e-6, 1e-8
 """Largest relative and absolute tolerance for standard errors: with 1e-4 errors were up to 270
 times too small."""
@@ -152,7 +159,8 @@ class Ode(UserCode):
     ----------
     rhs : `rhs(t, x, u, p) -> dx/dt`, or without the last or the last two arguments. x and u are
         arrays of the states and the inputs at time t in s, p has the parameters by name (`p.k`).
-        After many steps the equation is compiled with Numba, if possible.
+        With unknown terms it is `rhs(t, x, u, p, w)`. After many steps the equation is compiled
+        with Numba, if possible.
     x0 : x at the record's first sample.
     observe : `observe(x)` or `observe(x, u, p)` maps the states `(time, nx)` to the measured
         channels, `(time,)` or `(time, ny)`; by default the channels are the first states.
@@ -164,6 +172,8 @@ class Ode(UserCode):
         `scipy.integrate.solve_ivp`, such as "Radau" and "BDF" for stiff equations.
     tolerances : Relative and absolute tolerance of a step.
     start : t at a record's first sample in s, or "record" for its time stamp.
+    unknown : Unknown terms, one or several, which are trained with the parameters; w has the
+        outputs of all of them, in their order.
 
     Examples
     --------
@@ -178,6 +188,7 @@ class Ode(UserCode):
     """
 
     _set_apart = (INITIAL,)
+    difference = 1e-4  # of a whole response
     rhs: Callable[..., Any]
     x0: npt.ArrayLike
     observe: Callable[..., npt.ArrayLike] | None = None
@@ -186,9 +197,23 @@ class Ode(UserCode):
     method: Literal["RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA"] = "RK45"
     tolerances: tuple[float, float] = (1e-8, 1e-10)
     start: Start = 0.0
+    unknown: Unknown | Sequence[Unknown] | None = None
 
     def __post_init__(self) -> None:
         """Check the initial values, and those among the parameters."""
+        if not all(isinstance(term, Unknown) for term in self.terms):
+            raise InputError(
+                f"unknown must be an Unknown or several, sb.Unknown(...), got {self.unknown!r}"
+            )
+        if (count_arguments(self.rhs) == 5) != bool(self.terms):
+            raise InputError(
+                "rhs must take the outputs w of unknown terms as its fifth argument, rhs(t, x, u, "
+                "p, w), if there are any, and only then: write it so, without a default, or leave "
+                "unknown out"
+                if self.terms
+                else "unknown must say of what the fifth argument of rhs(t, x, u, p, w) is the "
+                "output, such as sb.Unknown(of), or that argument be left out"
+            )
         self._check()
         check_hold(self.hold)
         try:
@@ -212,39 +237,109 @@ class Ode(UserCode):
         """Return the number of states."""
         return len(self._states)
 
-    @property
-    def difference(self) -> float:  # type: ignore[override]
-        """Return the finite-difference step, smaller for RK45, which reuses its steps."""
-        return 1e-6 if self.method == "RK45" else 1e-4
-
     def unfinished(self, time: float) -> str:
         """Return the message for states that are NaN from `time` in s on."""
         return (
-            f"the solver, {self.method}, stopped before t = {time:g} s, where it cannot reach the "
-            f'tolerances {self.tolerances}: for a stiff equation there are method="Radau" and '
+            f"the solver, {self.method}, stopped before t = {time:g} s, where it cannot reach its "
+            'tolerances: for a stiff equation there are method="Radau" and '
             '"BDF", for one that jumps to and fro larger tolerances'
         )
 
     @property
     def _functions(self) -> Sequence[tuple[Any, Sequence[str]]]:
-        return [(self.rhs, ("t", "x", "u", "p")), (self.observe, ("x", "u", "p"))]
+        last = ("w",) if self.terms else ()
+        return [(self.rhs, ("t", "x", "u", "p", *last)), (self.observe, ("x", "u", "p"))]
+
+    @property
+    def terms(self) -> tuple[Unknown, ...]:  # type: ignore[override]
+        """Return the unknown terms; named quantities are found by `matched`."""
+        given = () if self.unknown is None else self.unknown
+        return (given,) if isinstance(given, Unknown) else tuple(given)
+
+    @property
+    def resolved_terms(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms, without a record's names for the quantities."""
+        return tuple(term.resolved(self.states, (), ()) for term in self.terms)
+
+    @property
+    def named_terms(self) -> tuple[Unknown, ...]:
+        """Return the unknown terms, before training, if their quantities have names."""
+        terms = tuple(replace(term, trained=None) for term in self.terms)
+        return () if any(callable(term.of) for term in terms) else terms
+
+    def without_terms(self) -> Self:
+        """Return a copy with unknown terms that stay as before training."""
+        terms = tuple(term.without() for term in self.terms)
+        return self._changed(methodcaller("without_terms"), unknown=terms) if terms else self
+
+    def taught(self, trained: Sequence[Trained]) -> Self:
+        """Return a copy whose terms have these states, in their order; itself for none.
+
+        Raises ValueError for another number of terms.
+        """
+        if not trained:
+            return self
+        if len(trained) != len(self.terms):
+            raise InputError(
+                f"unknown must have {len(trained)} term(s), as in training, got {len(self.terms)}"
+            )
+        pairs = zip(self.terms, trained, strict=True)
+        terms = tuple(replace(term, trained=state) for term, state in pairs)
+        return self._changed(methodcaller("taught", tuple(trained)), unknown=terms)
+
+    @property
+    def weights(self) -> Array:
+        """Return the weights of the unknown terms, one after another."""
+        return packed(self.resolved_terms)[0]
+
+    def weighted(self, weights: Array) -> Self:
+        """Return a copy with these weights of the unknown terms."""
+        if not len(weights):
+            return self
+        terms, begin = [], 0
+        for term in self.terms:
+            state = term.trained
+            if state is not None:
+                end = begin + len(state.weights)
+                state, begin = replace(state, weights=weights[begin:end]), end
+            terms.append(replace(term, trained=state))
+        return self._with(unknown=tuple(terms))
+
+    def outputs(self, x: Any, u: Any) -> Any:
+        """Return w, `(outputs,)`, for states `(nx,)` and inputs `(nu,)`, in traceable code."""
+        return np.concatenate([term.at(x, u) for term in self.resolved_terms])
 
     def matched(self, columns: Sequence[str], inputs: Sequence[str]) -> Self:
-        """Return the equation with the first states observed, one per channel.
+        """Return the equation for a record: quantities of unknown terms may be named by it.
 
-        Raises ValueError for an equation of fewer states.
+        By default the first states are observed, one per channel.
+
+        Raises ValueError for an equation of fewer states, and for names that are not there.
         """
-        if self.observe is not None:
-            return self
-        if len(columns) > self.states:
+        if self.observe is None and len(columns) > self.states:
             raise InputError(
                 f"observe must map the {self.states} state(s) of the equation to the record's "
                 f"{len(columns)} channels, {', '.join(columns)}: by default the first states are "
                 "observed"
             )
-        made, opened = self._with(observe=partial(_first_states, len(columns))), self._opened_by
-        again: Any = opened and partial(_matched_again, opened, [*columns])
-        return made.opened_by(again)
+        changes: dict[str, Any] = {}
+        if self.observe is None:
+            changes["observe"] = partial(_first_states, len(columns))
+        if self.terms:
+            named = () if self.observe else columns
+            resolved = (term.resolved(self.states, named, inputs) for term in self.terms)
+            changes["unknown"] = tuple(resolved)
+        again = methodcaller("matched", [*columns], [*inputs])
+        return self._changed(again, **changes) if changes else self
+
+    def _changed(self, again: Callable[[Any], Any], **changes: Any) -> Self:
+        """Return a copy with changed fields; other processes reopen it and call `again` with it."""
+        opened: Any = self._opened_by and partial(_reopened, self._opened_by, again)
+        return self._with(**changes).opened_by(opened)
+
+    def coarse(self) -> Self:
+        """Return a copy with fewer steps; derivatives along them are exact at any tolerance."""
+        return self._with(tolerances=(max(self.tolerances[0], COARSE), self.tolerances[1]))
 
     def precise(self) -> Self:
         """Return a copy with tolerances for accurate derivatives.
@@ -328,14 +423,52 @@ class Ode(UserCode):
         u = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
         begin = np.array(self.initial(values) if state is None else state, dtype=float)
         if self.method == "RK45":
-            from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
-
-            solve = solver(self.rhs, count_arguments(self.rhs) or 2)
-            p = self.p(values)
+            solve, p = self._solver(values)
             x, taken, size = solve(p, begin, time, (u, self.hold == "zoh"), steps, self.tolerances)
         else:
             x, taken, size = self._scipy(values, begin, time, u), np.empty(0), 0.0
         return self._observed(x, u, values), x, taken, size
+
+    def derivatives(
+        self, time: Array, u: Array | None, point: Point, names: Sequence[str]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return channels and states at a point, and their derivatives, see `Adjustable`.
+
+        Those of RK45 go through its steps; the channels are differentiated along them.
+        """
+        if self.method != "RK45":
+            return super().derivatives(time, u, point, names)
+        values, state = point
+        time = np.ascontiguousarray(time, dtype=float)
+        inputs = np.empty((len(time), 0)) if u is None else np.ascontiguousarray(u, dtype=float)
+        solve, p = self._solver(values)
+        widths = np.array([self.known.step(name, values[name], 1.0) for name in names])
+        fields = self.p(values)._fields
+        places = np.array([fields.index(name) for name in names], dtype=np.int64)
+        begin, held = np.array(state, dtype=float), (inputs, self.hold == "zoh")
+        x, dx, steps, apart = solve.derivatives(
+            p, begin, time, held, (widths, places), self.tolerances
+        )
+        left = apart - dx @ steps
+        if not (np.linalg.norm(left, axis=0) <= JUMPS * np.linalg.norm(apart, axis=0)).all():
+            return super().derivatives(time, u, point, names)
+        y = self._observed(x, inputs, values)
+        if isinstance(self.observe, partial) and self.observe.func is _first_states:
+            return y, x, dx[:, : y.shape[1]], dx
+        dy = np.empty((*y.shape, dx.shape[-1]))
+        for i, step in enumerate(steps):
+            at = {**values, names[i]: values[names[i]] + step} if i < len(names) else values
+            dy[..., i] = (self._observed(x + step * dx[..., i], inputs, at) - y) / step
+        return y, x, dy, dx
+
+    def _solver(self, values: Mapping[str, float]) -> tuple[Any, Any]:
+        """Return the solver of RK45, and its argument for parameters and unknown terms."""
+        from splitband.kernels.ode import solver  # noqa: PLC0415  numba is slow to load
+
+        terms, p = self.resolved_terms, self.p(values)
+        of = tuple(term.of for term in terms)
+        arguments = count_arguments(self.rhs) or 2
+        return solver(self.rhs, arguments, of), (p, packed(terms)) if of else p
 
     @property
     def _states(self) -> list[str]:
@@ -364,7 +497,8 @@ class Ode(UserCode):
             place = np.clip(t / step, 0, len(time) - 1)
             n = min(int(place), len(time) - 2)
             inputs = u[n] if self.hold == "zoh" else u[n] + (place - n) * (u[n + 1] - u[n])
-            return self.rhs(*(begin + t, x, inputs, p)[:count])
+            last = (self.outputs(x, inputs),) if self.terms else ()
+            return self.rhs(*(begin + t, x, inputs, p, *last)[:count])
 
         # Time counts from 0: small steps would be lost in the rounding of large times.
         rtol, atol = self.tolerances
@@ -383,9 +517,11 @@ class Ode(UserCode):
         return y[:, None] if y.ndim == 1 else y
 
 
-def _matched_again(opened: Callable[[Given], Ode], columns: list[str], parameters: Given) -> Ode:
-    """Return an equation of a user's file, reopened in another process, see `Ode.matched`."""
-    return opened(parameters).matched(columns, ())
+def _reopened(
+    opened: Callable[[Given], Ode], change: Callable[[Ode], Ode], parameters: Given
+) -> Ode:
+    """Return an equation of a user's file in another process, changed as the first one was."""
+    return change(opened(parameters))
 
 
 def _first_states(count: int, x: Array) -> Array:

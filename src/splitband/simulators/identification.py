@@ -7,8 +7,7 @@ simulation determines parameters even if a long one loses its phase.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -24,8 +23,10 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import NEVER, Deadline, DeadlineError, current, now, within
 from splitband.runtime.errors import InputError
 from splitband.runtime.workers import Workers, ended_from_outside, run_jobs
+from splitband.simulators.augmentation import AS_GOOD, DECAYS, MEMBERS, begun, held, held_out, prior
 from splitband.simulators.base import matched
 from splitband.simulators.parameters import (
+    MIN_NOISE,
     Adjustable,
     Estimate,
     Name,
@@ -33,7 +34,16 @@ from splitband.simulators.parameters import (
     labelled,
     uncertainty,
 )
-from splitband.simulators.shooting import BAD, Experiment, Shooting, projected
+from splitband.simulators.shooting import (
+    BAD,
+    GROWTH,
+    MOST_GROWTH,
+    Compared,
+    Experiment,
+    Shooting,
+    minimise,
+)
+from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure
 
 STARTS = 32
@@ -46,21 +56,28 @@ PATIENCE, _HARDLY_BETTER = 8, 0.02
 the time."""
 SAME_ERROR = 1e-3
 """Relative difference of equal errors. Rounding."""
-SHORTEST = 16
-"""Samples of the shortest windows. By eye."""
-_GROWTH, _WINDOWS = 4, 32
-"""Growth of windows from stage to stage, and the largest number of windows of the longest record in
-the first stage. Bounds the time."""
+SHORTEST, _WINDOWS = 16, 32
+"""Samples of the shortest windows, and largest number of windows of the longest record. By eye."""
+WORTH_PROCESSES = 10.0
+"""Seconds of the first start from which on the others run in processes of their own, which have to
+start and to compile the equation. Bounds the time."""
+_ROUNDS, LAST_ROUNDS = 30, 100
+"""Largest number of steps in a search, and in the last search from the best values. Bounds the
+time."""
 _PULL = 1e-6
 """Residual of an unknown at a unit's distance from its start: unobservable unknowns do not move.
 Rounding."""
-QUICK, SLOW = 2.0, 20.0
-"""Seconds. Quicker starts than the first number run in one process: further processes would have to
-start and to compile the equation, 4 s here. After a first start slower than the second number, the
-time of a start is not measured. Bounds the time."""
-_ROUNDS, LAST_ROUNDS = 30, 100
-"""Largest number of evaluations in a search, and in the last search from the best values. Bounds
-the time."""
+_LEAST_WEIGHT = 0.1
+"""Least error of a channel, as a share of the largest one, by which channels are weighted. By eye.
+"""
+TAKEN = 10.0
+"""Standard error of a parameter beside unknown terms, by that with these terms known, from which on
+they can take its place. By eye."""
+_NEAR = 3.0
+"""Largest step from the given initial state to that of a first window, in errors of a state that
+the window's samples determine, with which the given state is kept. By eye."""
+LEAST_SLACK = 1e-2
+"""Least slack between windows, see `Shooting`. Rounding."""
 _SAME_PLACE = 0.02
 """Distance of equal values, as a share of a range. By eye."""
 WINDOWS_FROM_ERROR, _WORTH_WINDOWS = 0.6, 0.3
@@ -70,16 +87,29 @@ _DEFECTS = (NameError, AttributeError, ImportError)
 """Errors of code, independent of parameter values."""
 
 
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What was found in windows of one length: unknowns of the windows, and what they rest on.
+
+    `error`: RMS of the errors, in deviations; `sizes`, `noise`: see `Shooting`.
+    """
+
+    unknowns: Array
+    error: float
+    sizes: Array
+    noise: Array
+
+
 @dataclass(frozen=True)
 class StartOutcome:
     """The outcome of one starting point.
 
-    `found`: positions in the ranges and error, in deviations, by length of the windows; `failure`:
-    message of the last failed run; `cut`: whether the deadline ended the search.
+    `found`: fits by length of the windows; `failure`: message of the last failed run; `cut`:
+    whether the deadline ended the search.
     """
 
     number: int
-    found: dict[int, tuple[list[float], float]] = field(default_factory=dict)
+    found: dict[int, Fit] = field(default_factory=dict)
     failure: str = ""
     cut: bool = False
 
@@ -93,12 +123,14 @@ class Effort:
     starts : Largest number of starting points.
     seconds : Time limit, at which the best result so far is used; None for no limit.
     workers : Number of processes for starts in parallel, or an executor.
+    seed : Of the weights of unknown terms.
     progress : Called with the number of finished starts and of all starts.
     """
 
     starts: int = STARTS
     seconds: float | None = None
     workers: int | Executor = 1
+    seed: int = 0
     progress: Callable[[int, int], None] | None = None
 
 
@@ -126,34 +158,33 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
     simulator = check_runs(simulator, records[0])
     experiments = [Experiment.of(record, simulator) for record in records]
     scale = spread(np.concatenate([e.y for e in experiments]))
-    shooting = Shooting(simulator, experiments, scale)
+    shooting = Shooting(simulator.coarse(), experiments, scale)
     longest, deadline = shooting.longest, min(current(), Deadline.after(effort.seconds))
-    if not shooting.names:
-        unknowns = shooting.divide(longest, np.empty(0))
-        estimate = _build_estimate(shooting, unknowns, 0)
-        return replace(estimate, doubt=_doubt(shooting, unknowns, longest, deadline))
     outcomes = tried(shooting, effort, deadline)
     if not any(o.found for o in outcomes):
         over = "the time was over before the first one was done"
         reason = next((o.failure for o in outcomes if o.failure), over)
         raise InputError(f"simulator must run for some parameters in their ranges: {reason}")
-    # Without states every window begins with the record: a shorter one omits the rest.
-    window = _window(outcomes, longest if simulator.states else math.inf)
-    ranked = sorted((o.found[window][1], o.number) for o in outcomes if window in o.found)
+    window = _window(outcomes, longest)
+    ranked = sorted((o.found[window].error, o.number) for o in outcomes if window in o.found)
     best = next(o for o in outcomes if o.number == ranked[0][1])
-    fractions = np.array(best.found[window][0])
+    fit, members = best.found[window], tuple[Trained, ...]()
+    if any(term.free for term in simulator.terms) and not deadline.over:
+        with suppress(DeadlineError), within(min(current(), deadline)):
+            shooting, window, fit, members = _augmented(shooting, best.found, effort.seed)
     with within(NEVER):  # the result is evaluated even after the deadline
-        precise = Shooting(simulator.precise(), experiments, scale)
-        unknowns = precise.divide(window, fractions)
-        rough = not _runs(precise, unknowns)  # the solver cannot keep smaller tolerances
-        if rough:
-            unknowns = shooting.divide(window, fractions)
-        else:
-            shooting = precise
-        if not (best.cut or deadline.over):
-            unknowns, _ = descend(shooting, unknowns, LAST_ROUNDS)
-        estimate = _build_estimate(shooting, unknowns, window if window < longest else 0)
-    fractions = unknowns[: len(fractions)]
+        precise = shooting.of(simulator.precise())
+        # The solver may not be able to keep smaller tolerances.
+        rough = not _runs(precise.restored(window, fit), whole=True)
+        shooting = shooting if rough else precise
+        shooting.restored(window, fit)
+        if shooting.names and not (best.cut or deadline.over):
+            fit = _tied(shooting, fit)
+        estimate = _build_estimate(shooting, fit.unknowns, window if window < longest else 0)
+        if shooting.trained.any():
+            terms = held(shooting, shooting.compare(fit.unknowns).path)
+            said = (*estimate.remarks, *_replaceable(shooting, fit.unknowns))
+            estimate = replace(estimate, terms=terms, members=members, remarks=said)
     agreeing = [error for error, _ in ranked if error <= ranked[0][0] * (1 + SAME_ERROR)]
     lost = [o.failure for o in outcomes if o.failure and not (o.found or o.cut)]
     reason = next(iter(lost), "")
@@ -165,11 +196,14 @@ def identify(simulator: Adjustable, *records: Record, effort: Effort | None = No
         "the time was over before every starting point was tried": cut,
         f"simulated in windows of {window} samples, {lost_whole}": window < longest,
     }
-    remarks = [*estimate.remarks, *_alternatives(shooting, outcomes, window, estimate, fractions)]
-    remarks += [remark for remark, holds in further.items() if holds]
+    remarks = [*estimate.remarks]
+    if not shooting.trained.any():
+        remarks += _alternatives(shooting, outcomes, window, estimate, fit)
+    if shooting.names:
+        remarks += [remark for remark, holds in further.items() if holds]
     remarks += simulator.remarks
-    agreed = len(agreeing), len(ranked)
-    doubt = _doubt(shooting, unknowns, window, deadline)
+    agreed = (len(agreeing), len(ranked)) if shooting.names else (0, 0)
+    doubt = _doubt(shooting, fit, window, deadline)
     return replace(estimate, remarks=tuple(remarks), starts=agreed, cut=cut, doubt=doubt)
 
 
@@ -210,41 +244,123 @@ def check_runs(simulator: Any, record: Record) -> Any:
     ) from reason
 
 
-def _window(outcomes: Sequence[StartOutcome], longest: float) -> int:
-    """Return the longest window length, unless shorter windows fit far better."""
-    errors = [(n, error) for outcome in outcomes for n, (_, error) in outcome.found.items()]
-    lengths = sorted({n for n, _ in errors}, reverse=True)
-    best, chosen = {n: min(e for m, e in errors if m == n) for n in lengths}, lengths[0]
+def _window(outcomes: Sequence[StartOutcome], longest: int) -> int:
+    """Return the longest windows to which the best start goes on.
+
+    Or shorter ones, if they fit far better.
+    """
+    lengths = sorted({n for outcome in outcomes for n in outcome.found})
+    best = {}
+    for n in lengths:
+        ran = [o for o in outcomes if n in o.found]
+        start = min(ran, key=lambda o: o.found[n].error)
+        best[n] = start.found[n].error
+        if max(start.found) == n:
+            break
+    chosen = max(best)
     if chosen < longest or best[chosen] < WINDOWS_FROM_ERROR:
         return chosen
-    return next((n for n in lengths[1:] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen)
+    return next(
+        (n for n in sorted(best)[-2::-1] if best[n] < _WORTH_WINDOWS * best[chosen]), chosen
+    )
+
+
+def _augmented(
+    alone: Shooting, found: Mapping[int, Fit], seed: int
+) -> tuple[Shooting, int, Fit, tuple[Trained, ...]]:
+    """Train unknown terms from the fits without them; return the best training, and others as good.
+
+    It is returned as comparison, length of the windows and fit.
+    """
+    length = min(found)
+    path = alone.restored(length, found[length]).path
+    fractions, noise = found[length].unknowns[: len(alone.names)], alone.noise
+    lengths = [n for n in _lengths(alone) if n > length]
+
+    def trained(experiments: Sequence[Experiment], decay: float, seed: int) -> Any:
+        """Return error, comparison, length and fit of a training."""
+        alone.noise = noise
+        simulator, which = begun(alone, fractions, path, seed)
+        shooting = Shooting(simulator, experiments, alone.scale)
+        shooting.trained, shooting.noise, shooting.sizes = which, noise, alone.sizes
+        common = np.concatenate([fractions, simulator.weights[which]])
+        fits = [*grown(shooting, common, [length, *lengths], path, decay)]
+        return (fits[-1][1].error, shooting, *fits[-1]) if fits else None
+
+    def ahead(decay: float) -> float:
+        """Return the error on held-out samples."""
+        masked = held_out(alone.experiments)
+        tried = trained(masked, decay, seed)
+        if tried is None:
+            return np.inf
+        _, shooting, length, fit = tried
+        shooting.experiments = alone.experiments
+        whole = np.concatenate(shooting.restored(length, fit).errors)
+        shooting.experiments = masked
+        gaps = np.isnan(np.concatenate(shooting.restored(length, fit).errors))
+        return float(np.sqrt(np.nanmean(np.where(gaps, whole, np.nan) ** 2)))
+
+    decay = min(DECAYS, key=ahead)
+    trainings = [trained(alone.experiments, decay, seed + i) for i in range(MEMBERS)]
+    good = sorted((each for each in trainings if each is not None), key=lambda each: each[0])
+    if not good:
+        raise DeadlineError
+    best = good[0]
+    members: list[Trained] = []
+    for error, shooting, length, fit in good[1:]:
+        if error <= AS_GOOD * best[0]:
+            members += held(shooting, shooting.restored(length, fit).path)
+    return best[1], best[2], best[3], tuple(members)
+
+
+def _tied(shooting: Shooting, fit: Fit) -> Fit:
+    """Minimise the residuals with steps of the state that are as small as the records allow."""
+    fit = descended(shooting, fit.unknowns, LAST_ROUNDS)
+    shooting.anchored = True
+    begins = shooting.compare(fit.unknowns).begins
+    shooting.anchored = bool(begins) and float(np.max(np.abs(begins))) < _NEAR
+    while shooting.slack > LEAST_SLACK:
+        steps = shooting.compare(fit.unknowns).steps
+        size = float(np.sqrt(np.mean(np.square(steps)))) if steps else 1.0
+        if size > 0.5:
+            break
+        shooting.slack *= max(size, 0.1)
+        fit = descended(shooting, fit.unknowns, LAST_ROUNDS)
+    return fit
 
 
 def _build_estimate(shooting: Shooting, unknowns: Array, window: int) -> Estimate:
     """Return the estimate at the best unknowns, with standard errors."""
     fractions = unknowns[: len(shooting.names)]
-    by_channel = _by_channel(shooting, unknowns)
-    jacobian = projected(shooting.jacobian(unknowns), len(fractions))
-    parameters = shooting.simulator.known
-    errors, correlations, remarks = uncertainty(
-        shooting.names, parameters, fractions, by_channel, jacobian
+    compared = shooting.compare(unknowns, slopes=True)
+    errors, parameters = np.concatenate(compared.errors), shooting.simulator.known
+    information = shooting.information(compared.normal)
+    deviations, correlations, remarks = uncertainty(
+        shooting.names, parameters, fractions, errors / shooting.noise, information
     )
-    named = [*zip(shooting.names, fractions, errors, strict=True)]
+    named = [*zip(shooting.names, fractions, deviations, strict=True)]
     values = {labelled(name): parameters.value_at(name[0], float(at)) for name, at, _ in named}
-    deviations = {labelled(name): float(error) for name, _, error in named}
-    rmse = np.sqrt(np.nanmean(by_channel**2, axis=0)) * shooting.scale
-    rest = tuple(map(float, rmse)), tuple(remarks), window
-    return Estimate(values, deviations, correlations, *rest)
+    of = {labelled(name): float(error) for name, _, error in named}
+    rmse = np.sqrt(np.nanmean(errors**2, axis=0)) * shooting.scale
+    return Estimate(values, of, correlations, tuple(map(float, rmse)), tuple(remarks), window)
 
 
-def _by_channel(shooting: Shooting, unknowns: Array) -> Array:
-    """Return the residuals in deviations of the channels, `(samples, ny)`, NaN in gaps."""
-    measured = np.concatenate([window.part.y for window in shooting.windows])
-    residuals = shooting.residuals(unknowns).reshape(measured.shape)
-    return np.where(np.isnan(measured), np.nan, residuals)
+def _replaceable(shooting: Shooting, unknowns: Array) -> list[str]:
+    """Return a remark on parameters that are far less certain as terms can take their place."""
+    normal, n = shooting.compare(unknowns, slopes=True).normal, len(shooting.names)
+    keep = [*range(n), *range(shooting.common, len(normal))]
+    both = [shooting.information(each) for each in (normal, normal[np.ix_(keep, keep)])]
+    with np.errstate(all="ignore"):
+        free, alone = (np.diag(np.linalg.pinv(each, hermitian=True)) for each in both)
+    pairs = zip(shooting.names, free > TAKEN**2 * alone, strict=True)
+    names = [labelled(name) for name, is_so in pairs if is_so]
+    if not names:
+        return []
+    its = "its value is the part that they leave it"
+    return [f"unknown terms could take the place of {', '.join(names)}: {its}"]
 
 
-def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline) -> str:
+def _doubt(shooting: Shooting, fit: Fit, window: int, deadline: Deadline) -> str:
     """Return a sentence if the other course of inputs between samples fits decisively better.
 
     The other course is fitted from the best values, if there is time.
@@ -252,24 +368,27 @@ def _doubt(shooting: Shooting, unknowns: Array, window: int, deadline: Deadline)
     simulator = shooting.simulator.otherwise()
     if simulator is None:
         return ""
-    other = Shooting(simulator, shooting.experiments, shooting.scale)
+    other = shooting.of(simulator)
+    other.slack = shooting.slack
     try:
         with within(min(current(), deadline)):
-            at = other.divide(window, unknowns[: len(shooting.names)])
-            if len(at) and _runs(other, at):
-                at, _ = descend(other, at, _ROUNDS)
+            compared = other.restored(window, fit)
+            there = fit
+            if len(fit.unknowns) and _runs(compared):
+                there = descended(other, fit.unknowns, _ROUNDS)
     except DeadlineError:
         return ""
     with within(NEVER):
-        both = [_by_channel(shooting, unknowns), _by_channel(other, at)]
+        pairs = (shooting, fit), (other, there)
+        both = [np.concatenate(each.compare(at.unknowns).errors) for each, at in pairs]
     if not favours(*both):
         return ""
-    here, there = (f"{np.sqrt(np.nanmean(residuals**2)):.2g}" for residuals in both)
+    before, after = (f"{np.sqrt(np.nanmean(errors**2)):.2g}" for errors in both)
     better = "held" if simulator.hold == "zoh" else "interpolated"
     return (
         f"the record favours inputs that are {better} between samples, hold={simulator.hold!r} "
-        f"(--simulator-hold {simulator.hold}): RMSE {there} instead of {here} standard deviations "
-        "of the output"
+        f"(--simulator-hold {simulator.hold}): RMSE {after} instead of {before} standard "
+        "deviations of the output"
     )
 
 
@@ -278,14 +397,14 @@ def _alternatives(
     outcomes: Sequence[StartOutcome],
     window: int,
     estimate: Estimate,
-    fractions: Array,
+    fit: Fit,
 ) -> list[str]:
     """Return remarks on equally good minima with other values of identifiable parameters."""
     identified = np.isfinite([*estimate.errors.values()])
-    fits = [outcome.found[window] for outcome in outcomes if window in outcome.found]
-    most, parameters = min(error for _, error in fits) * (1 + SAME_ERROR), shooting.simulator.known
-    minima = [fractions]
-    for other in (np.array(at) for at, error in fits if error <= most and identified.any()):
+    fits, count = [o.found[window] for o in outcomes if window in o.found], len(identified)
+    most, parameters = min(fit.error for fit in fits) * (1 + SAME_ERROR), shooting.simulator.known
+    minima = [fit.unknowns[:count]]
+    for other in (each.unknowns[:count] for each in fits if each.error <= most and any(identified)):
         if all(np.abs(other - minimum)[identified].max() > _SAME_PLACE for minimum in minima):
             minima.append(other)
 
@@ -305,7 +424,8 @@ def starting_points(count: int, dimensions: int) -> Array:
 
 def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOutcome]:
     """Try starting points in order until enough of them agree; return the outcomes."""
-    points = starting_points(effort.starts, len(problem.names))
+    count = effort.starts if problem.names else 1
+    points = starting_points(count, max(len(problem.names), 1))[:, : len(problem.names)]
     done: dict[int, StartOutcome] = {}
     work, workers = partial(_try, problem, points, deadline), effort.workers
     for first in range(0, len(points), ENOUGH):
@@ -319,24 +439,11 @@ def tried(problem: Shooting, effort: Effort, deadline: Deadline) -> list[StartOu
                 done[outcome.number] = outcome
                 if effort.progress is not None:
                     effort.progress(len(done), len(points))
-            # The time may include compilation, negligible only in a slow start.
-            quick = part is alone and alone and now() - began < SLOW
-            if quick and _seconds(problem, points[0], deadline) < QUICK:
+            if part is alone and alone and now() - began < WORTH_PROCESSES:
                 workers = 1
         if _settled([done[i] for i in sorted(done)], problem.longest):
             break
     return [done[i] for i in sorted(done)]
-
-
-def _seconds(problem: Shooting, fractions: Array, deadline: Deadline) -> float:
-    """Return the estimated time of a start in s, from its first runs."""
-    shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    with suppress(DeadlineError), within(min(current(), deadline)):
-        unknowns = shooting.divide(shooting.longest, fractions)
-        began = now()
-        shooting.jacobian(unknowns)
-        return (now() - began) * _ROUNDS
-    return math.inf
 
 
 def _side_by_side(
@@ -361,72 +468,99 @@ def _side_by_side(
 
 def _settled(outcomes: Sequence[StartOutcome], longest: int) -> bool:
     """Return whether enough starts agree on the lowest error, or the last hardly lowered it."""
-    errors = [o.found[longest][1] for o in outcomes if longest in o.found]
+    errors = [o.found[longest].error for o in outcomes if longest in o.found]
     if sum(e <= min(errors) * (1 + SAME_ERROR) for e in errors) >= ENOUGH:
         return True
-    before = [o.found[longest][1] for o in outcomes[:-PATIENCE] if longest in o.found]
+    before = [o.found[longest].error for o in outcomes[:-PATIENCE] if longest in o.found]
     return min(before, default=np.inf) <= min(errors, default=0.0) * (1 + _HARDLY_BETTER)
 
 
 def _try(problem: Shooting, points: Array, deadline: Deadline, number: int) -> StartOutcome:
     """Fit from one starting point."""
     shooting = Shooting(problem.simulator, problem.experiments, problem.scale)
-    outcomes: dict[int, tuple[list[float], float]] = {}
-    fractions, cut = points[number], False
+    found, cut = dict[int, Fit](), False
     try:
         with within(min(current(), deadline)):
-            for length in _lengths(shooting.longest, growing=number % 2 == 1):
-                unknowns = shooting.divide(length, fractions)
-                if _runs(shooting, unknowns):
-                    unknowns, error = descend(shooting, unknowns, _ROUNDS)
-                    fractions = unknowns[: len(fractions)]
-                    outcomes[length] = fractions.tolist(), error
+            for length, fit in grown(shooting, points[number], _lengths(shooting)):
+                found[length] = fit
     except DeadlineError:
         cut = True
-    return StartOutcome(number, outcomes, shooting.failure, cut)
+    return StartOutcome(number, found, shooting.failure, cut)
 
 
-def _lengths(longest: int, growing: bool) -> list[int]:
+def grown(
+    shooting: Shooting,
+    common: Array,
+    lengths: list[int],
+    path: Sequence[Array] | None = None,
+    decay: float | None = None,
+) -> Iterator[tuple[int, Fit]]:
+    """Yield fits in windows that grow as far as the state allows it, with their lengths.
+
+    Parameters
+    ----------
+    shooting : The comparison, whose noise is that of the last fit.
+    common : Parameters and weights at the beginning.
+    lengths : Lengths of windows, the shortest first.
+    path : States by record at the beginning; None for those that follow from the parameters.
+    decay : Weight decay of unknown terms; None without them.
+    """
+    found = False
+    while lengths:
+        length, *lengths = lengths
+        shooting.divide(length)
+        at = shooting.begun(common) if path is None else shooting.resumed(common, path)
+        if path is not None and decay is not None:
+            shooting.prior = prior(shooting, common, path, decay)
+        if not _runs(shooting.compare(at)):
+            continue
+        fit = descended(shooting, at, _ROUNDS)
+        compared = shooting.compare(fit.unknowns, slopes=True)
+        here, later = shooting.growth(compared.transitions)
+        if here > MOST_GROWTH and decay is None and (found or -(-length // GROWTH) >= SHORTEST):
+            lengths = [] if found else [-(-length // GROWTH), length, *lengths]
+            continue
+        found, common = True, fit.unknowns[: shooting.common]
+        yield length, fit
+        if later > MOST_GROWTH:
+            break
+        whole = all(np.isfinite(x).all() for x in compared.path)
+        path = compared.path if whole else path if decay is not None else None
+
+
+def _lengths(shooting: Shooting) -> list[int]:
     """Return the window lengths of all stages, the shortest first."""
-    lengths = [longest]
-    while growing and lengths[0] > max(_GROWTH * SHORTEST, longest // _WINDOWS):
-        lengths.insert(0, -(-lengths[0] // _GROWTH))
+    longest = shooting.longest
+    lengths, least = [longest], max(SHORTEST, longest / _WINDOWS)
+    # Without states every window begins with the record: a shorter one omits the rest.
+    while shooting.simulator.states and (shorter := -(-lengths[0] // GROWTH)) >= least:
+        lengths.insert(0, shorter)
     return lengths
 
 
-def descend(shooting: Shooting, unknowns: Array, rounds: int) -> tuple[Array, float]:
-    """Minimise the error within the ranges; return the best unknowns so far, and their error."""
-    least, best = np.inf, None
-
-    def residuals(at: Array) -> Array:
-        nonlocal least, best
-        values = shooting.residuals(at)
-        error = _error(values)
-        if error < least:
-            least, best = error, at.copy()
-        return np.concatenate([values, _PULL * (at - begin)])
-
-    def jacobian(at: Array) -> Array:
-        return np.vstack([shooting.jacobian(at), _PULL * np.eye(len(at))])
-
+def descended(shooting: Shooting, unknowns: Array, rounds: int) -> Fit:
+    """Minimise the residuals within the ranges, and take the noise that is left."""
     ranged = np.arange(len(unknowns)) < len(shooting.names)  # states have no range
-    bounds = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
-    begin = np.where(ranged, np.clip(unknowns, 1e-6, 1 - 1e-6), unknowns)
-    how: Any = {"max_nfev": rounds, "x_scale": np.where(ranged, 0.1, 1.0)}
-    how |= {"ftol": 1e-8, "xtol": 1e-8, "gtol": 1e-10}
-    try:
-        scipy.optimize.least_squares(residuals, begin, jacobian, bounds, **how)
-    except DeadlineError:
-        if best is None:
-            raise
-    assert best is not None
-    return best, least
+
+    def evaluate(at: Array, slopes: bool) -> tuple[float, Array, Array]:
+        compared, moved = shooting.compare(at, slopes), _PULL * (at - begin)
+        cost = compared.cost + 0.5 * float(moved @ moved)
+        pulled = compared.normal + _PULL**2 * np.eye(len(at))
+        return cost, compared.gradient + _PULL * moved, pulled
+
+    begin = np.where(ranged, np.clip(unknowns, 0.0, 1.0), unknowns)
+    low, high = np.where(ranged, 0.0, -np.inf), np.where(ranged, 1.0, np.inf)
+    alike = slice(len(shooting.names), shooting.common if shooting.trained.any() else 0)
+    at, _ = minimise(evaluate, begin, low, high, rounds, alike)
+    shooting.learn(at)
+    errors = np.concatenate(shooting.compare(at).errors)
+    squares = np.nanmean(errors**2, axis=0)
+    noise = np.sqrt(squares)
+    shooting.noise = np.maximum(noise, max(_LEAST_WEIGHT * noise.max(), MIN_NOISE))
+    return Fit(at, float(np.sqrt(np.mean(squares))), shooting.sizes, shooting.noise)
 
 
-def _runs(shooting: Shooting, unknowns: Array) -> bool:
-    """Return whether most of the records are simulated without failure."""
-    return _error(shooting.residuals(unknowns)) < 0.5 * BAD
-
-
-def _error(residuals: Array) -> float:
-    return float(np.sqrt(np.mean(residuals**2)))
+def _runs(compared: Compared, whole: bool = False) -> bool:
+    """Return whether most of the records are simulated without failure, or all of them."""
+    errors = np.nan_to_num(np.concatenate(compared.errors))
+    return bool((np.abs(errors) < BAD).all() if whole else np.mean(errors**2) < (0.5 * BAD) ** 2)

@@ -37,6 +37,7 @@ from splitband.simulators.fmu import Fmu
 from splitband.simulators.fmu_unit import variables_of
 from splitband.simulators.functions import Function, Ode, UserCode
 from splitband.simulators.parameters import INITIAL, Adjustable, Parameters
+from splitband.simulators.unknown import Unknown
 from splitband.simulators.user_code import count_arguments
 
 _STDOUT, _STDERR = 1, 2
@@ -182,6 +183,7 @@ def adjustable_from(  # noqa: PLR0913
     start: Start | None = None,
     hold: Hold | None = None,
     step: float | None = None,
+    unknown: Sequence[Unknown] | None = None,
 ) -> Adjustable:
     """Return a simulator with these parameters, for runs in this process.
 
@@ -191,18 +193,19 @@ def adjustable_from(  # noqa: PLR0913
     ----------
     file : An .fmu, or a Python file, which is run.
     name : Name in the Python file; empty for an FMU. It is an `Ode`, a `Function`, a function of
-        time as for `Function`, or a function `rhs(t, x, u, p)` of four arguments: the right-hand
-        side of an `Ode` with its first state measured.
+        time as for `Function`, or a function `rhs(t, x, u, p)` of four arguments, or of five with
+        w: the right-hand side of an `Ode` with its first state measured.
     given : Parameters, which override those of an `Ode` or a `Function` in the file.
     outputs, inputs : Variables of an FMU.
     start : Start of the simulator; None for its own.
     hold : Course of inputs between samples, see `Ode`; None for that of an `Ode` in the file.
     step : Communication step of an FMU.
+    unknown : Unknown terms, which replace those of an `Ode` in the file.
     """
     if not name:
         return Fmu(file, outputs or None, dict(given), inputs, start or 0.0, hold or "linear", step)
     file = str(Path(file).resolve())
-    simulator: Adjustable = _of_file(file, name, start, hold, given)
+    simulator: Adjustable = _of_file(file, name, start, hold, unknown, given)
     return simulator
 
 
@@ -214,18 +217,36 @@ def _not_an_equation(name: str) -> InputError:
     )
 
 
+def _no_terms(name: str) -> InputError:
+    """Return the error for unknown terms of a function of time."""
+    return InputError(
+        "unknown (--unknown) must be left out but for a differential equation, a function of "
+        f"(t, x, u, p, w), got {name}"
+    )
+
+
 def _of_file(
-    file: str, name: str, start: Start | None, hold: Hold | None, given: Mapping[str, Any]
+    file: str,
+    name: str,
+    start: Start | None,
+    hold: Hold | None,
+    unknown: Sequence[Unknown] | None,
+    given: Mapping[str, Any],
 ) -> Any:
     """Return a simulator of a Python file, in any process."""
     defined = _defined(file, name, Path(file).read_bytes())
     if isinstance(defined, UserCode):
         parameters = {**(defined.parameters or {}), **given}
-        simulator: Any = replace(defined, parameters=parameters)  # type: ignore[type-var]
+        changes = {} if unknown is None else {"unknown": unknown}
+        if unknown is not None and not isinstance(defined, Ode):
+            raise _no_terms(name)
+        simulator: Any = replace(defined, parameters=parameters, **changes)  # type: ignore[type-var]
     elif not callable(defined):
         raise InputError(f"{file} must define a function, an Ode or a Function {name}")
-    elif count_arguments(defined) == 4:
-        simulator = Ode(defined, _initial(given), parameters=dict(given))
+    elif count_arguments(defined) in (4, 5):
+        simulator = Ode(defined, _initial(given), parameters=dict(given), unknown=unknown)
+    elif unknown is not None:
+        raise _no_terms(name)
     else:
         simulator = Function(defined, dict(given))
     if start is not None:
@@ -234,7 +255,7 @@ def _of_file(
         simulator = replace(simulator, hold=hold or simulator.hold)
     elif hold == "zoh":
         raise _not_an_equation(name)
-    return simulator.opened_by(partial(_of_file, file, name, start, hold))
+    return simulator.opened_by(partial(_of_file, file, name, start, hold, unknown))
 
 
 @lru_cache(maxsize=16)

@@ -34,6 +34,7 @@ from splitband.simulators.functions import UserCode
 from splitband.simulators.isolation import Isolated, adjustable_from, named_in
 from splitband.simulators.named import SIMULATORS
 from splitband.simulators.parameters import Adjustable, Parameters
+from splitband.simulators.unknown import Unknown
 from splitband.simulators.user_code import check_open, count_arguments, outline
 
 
@@ -49,6 +50,7 @@ def open_simulator(  # noqa: PLR0913
     parameters: str | Mapping[str, Any] | None = None,
     timeout: float | None = None,
     time_column: str | None = None,
+    unknown: Sequence[Unknown] | None = None,
 ) -> Any:
     """Return the simulator for a text, as `--simulator` does.
 
@@ -66,6 +68,7 @@ def open_simulator(  # noqa: PLR0913
     parameters : Numbers and ranges, as in `Ode` or as the text "k=0.1:10,c=0.05".
     timeout : Time limit of a run in s; None for no limit.
     time_column : Time column of an exported trajectory, if it has one.
+    unknown : Unknown terms of a differential equation, see `Ode`.
 
     Returns
     -------
@@ -82,17 +85,18 @@ def open_simulator(  # noqa: PLR0913
     file, _, function = name.partition(".py:")
     file += ".py" if function else ""
     fmu, exists = file.lower().endswith(".fmu"), Path(file).is_file()
-    for option, value, taken in (
-        ("inputs (--simulator-inputs)", inputs, fmu),
-        ("step (--simulator-step)", step, fmu),
-        ("start (--simulator-start)", start, fmu or function),
-        ("hold (--simulator-hold)", hold, fmu or function),
-        ("parameters", parameters, fmu or function),
+    own, equation = "an .fmu" if fmu else "FILE.py:FUNCTION" if function else "", "FILE.py:FUNCTION"
+    for option, value, kinds in (
+        ("inputs (--simulator-inputs)", inputs, ("an .fmu",)),
+        ("step (--simulator-step)", step, ("an .fmu",)),
+        ("start (--simulator-start)", start, ("an .fmu", equation)),
+        ("hold (--simulator-hold)", hold, ("an .fmu", equation)),
+        ("parameters", parameters, ("an .fmu", equation)),
+        ("unknown (--unknown)", unknown, (equation,)),
     ):
-        if value is not None and not taken:
-            others = "" if taken is fmu else " or FILE.py:FUNCTION"
+        if value is not None and own not in kinds:
             raise InputError(
-                f"{option} must be left out but for a simulator that is an .fmu{others}, got "
+                f"{option} must be left out but for a simulator that is {' or '.join(kinds)}, got "
                 f"{name or 'none'}"
             )
     if timeout is not None and not math.isfinite(timeout):
@@ -106,6 +110,8 @@ def open_simulator(  # noqa: PLR0913
     if parameters is None and function and exists and outline(file, function) is None:
         # An `Ode` in the file may have ranges to fit.
         parameters = {} if isinstance(named_in(file, function), UserCode) else None
+    if parameters is None and unknown is not None:
+        parameters = {}
     if parameters is None and name in SIMULATORS:
         return SIMULATORS[name]()
     if name.endswith(".py"):
@@ -117,7 +123,8 @@ def open_simulator(  # noqa: PLR0913
         )
     if parameters is not None:
         ranges = Parameters.read(parameters).given if isinstance(parameters, str) else parameters
-        return adjustable_from(file, function, ranges, columns, inputs, begin, hold, step)
+        how = columns, inputs, begin, hold, step, unknown
+        return adjustable_from(file, function, ranges, *how)
     if not (fmu or function):
         return _exported(name, record, columns, time_column)
     driven = bool(function) and _takes_inputs(file, function, record)
@@ -134,9 +141,12 @@ def is_fitted(simulator: Any) -> bool:
 
 
 def check_runs_as_it_is(option: str, value: str | None, simulator: Any) -> None:
-    """Raise ValueError for the name of a baseline, and for parameters to fit."""
-    if isinstance(simulator, str) or (isinstance(simulator, Adjustable) and simulator.known.free):
-        why = "is a baseline" if isinstance(simulator, str) else "has parameters to fit"
+    """Raise ValueError for the name of a baseline, and for parameters or terms to fit."""
+    fitted = isinstance(simulator, Adjustable) and (
+        simulator.known.free or any(term.free for term in simulator.terms)
+    )
+    if isinstance(simulator, str) or fitted:
+        why = "is a baseline" if isinstance(simulator, str) else "has something to fit"
         raise InputError(
             f"{option} must be a file or FILE.py:FUNCTION that is run as it is, got {value}, "
             f"which {why}"

@@ -20,6 +20,7 @@ from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
 from splitband.simulators.base import KnownSimulator
+from splitband.simulators.unknown import Trained, Unknown
 
 Given = Mapping[str, float | tuple[float, float]]
 Point = tuple[Mapping[str, float], Any]
@@ -127,6 +128,13 @@ class Parameters:
         logarithmic = self.logarithmic(name)
         return self.value_at(name, fraction) * math.log(high / low) if logarithmic else high - low
 
+    def step(self, name: str, value: float, share: float) -> float:
+        """Return a step of a value, a share of its range, that does not leave the range."""
+        low, high = self.range(name)
+        width = value * math.log(high / low) if self.logarithmic(name) else high - low
+        step = share * width
+        return step if value + step <= high else -step
+
     def middle(self) -> dict[str, float]:
         """Return all parameters as numbers, fitted ones in the middle of their ranges."""
         return {name: self.value_at(name, 0.5) for name in self.given}
@@ -208,6 +216,24 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     def driven(self) -> bool:  # type: ignore[override]
         """Return whether the simulator takes a record's inputs."""
 
+    def initial(self, values: Mapping[str, float]) -> Array:
+        """Return the state at the record's first sample, `(states,)`."""
+        return np.empty(0)
+
+    @property
+    def resolved_terms(self) -> Sequence[Unknown]:
+        """Return the unknown terms, as functions of states and inputs."""
+        return ()
+
+    @property
+    def weights(self) -> Array:
+        """Return the weights of the unknown terms, one after another."""
+        return np.empty(0)
+
+    def weighted(self, weights: Array) -> Self:
+        """Return a copy with these weights of the unknown terms."""
+        return self
+
     @property
     def adjustable(self) -> bool:  # type: ignore[override]
         """Return whether the simulator has parameters or needs inputs, and so a `GreyBox`."""
@@ -220,6 +246,38 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
         Failed values are NaN.
         """
 
+    def derivatives(
+        self, time: Array, u: Array | None, point: Point, names: Sequence[str]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return channels and states at a point, and their derivatives.
+
+        By the parameters of these names, by the initial state and by the weights of unknown
+        terms, one after another, `(time, ny, n)` and `(time, nx, n)`; by default they are
+        differences of whole responses.
+        """
+        values, state = point
+        ((y, x),) = self.respond(time, u, [point])
+        sizes = np.abs(np.where(np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
+        moved: list[Point] = []
+        steps: list[float] = []
+        for name in names:
+            steps.append(self.known.step(name, values[name], self.difference))
+            moved.append(({**values, name: values[name] + steps[-1]}, state))
+        for i in range(self.states):
+            steps.append(self.difference * (sizes[i] or 1.0))
+            moved.append((values, state + steps[-1] * (np.arange(self.states) == i)))
+        others = [*self.respond(time, u, moved)] if moved else []
+        for i in range(len(self.weights)):
+            steps.append(self.difference)
+            beside = self.weights + steps[-1] * (np.arange(len(self.weights)) == i)
+            others += self.weighted(beside).respond(time, u, [point])
+        pairs = [*zip(others, steps, strict=True)]
+        dy, dx = (
+            np.stack([np.zeros_like(at), *((other[i] - at) / step for other, step in pairs)], -1)
+            for i, at in enumerate((y, x))
+        )
+        return y, x, dy[..., 1:], dx[..., 1:]
+
     @abstractmethod
     def _with(self, **changes: Any) -> Self:
         """Return a copy with changed options."""
@@ -227,6 +285,10 @@ class Adjustable(WithRepr, KnownSimulator, ABC):
     def fixed(self, values: Mapping[str, float]) -> Self:
         """Return a copy with some parameters set to these values."""
         return self._with(parameters=dict(self.known.fixed(values).given))
+
+    def coarse(self) -> Self:
+        """Return the simulator for a search."""
+        return self
 
     def precise(self) -> Self:
         """Return the simulator for the last steps of a fit and for standard errors."""
@@ -257,6 +319,8 @@ class Estimate:
     rmse : RMSE by channel over the training samples.
     remarks : Parameters not identifiable or at a bound, and other fits as good.
     window : Samples of the windows of the simulation; 0 for the whole record.
+    terms, members : States of the trained unknown terms, and of further trainings that fit as
+        well, one training after another.
     starts : Number of starting points with the same fit, and of all fitted ones.
     cut : Whether the deadline passed before the last starting point.
     doubt : Sentence on the other course of inputs between samples, if the record favours it.
@@ -271,6 +335,8 @@ class Estimate:
     starts: tuple[int, int] = (0, 0)
     cut: bool = False
     doubt: str = ""
+    terms: tuple[Trained, ...] = ()
+    members: tuple[Trained, ...] = ()
 
     def __post_init__(self) -> None:
         """Check values that may come from a file."""
@@ -318,8 +384,8 @@ def uncertainty(
     names: Sequence[Name],
     parameters: Parameters,
     fractions: Array,
-    residuals: Array,
-    jacobian: Array,
+    errors: Array,
+    information: Array,
 ) -> tuple[Array, Array, list[str]]:
     """Return the standard errors of fitted values, their correlations, and remarks.
 
@@ -329,8 +395,9 @@ def uncertainty(
     ----------
     names, parameters : Names of the fitted parameters, and all parameters.
     fractions : Positions of the fitted parameters in their ranges, 0 to 1, `(n,)`.
-    residuals : `(samples, ny)`, in deviations of the channels; NaN in gaps.
-    jacobian : Derivatives of the residuals with respect to `fractions`, `(samples * ny, n)`.
+    errors : `(samples, ny)`, in units of the noise; NaN in gaps.
+    information : Normal matrix of the `fractions`, in units of the noise, with all else optimal,
+        `(n, n)`.
     """
     at_bound, remarks = np.zeros(len(fractions), dtype=bool), []
     for i, (name, fraction) in enumerate(zip(names, fractions, strict=True)):
@@ -341,17 +408,14 @@ def uncertainty(
             remarks.append(f"{labelled(name)} is at its {side} bound, {bound:.4g}")
     slopes = np.array([parameters.slope(n, p) for (n, _), p in zip(names, fractions, strict=True)])
     free = np.flatnonzero(~at_bound)
-    # RMS error by channel, corrected for the number of fitted parameters
-    measured = np.maximum((~np.isnan(residuals)).sum(axis=0), 1)
-    freedom = np.maximum(measured - len(fractions) / residuals.shape[1], 1)
-    noise = np.sqrt(np.nansum(residuals**2, axis=0) / freedom)
-    factor, weak = _directions(jacobian[:, free], noise)
-    weighted = (jacobian[:, free] @ factor) * np.tile(noise, len(residuals))[:, None]
+    strengths, directions = np.linalg.eigh(information[np.ix_(free, free)])
+    known = strengths > 1 / MAX_RELATIVE_ERROR**2
+    factor = directions[:, known] / np.sqrt(strengths[known])
+    measured = int((~np.isnan(errors)).sum())
+    variance = float(np.nansum(errors**2)) / max(measured - len(fractions), 1)
     covariance = np.full((len(fractions), len(fractions)), np.nan)
-    # (J'J)^-1 J' W J (J'J)^-1, where W are the error variances by channel
-    inner = factor @ (weighted.T @ weighted) @ factor.T * _correlated(residuals)
-    covariance[np.ix_(free, free)] = inner
-    for direction in weak:
+    covariance[np.ix_(free, free)] = factor @ factor.T * variance * _correlated(errors)
+    for direction in directions[:, ~known].T:
         involved = np.flatnonzero(np.abs(direction) > MIN_COMPONENT)
         lost = free[involved]
         covariance[lost] = covariance[:, lost] = np.nan
@@ -367,18 +431,6 @@ def uncertainty(
         for i, j in pairs
     ]
     return deviations * np.abs(slopes), correlations, remarks
-
-
-def _directions(jacobian: Array, noise: Array) -> tuple[Array, Array]:
-    """Return the factor V / S of the identifiable directions, `(n, k)`, and the other ones."""
-    if not jacobian.shape[1]:
-        return np.empty((0, 0)), np.empty((0, 0))
-    _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
-    s = np.concatenate([s, np.zeros(len(vt) - len(s))])
-    least = MIN_NOISE * np.sqrt(len(noise))
-    level = float(np.sqrt(np.mean(np.maximum(noise, least) ** 2)))
-    weak = level / np.maximum(s, 1e-300) > MAX_RELATIVE_ERROR
-    return vt[~weak].T / s[~weak], vt[weak]
 
 
 def favours(residuals: Array, others: Array) -> bool:

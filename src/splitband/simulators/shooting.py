@@ -1,9 +1,11 @@
-"""Compare a simulator with records: residuals and their derivatives, over whole records or windows.
+"""Compare a simulator with records, over whole records or windows, and minimise the difference.
 
 A long simulation may lose its phase or be unstable, and then does not determine the parameters.
-Then records are simulated in windows with separate initial states (multiple shooting; Bock, 1987).
-Parameters and initial states are the unknowns of one least-squares problem. The simulator with
-fitted parameters runs from an initial state estimated from a history.
+Then records are simulated in windows (multiple shooting; Bock, 1987). Positions of parameters in
+their ranges and the initial states of the windows are the unknowns of one least-squares problem,
+whose residuals are the errors of the outputs, and the steps of the state from the end of a window
+to the beginning of the next one. The simulator with fitted parameters runs from an initial state
+estimated from a history, by the same residuals.
 """
 
 from __future__ import annotations
@@ -15,14 +17,21 @@ from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import scipy
 
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import DeadlineError, check
 from splitband.runtime.errors import InputError
 from splitband.simulators.base import origin
-from splitband.simulators.parameters import MIN_NOISE, Adjustable, Estimate, Point, Response
+from splitband.simulators.parameters import (
+    INITIAL,
+    MIN_NOISE,
+    Adjustable,
+    Estimate,
+    Point,
+    Response,
+)
+from splitband.simulators.unknown import Trained
 from splitband.simulators.user_code import failure, place
 
 BAD = 1e3
@@ -30,16 +39,79 @@ BAD = 1e3
 FAILED = 1e9
 """The same limit in deviations of the noise, for the larger residuals of a wrong state. Rounding.
 """
-STATE_STEP = 1e-6
-"""Relative step of finite differences with respect to a state. Rounding."""
-_STATE_RUNS = 8
-"""Largest number of evaluations in the search for the initial state of a window, a start for the
-search for all unknowns. Bounds the time."""
+GROWTH = 4
+"""Growth of windows from stage to stage. Bounds the time."""
+MOST_GROWTH, _EXPONENT = 10.0, 1.5
+"""Largest growth of an error of the state in a window, and least exponent of the growth in a second
+half by that in the first one: 1 for powers of time, 2 for exponentials. By eye."""
+_ENOUGH = 1e-9
+"""Gain of a step that ends a minimisation, as a share of the squared error. Rounding."""
+_STATE_ROUNDS = 4
+"""Largest number of steps in the search for the initial state of a window, a start for the search
+for all unknowns. Bounds the time."""
 MOST_STATES = 500
 """Largest number of stored training states, as prior and as starting points. Bounds the time."""
-_TRIED, _MOST_RUNS = 3, 50
+_TRIED, _MOST_ROUNDS = 3, 50
 """Number of stored states with the closest outputs as starts for an initial state, and largest
-number of evaluations per start. Bounds the time."""
+number of steps per start. Bounds the time."""
+Evaluate = Callable[[Array, bool], tuple[float, Array, Array]]
+"""Returns half the sum of squares at some unknowns and, if asked for, its gradient and the normal
+matrix J'J."""
+
+
+def minimise(
+    evaluate: Evaluate, begin: Array, low: Any, high: Any, rounds: int, alike: slice = slice(0)
+) -> tuple[Array, float]:
+    """Minimise a sum of squares between bounds by Levenberg and Marquardt's method.
+
+    The damping is that of Nielsen (1999), in the largest size of each derivative so far; unknowns
+    that are `alike`, as the weights of a network, have a common size: with sizes of their own, four
+    times as many steps did not lead as far. Unknowns that a step would take beyond a bound go to
+    it, and the step is solved again for the others. At a deadline the best ones so far are
+    returned.
+    """
+    at = np.clip(begin, low, high)
+    cost, gradient, normal = evaluate(at, True)
+    damping, growth, scale = 1e-3, 2.0, np.zeros(len(at))
+    try:
+        for _ in range(rounds if len(at) else 0):
+            scale = np.maximum(scale, np.diag(normal))
+            scale[alike] = np.mean(scale[alike]) if alike.stop else 0.0
+            floor = 1e-12 * scale.max(initial=1e-300)
+            step = _bounded_step(
+                normal + np.diag(damping * np.maximum(scale, floor)), gradient, at, low, high
+            )
+            expected = -float(step @ (gradient + 0.5 * normal @ step))
+            if not expected > _ENOUGH * cost:
+                break
+            new = evaluate(at + step, False)[0]
+            share = (cost - new) / expected
+            if not share > 1e-4:
+                damping, growth = damping * growth, 2 * growth
+                continue
+            at, before = at + step, cost
+            cost, gradient, normal = evaluate(at, True)
+            damping, growth = damping * max(1 / 3, 1 - (2 * share - 1) ** 3), 2.0
+            if before - cost < _ENOUGH * cost:
+                break
+    except DeadlineError:
+        pass
+    return at, cost
+
+
+def _bounded_step(matrix: Array, gradient: Array, at: Array, low: Any, high: Any) -> Array:
+    """Return the step to the minimum of a quadratic function, within the bounds."""
+    free, step = np.ones(len(at), dtype=bool), np.zeros(len(at))
+    while free.any():
+        right = gradient[free] + matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], right)
+        within = np.clip(at + step, low, high)
+        beyond = free & (within != at + step)
+        if not beyond.any():
+            break
+        step[beyond] = (within - at)[beyond]
+        free &= ~beyond
+    return step
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,30 +144,57 @@ class Experiment:
 class Window(NamedTuple):
     """A part of a record for one simulation.
 
-    `unknowns`: indices of the window's unknowns, the last ones, `states`, for its initial state. At
-    the beginning of a record, parameters define the initial state.
+    `begin`: first sample; `columns`: indices of the unknowns by which a response is differentiated,
+    -1 for what is no unknown; `state`: index of the first unknown of the initial state, -1 at the
+    beginning of a record, where parameters define it.
     """
 
     record: int
+    begin: int
     part: Experiment
-    unknowns: Sequence[int]
-    states: slice
+    columns: Array
+    state: int
+
+
+class Compared(NamedTuple):
+    """A comparison: what is minimised, and what else it tells.
+
+    `errors`: of the windows in deviations of the channels, `(samples, ny)`, NaN in gaps;
+    `begins`, `steps`: residuals of the steps of the state to first windows and between windows;
+    `path`: states by record, `(time, nx)`; `transitions`, only with slopes: derivatives of a
+    window's last state by its first one, in sizes of the states.
+    """
+
+    cost: float
+    gradient: Array
+    normal: Array
+    errors: list[Array]
+    begins: list[Array]
+    steps: list[Array]
+    path: list[Array]
+    transitions: list[Array]
 
 
 class Shooting:
     """A comparison of a simulator with records.
 
-    The unknowns are the relative positions of parameters in their ranges, 0 to 1, and then the
-    initial states of the windows, in units of `sizes`.
+    The unknowns are the relative positions of parameters in their ranges, 0 to 1, the weights of
+    unknown terms, and the initial states of the windows, in units of `sizes`.
 
     Parameters
     ----------
     simulator, experiments : The simulator to fit, and the data of the records.
-    scale : Deviations of the channels, `(ny,)`, the unit of residuals.
+    scale : Deviations of the channels, `(ny,)`, the unit of errors.
 
     Attributes
     ----------
     names : Parameters by position: the common ones, then initial values by record.
+    noise : Errors of the channels in deviations, by which they are weighted, `(ny,)`.
+    slack : Of the steps of the state between windows: 1 if these are as large as the error of a
+        state that a window's samples determine.
+    anchored : Whether the given initial state counts for the first one of several windows.
+    trained : Which weights of unknown terms are unknowns, `(weights,)`.
+    prior : Residuals of these weights, with their derivatives; None for none.
     failure : Message of the last failed run.
     """
 
@@ -107,11 +206,33 @@ class Shooting:
         self.failure = ""
         self.windows: list[Window] = []
         self.sizes = np.ones(simulator.states)
+        self.noise, self.slack, self.anchored = np.ones(len(scale)), 1.0, False
+        self.trained = np.zeros(len(simulator.weights), dtype=bool)
+        self.prior: Callable[[Array], tuple[Array, Array]] | None = None
+
+    def of(self, simulator: Adjustable) -> Shooting:
+        """Return the same comparison with another simulator, whose terms are taught."""
+        states: Any = tuple(term.trained for term in self.simulator.terms)
+        simulator = simulator.taught(states) if self.trained.any() else simulator
+        other = Shooting(simulator, self.experiments, self.scale)
+        other.trained, other.prior = self.trained, self.prior
+        return other
 
     @property
     def longest(self) -> int:
         """Return the number of samples of the longest record."""
         return max(len(experiment.y) for experiment in self.experiments)
+
+    @property
+    def common(self) -> int:
+        """Return the number of unknowns other than states of windows."""
+        return len(self.names) + int(self.trained.sum())
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Return the names of parameters by which responses are differentiated."""
+        known = self.simulator.known
+        return known.shared if self.simulator.states else known.free
 
     def values(self, unknowns: Array, record: int) -> dict[str, float]:
         """Return the values of all parameters for a record."""
@@ -122,151 +243,297 @@ class Shooting:
                 by_name[name] = parameters.value_at(name, float(fraction))
         return by_name
 
-    def divide(self, length: int, fractions: Array) -> Array:
-        """Divide every record into windows of at most `length` samples, and return the unknowns.
+    def divide(self, length: int) -> None:
+        """Divide every record into windows of at most `length` samples.
 
-        The search for a window's state starts from the final state of the window before. A black
-        box, which runs from the beginning of a record, has a single window there.
+        A black box, which runs from the beginning of a record, has a single window there.
         """
-        self.windows = []
-        states: list[Array] = []
+        self.windows, states, last = [], self.simulator.states, self.common
+        weights = np.where(self.trained, len(self.names) - 1 + np.cumsum(self.trained), -1)
         for r, experiment in enumerate(self.experiments):
+            places = {name: i for i, (name, record) in enumerate(self.names) if record in (-1, r)}
+            own = [places[name] for name in self.varied]
             samples = len(experiment.y)
-            parameters = [i for i, (_, record) in enumerate(self.names) if record in (-1, r)]
-            if not self.simulator.states:
-                self.windows.append(Window(r, experiment.part(0, length), parameters, slice(0)))
-                continue
-            cuts = np.linspace(0, samples, -(-samples // length) + 1).round().astype(int)
-            values, state = self.values(fractions, r), None
+            cuts = np.array([0, min(length, samples)])
+            if states:
+                cuts = np.linspace(0, samples, -(-samples // length) + 1).round().astype(int)
             for begin, end in pairwise(cuts):
-                part = experiment.part(begin, min(end + 1, samples))
-                if end < samples:  # the last sample counts as the first of the next window
+                part = experiment.part(begin, min(end + 1, samples) if states else end)
+                if states and end < samples:  # it counts as the first one of the next window
                     part.y[-1] = np.nan
-                where = slice(0)
-                if state is not None:
-                    state = self._settled(part, values, state)
-                    states.append(state)
-                    first = len(fractions) + (len(states) - 1) * self.simulator.states
-                    where = slice(first, first + self.simulator.states)
-                self.windows.append(
-                    Window(r, part, [*parameters, *range(*where.indices(10**9))], where)
-                )
-                last = self.respond(part, [(values, state)])[0][1][-1]
-                if np.isfinite(last).all():
-                    state = last.copy()
-                elif state is None:
-                    state = np.zeros(self.simulator.states)
-        if states:
-            self.sizes = np.maximum(np.abs(states).mean(axis=0), 1e-3)
+                state, columns = -1, [places.get(f"{INITIAL}{i + 1}", -1) for i in range(states)]
+                # Where a run of the whole record may be lost, its first state may be wrong, too.
+                if begin or (len(cuts) > 2 and not self.simulator.known.initial):
+                    state, columns = last, [*range(last, last + states)]
+                    last += states
+                every = np.array([*own, *columns, *weights], int)
+                self.windows.append(Window(r, begin, part, every, state))
+
+    def begun(self, fractions: Array) -> Array:
+        """Return unknowns at parameters and weights, with the windows one after another.
+
+        The state of a window is that of the least residuals after the window before it.
+        """
+        states: list[Array] = []
+        self.learn(fractions)
+        x, sizes, self.sizes = np.zeros(0), 0.0 * self.sizes, np.ones(self.simulator.states)
+        for window in self.windows:
+            values = self.values(fractions, window.record)
+            if window.begin == 0 and self.simulator.states:
+                x = self.simulator.initial(values)
+            if window.state >= 0:
+                x = self._settled(window, x, np.where(sizes > 0, sizes, 1.0), values)
+                states.append(x)
+            path = self.respond(window.part, [(values, x)])[0][1]
+            path = path[np.isfinite(path).all(axis=1)]
+            if len(path):
+                x, sizes = path[-1].copy(), np.maximum(sizes, _size(path))
+        self.sizes = np.where(sizes > 0, sizes, 1.0)
         return np.concatenate([fractions, *(state / self.sizes for state in states)])
 
-    def residuals(self, unknowns: Array) -> Array:
-        """Return all residuals in deviations of the channels, `(samples * ny,)`, 0 in gaps."""
-        errors = [
-            self._errors(window.part, self.respond(window.part, [self._point(window, unknowns)])[0])
-            for window in self.windows
-        ]
-        return np.concatenate(errors)
+    def resumed(self, fractions: Array, path: Sequence[Array]) -> Array:
+        """Return unknowns at the positions of parameters and the weights, and states on a path.
 
-    def jacobian(self, unknowns: Array) -> Array:
-        """Return the derivatives of the residuals, `(samples * ny, unknowns)`."""
-        step, count = self.simulator.difference, len(self.names)
-        steps = STATE_STEP * np.maximum(np.abs(unknowns), 1.0)
-        steps[:count] = np.where(unknowns[:count] + step <= 1, step, -step)
-        blocks = []
+        `path` has the states by record.
+        """
+        self.sizes = np.maximum.reduce([_size(x) for x in path])
+        self.sizes = np.where(self.sizes > 0, self.sizes, 1.0)
+        begins = [path[w.record][w.begin] / self.sizes for w in self.windows if w.state >= 0]
+        return np.concatenate([fractions, *begins])
+
+    def restored(self, length: int, fit: Any) -> Compared:
+        """Divide the records as for a fit, and compare them there."""
+        self.divide(length)
+        self.sizes, self.noise = fit.sizes, fit.noise
+        return self.compare(fit.unknowns)
+
+    def compare(  # noqa: PLR0915  one pass over the windows
+        self, unknowns: Array, slopes: bool = False
+    ) -> Compared:
+        """Compare the simulator with the records, with or without derivatives."""
+        count, nx, cost = len(unknowns), self.simulator.states, 0.0
+        gradient, normal = np.zeros(count), np.zeros((count, count))
+        errors, transitions = list[Array](), list[Array]()
+        begins, steps = list[Array](), list[Array]()
+        path = [np.full((len(e.y), nx), np.nan) for e in self.experiments]
+        end, end_slopes, end_columns = np.zeros(0), np.zeros((0, 0)), np.zeros(0, int)
+        self.learn(unknowns)
+
+        def add(residuals: Array, block: Array, columns: Any) -> None:
+            nonlocal cost
+            cost += 0.5 * float(residuals @ residuals)
+            if slopes:
+                gradient[columns] += block.T @ residuals
+                normal[np.ix_(columns, columns)] += block.T @ block
+
+        if self.prior is not None:
+            of = np.arange(len(self.names), self.common)
+            add(*self.prior(unknowns[of]), of)
+        first = len(self.varied)
+        states = slice(first, first + nx)
         for window in self.windows:
-            moved = [unknowns]
-            for i in window.unknowns:
-                moved.append(unknowns.copy())
-                moved[-1][i] += steps[i]
-            points = [self._point(window, values) for values in moved]
-            responses = self.respond(window.part, points)
-            at, *others = (self._errors(window.part, response) for response in responses)
-            block = np.zeros((len(at), len(unknowns)))
-            for i, other in zip(window.unknowns, others, strict=True):
-                block[:, i] = _difference(at, other, steps[i])
-            blocks.append(block)
-        return np.concatenate(blocks)
+            point = self._point(window, unknowns)
+            state = point[1]
+            anchored = not window.begin and window.state >= 0 and self.anchored
+            if anchored:
+                end = self.simulator.initial(point[0])
+                end_slopes, end_columns = np.zeros((nx, 0)), np.zeros(0, int)
+            if window.begin or anchored:  # the step of the state from the end of the window before
+                unit = self.sizes * self.slack * self.noise.max() / np.sqrt(len(window.part.y))
+                step = _limited((state - end) / unit)
+                (begins if anchored else steps).append(step)
+                block = np.zeros((0, 0))
+                if slopes:
+                    good = (np.abs(step) < BAD)[:, None]
+                    block = np.hstack([-end_slopes, np.diag(self.sizes)]) * good / unit[:, None]
+                add(step, block, np.concatenate([end_columns, window.columns[states]]))
+            if slopes:
+                y, x, dy, dx = self._derivatives(window.part, point)
+            else:
+                ((y, x),) = self.respond(window.part, [point])
+            error = self._errors(window.part, y)
+            errors.append(error)
+            path[window.record][window.begin : window.begin + len(x)] = x
+            end = x[-1] if nx else end
+            block = np.zeros((0, 0))
+            own = window.columns >= 0
+            if slopes:
+                widths = self._widths(window, unknowns)
+                dy, dx = dy * widths, dx * widths
+                whole = np.abs(error) < BAD
+                block = np.where(whole[..., None], dy / (self.scale * self.noise)[:, None], 0.0)
+                block = _finite(block.reshape(error.size, -1)[:, own])
+                if nx:
+                    last = _finite(dx[-1])
+                    transitions.append(
+                        last[:, -nx:] / widths[-nx:] * self.sizes / self.sizes[:, None]
+                    )
+                    end_slopes, end_columns = last[:, own], window.columns[own]
+            add(np.nan_to_num(error / self.noise).ravel(), block, window.columns[own])
+        return Compared(cost, gradient, normal, errors, begins, steps, path, transitions)
+
+    def learn(self, unknowns: Array) -> None:
+        """Set the weights of the simulator."""
+        if self.trained.any():
+            weights = self.simulator.weights.copy()
+            weights[self.trained] = unknowns[len(self.names) : self.common]
+            self.simulator = self.simulator.weighted(weights)
+
+    def information(self, normal: Array) -> Array:
+        """Return the normal matrix of the parameters with all other unknowns optimal."""
+        n, scale = len(self.names), np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        whole = normal / scale / scale[:, None]
+        others = whole[n:, n:] + 1e-12 * np.eye(len(whole) - n)  # of which some may not matter
+        inner = whole[:n, n:] @ np.linalg.solve(others, whole[n:, :n])
+        return (whole[:n, :n] - inner) * scale[:n] * scale[:n, None]
+
+    def growth(self, transitions: Sequence[Array]) -> tuple[float, float]:
+        """Return how much an error of the state grows in a window and in one of the next stage.
+
+        Both are medians of the windows; 0 if it does not grow exponentially.
+        """
+        growths = []
+        for length in (1, GROWTH // 2, GROWTH):
+            each = []
+            for i in range(0, len(transitions) - length + 1, length):
+                if self.windows[i].record == self.windows[i + length - 1].record:
+                    product = transitions[i]
+                    for transition in transitions[i + 1 : i + length]:
+                        product = transition @ product
+                    each.append(np.linalg.norm(product, 2))
+            growths.append(float(np.median(each)) if each else 0.0)
+        one, half, all_of = np.maximum(growths, 1e-300)
+        exponential = all_of / half > (half / one) ** _EXPONENT
+        return (growths[0], growths[-1]) if exponential else (0.0, 0.0)
 
     def respond(self, part: Experiment, points: Sequence[Point]) -> list[Response]:
         """Return the simulator's responses at several points; NaN for a failed call."""
+        return self._called(part, len(points), self.simulator.respond, points)
+
+    def _derivatives(self, part: Experiment, point: Point) -> Any:
+        """Return the response and its derivatives at a point, see `Adjustable.derivatives`."""
+        found = self._called(part, 1, self.simulator.derivatives, point, self.varied)
+        if len(found) > 1:
+            return found
+        count = len(self.varied) + self.simulator.states + len(self.trained)
+        return *found[0], *(np.zeros((*each.shape, count)) for each in found[0])
+
+    def _called(self, part: Experiment, count: int, function: Any, *arguments: Any) -> Any:
         check()
         try:
             with np.errstate(all="ignore"):
-                return [*self.simulator.respond(part.time, part.u, points)]
+                return function(part.time, part.u, *arguments)
         except DeadlineError:
             raise
         except Exception as error:
             self.failure = failure(error)
             nothing = np.full(part.y.shape, np.nan)
-            return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * len(points)
+            return [(nothing, np.full((len(part.y), self.simulator.states), np.nan))] * count
 
     def _point(self, window: Window, unknowns: Array) -> Point:
-        state = unknowns[window.states] * self.sizes if window.states.stop else None
-        return self.values(unknowns, window.record), state
+        values = self.values(unknowns, window.record)
+        if window.state >= 0:
+            state = unknowns[window.state : window.state + self.simulator.states]
+            return values, state * self.sizes
+        return values, self.simulator.initial(values) if self.simulator.states else None
 
-    def _errors(self, part: Experiment, response: Response) -> Array:
-        """Return the residuals of a response, `(samples * ny,)`."""
-        bad = ~np.isfinite(response[0])
+    def _widths(self, window: Window, unknowns: Array) -> Array:
+        """Return the change of parameters and states with a unit of the unknowns."""
+        known, nx = self.simulator.known, self.simulator.states
+        names = [*self.varied, *(f"{INITIAL}{i + 1}" for i in range(nx))]
+        widths = np.concatenate([np.ones(len(self.varied)), self.sizes, np.ones(len(self.trained))])
+        for i, (name, column) in enumerate(zip(names, window.columns, strict=False)):
+            if 0 <= column < len(self.names):
+                widths[i] = known.slope(name, float(unknowns[column]))
+        return widths
+
+    def _errors(self, part: Experiment, y: Array) -> Array:
+        """Return the errors of channels in deviations, `(samples, ny)`, NaN in gaps."""
+        bad = ~np.isfinite(y)
         if bad.any() and not self.failure:
             at = int(np.argmax(bad.any(axis=1)))
             self.failure = self.simulator.unfinished(float(part.time[at]))
-        return _scaled_errors(response[0], part.y, self.scale)
+        return np.where(
+            np.isnan(part.y), np.nan, _limited((y - np.nan_to_num(part.y)) / self.scale)
+        )
 
-    def _settled(self, part: Experiment, values: Mapping[str, float], state: Array) -> Array:
-        """Return the initial state with the least error of a window."""
+    def _settled(
+        self, window: Window, x: Array, sizes: Array, values: Mapping[str, float]
+    ) -> Array:
+        """Return the initial state with the least residuals of a window and of the step from x."""
+        states = slice(len(self.varied), len(self.varied) + len(x))
 
-        def errors(states: Sequence[Array]) -> list[Array]:
-            responses = self.respond(part, [(values, begin) for begin in states])
-            return [self._errors(part, response) for response in responses]
+        def run(state: Array, slopes: bool) -> tuple[Array, Array]:
+            if not slopes:
+                return self.respond(window.part, [(values, state)])[0]
+            y, _, dy, _ = self._derivatives(window.part, (values, state))
+            return y, dy[..., states]
 
-        size = np.maximum(np.abs(state), 1e-3)
-        return best_state(errors, state, size, STATE_STEP, _STATE_RUNS)[0]
+        spread = sizes * self.noise.max() / np.sqrt(len(window.part.y))
+        unit = self.noise * self.scale
+        return likely_state(run, window.part.y, unit, x, spread, x, _STATE_ROUNDS, BAD)[0]
 
 
-def best_state(
-    errors: Callable[[Sequence[Array]], Sequence[Array]],
+def likely_state(  # noqa: PLR0913
+    run: Callable[[Array, bool], tuple[Array, Array]],
+    measured: Array,
+    unit: Array,
+    mean: Array,
+    spread: Array,
     begin: Array,
-    size: Array,
-    step: float,
-    most: int,
-    limit: float = BAD,
+    rounds: int,
+    limit: float,
 ) -> tuple[Array, float]:
-    """Return the state of the least squared error, and the error.
+    """Return the state of the least errors and distance from its prior, and half their squares.
 
-    `errors` returns the residuals by state for several states; `size` is the typical magnitude of a
-    state, `step` the relative step of finite differences, `most` limits the evaluations, and
-    `limit` the residuals.
+    Parameters
+    ----------
+    run : Returns the channels from a state on, `(time, ny)`, and if asked for their derivatives.
+    measured, unit : Samples, `(time, ny)`, NaN in gaps, and the unit of errors, `(ny,)`.
+    mean, spread : Of the prior, `(nx,)`.
+    begin, rounds : State at the beginning, and the largest number of steps.
+    limit : Largest size of a residual.
     """
 
-    def residuals(x: Array) -> Array:
-        return errors([size * x])[0]
+    def residuals(z: Array, slopes: bool) -> tuple[Array, Array]:
+        y, slope = run(mean + spread * z, slopes)
+        left = _limited((y - np.nan_to_num(measured)) / unit, limit)
+        left = np.where(np.isnan(measured), 0.0, left)
+        every = np.concatenate([left.ravel(), z])
+        if not slopes:
+            return every, left
+        good = (np.abs(left) < limit) & ~np.isnan(measured)
+        rows = np.where(good[..., None], slope * spread / unit[:, None], 0.0)
+        return every, np.vstack([_finite(rows.reshape(left.size, -1)), np.eye(len(z))])
 
-    def jacobian(x: Array) -> Array:
-        at, *others = errors([size * x, *(size * (x + unit) for unit in step * np.eye(len(x)))])
-        return np.stack([_difference(at, other, step, limit) for other in others], axis=1)
-
-    minimum = scipy.optimize.least_squares(residuals, begin / size, jacobian, max_nfev=most)
-    return np.asarray(size * minimum.x), float(minimum.cost)
-
-
-def projected(jacobian: Array, count: int) -> Array:
-    """Return derivatives by the first `count` unknowns, with all others optimal."""
-    u, s, _ = np.linalg.svd(jacobian[:, count:], full_matrices=False)
-    u = u[:, s > 1e-9 * s.max(initial=1e-300)]
-    return np.asarray(jacobian[:, :count] - u @ (u.T @ jacobian[:, :count]))
+    at, cost = minimise(squared(residuals), (begin - mean) / spread, -np.inf, np.inf, rounds)
+    return mean + spread * at, cost
 
 
-def _difference(at: Array, beside: Array, step: float, limit: float = BAD) -> Array:
-    """Return the difference quotient of residuals; 0 after a failed run."""
-    whole = (np.abs(at) < limit) & (np.abs(beside) < limit)
-    return np.asarray(np.where(whole, (beside - at) / step, 0.0))
+def squared(residuals: Callable[[Array, bool], tuple[Array, Array]]) -> Evaluate:
+    """Return the function for `minimise` of one that returns residuals and their derivatives."""
+
+    def evaluate(z: Array, slopes: bool) -> tuple[float, Array, Array]:
+        left, block = residuals(z, slopes)
+        cost = 0.5 * float(left @ left)
+        return (cost, block.T @ left, block.T @ block) if slopes else (cost, z, block)
+
+    return evaluate
 
 
-def _scaled_errors(y: Array, measured: Array, scale: Array, limit: float = BAD) -> Array:
-    """Return the errors of a simulation in units of `scale`, `(samples * ny,)`, 0 in gaps."""
-    errors = np.where(np.isfinite(y), np.clip((y - measured) / scale, -limit, limit), limit)
-    return np.asarray(np.where(np.isnan(measured), 0.0, errors).ravel())
+def _size(path: Array) -> Array:
+    """Return the RMS of finite states, `(nx,)`."""
+    good = path[np.isfinite(path).all(axis=1)]
+    return np.sqrt(np.mean(good**2, axis=0)) if len(good) else np.zeros(path.shape[1])
+
+
+def _finite(values: Array) -> Array:
+    return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _limited(residuals: Array, limit: float = BAD) -> Array:
+    """Return residuals between limits; non-finite ones are at the upper one."""
+    return np.where(np.isfinite(residuals), np.clip(residuals, -limit, limit), limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,6 +547,8 @@ class Adjusted:
     noise : RMSE by channel in training, `(ny,)`.
     states, outputs : States `(n, nx)` and outputs `(n, ny)` of the first training record, at most
         `MOST_STATES` rows.
+    terms : States of the unknown terms.
+    members : Those of further trainings that fit as well, one training after another.
     """
 
     simulator: Any
@@ -287,6 +556,8 @@ class Adjusted:
     noise: Array
     states: Array = field(default_factory=lambda: np.empty((0, 0)))
     outputs: Array = field(default_factory=lambda: np.empty((0, 0)))
+    terms: tuple[Trained, ...] = ()
+    members: tuple[Trained, ...] = ()
 
     @classmethod
     def of(
@@ -294,6 +565,7 @@ class Adjusted:
     ) -> Self:
         """Return the fitted simulator; `experiments` are those of the fit."""
         middle = simulator.known.middle()
+        simulator = simulator.taught(estimate.terms)
         values = {name: estimate.values.get(name, x) for name, x in middle.items()}
         deviation = np.nanstd(np.concatenate([e.y for e in experiments]), axis=0)
         noise = np.maximum(np.array(estimate.rmse), MIN_NOISE * np.maximum(deviation, 1e-300))
@@ -301,7 +573,9 @@ class Adjusted:
         outputs, states = usual.response(experiments[0].time, experiments[0].u)
         rows = np.linspace(0, len(states) - 1, min(len(states), MOST_STATES)).round().astype(int)
         rows = rows[np.isfinite(states[rows]).all(axis=1)]
-        return replace(usual, states=states[rows], outputs=outputs[rows])
+        terms = tuple(term.trained for term in simulator.terms if term.trained)
+        usual = replace(usual, states=states[rows], outputs=outputs[rows])
+        return replace(usual, terms=terms, members=estimate.members)
 
     def response(self, time: Array, u: Array | None, state: Any = None) -> Response:
         """Simulate channels and states at `time` in s, by default from the fitted initial state.
@@ -367,17 +641,18 @@ class Adjusted:
         self, history: Experiment, begin: Sequence[Array], mean: Array, spread: Array
     ) -> Array:
         """Search from several states, and return the most likely result."""
+        names = () if self.simulator.states else self.simulator.known.initial
 
-        def errors(states: Sequence[Array]) -> list[Array]:
-            points = [self._began(state) for state in states]
+        def run(state: Array, slopes: bool) -> tuple[Array, Array]:
+            simulator, point = self.simulator, self._began(state)
             with np.errstate(all="ignore"), _running():
-                responses = self.simulator.respond(history.time, history.u, points)
-            left = [_scaled_errors(y, history.y, self.noise, FAILED) for y, _ in responses]
-            pairs = zip(left, states, strict=True)
-            return [np.concatenate([e, (state - mean) / spread]) for e, state in pairs]
+                if slopes:
+                    found = simulator.derivatives(history.time, history.u, point, names)
+                    return found[0], found[2][..., : len(state)]
+                return simulator.respond(history.time, history.u, [point])[0]
 
-        step = max(STATE_STEP, self.simulator.difference)
-        minima = [best_state(errors, state, spread, step, _MOST_RUNS, FAILED) for state in begin]
+        how = run, history.y, self.noise, mean, spread
+        minima = [likely_state(*how, state, _MOST_ROUNDS, FAILED) for state in begin]
         return min(minima, key=lambda minimum: minimum[1])[0]
 
 

@@ -56,7 +56,8 @@ def _counted(function: Any) -> int:
 def check_arguments(function: Any, *expected: str) -> None:
     """Raise ValueError for misplaced arguments of the user's function."""
     actual = {name: i for i, name in enumerate(_positions(function))}
-    if any(actual.get(name, expected.index(name)) != expected.index(name) for name in ("u", "p")):
+    named = {"u", "p", "w"} & {*expected}
+    if any(actual.get(name, expected.index(name)) != expected.index(name) for name in named):
         raise InputError(
             f"a simulator's function must have the arguments ({', '.join(expected)}), in this "
             f"order and without gaps: got ({', '.join(actual)})"

@@ -14,7 +14,8 @@ from splitband.checks.model import ModelCheck
 from splitband.checks.residuals import CONFIDENCE, ResidualTests
 from splitband.checks.responses import SHARE, Responses, respond_over_range
 from splitband.comparison.result import Comparison
-from splitband.forecasters.base import Forecaster, parts_of, titled
+from splitband.forecasters.base import Forecaster, all_parts, parts_of, titled
+from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.linear import Linear
 from splitband.forecasters.network import Network
 from splitband.metrics import tenths
@@ -61,6 +62,7 @@ def of_comparison(result: Comparison, used: Usage) -> Page:
         *_responses(result, styles),
         *_next_steps(used),
         *map(_of_linear, _linear_of(result)),
+        *_unknown([fits[0].fitted for fits in result.fits.values()]),
         Section("errors", "Error over horizon", [_HORIZON], plots=errors, folded=True),
         *_further([p for p in every if p not in first or p.protocol == "start"], styles),
         _bands(result),
@@ -177,6 +179,19 @@ def _of_linear(fitted: Linear) -> Section:
     return Section("linear", title, text, (), poles, drawn, facts=zeros, folded=True)
 
 
+def _unknown(models: Sequence[Forecaster]) -> list[Section]:
+    """Return the section of the unknown terms of an equation, of the first model with any."""
+    for model in (part for each in models for part in all_parts(each)):
+        if isinstance(model, GreyBox) and (drawn := plots.unknown(model)):
+            text = (
+                "What was found in place of the unknown terms of the equation, over the ranges of "
+                "their quantities in training. Outside of them, a term is held. Shaded: the range "
+                "of all trainings that fit as well."
+            )
+            return [Section("unknown", "Unknown terms", [text], plots=drawn)]
+    return []
+
+
 def _roots(roots: npt.NDArray[np.complex128]) -> str:
     """Return zeros in a line, with conjugate pairs as one."""
     return ", ".join(complex_in_words(root) for root in roots if root.imag >= 0) or "none"
@@ -281,7 +296,7 @@ def of_check(
         sections.append(_responses_of({name: responses}, styles))
     if isinstance(model, Linear):
         sections.append(_of_linear(model))
-    sections.append(_settings([], used))
+    sections += [*_unknown([model]), _settings([], used)]
     return Page(f"{name} on {record.name or 'a record'}", words.lead(record), sections)
 
 

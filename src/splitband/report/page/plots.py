@@ -15,6 +15,7 @@ from splitband.comparison.backtest import Fit
 from splitband.comparison.result import Comparison
 from splitband.filters.cutoff import LEAST_PASSED, Choice
 from splitband.filters.spectrum import coherence, periodogram
+from splitband.forecasters.grey_box import GreyBox
 from splitband.forecasters.prediction import Prediction
 from splitband.linear.model import LinearModel
 from splitband.linear.uncertainty import NORMAL
@@ -406,6 +407,28 @@ def responses(
         for axis, curves, label, what in drawn if bode else drawn[:1]:
             shown = {n: (y, *look) for n, y, look in zip(labels, curves, looks, strict=True)}
             plots.append(_response(axis, shown, label, f"{what}, {u} to {y}"))
+    return plots
+
+
+def unknown(model: GreyBox) -> list[Chart]:
+    """Return plots of the trained terms of an equation, over each quantity's range in training."""
+    plots, first = [], 0
+    for number_of, term in enumerate(model.terms):
+        for quantity in range(len(term.trained.centre) if term.trained else 0):
+            curve = model.unknown_curve(number_of, quantity)
+            axis, held = Axis.over(curve.z, curve.quantity), ""
+            if curve.others:
+                values = (f"{name} = {number(x)}" for name, x in curve.others.items())
+                held = f", with {', '.join(values)}"
+            for o, value in enumerate(curve.w.T):
+                name, ends = f"w[{first + o}]", (curve.low[:, o], curve.high[:, o])
+                caption = f"{name} over {curve.quantity}{held}"
+                chart = Chart(axis, name, limits([value, *ends]), caption, LOW, small=True)
+                chart.line(value, name, ["c0"], line_width=1.5)
+                if curve.trainings > 1:
+                    chart.band(*ends, "trainings", ["c0"])
+                plots.append(chart)
+        first += term.outputs
     return plots
 
 

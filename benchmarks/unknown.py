@@ -1,0 +1,291 @@
+"""What is found in place of an unknown term of an equation, and how well it forecasts.
+
+    python -m benchmarks.unknown drive pendulum spring crane [--seeds 20] [--rounds 2]
+    python -m benchmarks.unknown tanks [--seeds 5]
+    python -m benchmarks.unknown intervals [--seeds 200]
+    python -m benchmarks.unknown --table
+
+A run is a line of OUT, and what is there is not run again. `--rounds 0` leaves out networks. The
+drive, the pendulum, the spring and the crane are simulated, 2,000 samples for training and 1,000
+to forecast, with noise of 1 % of the output's deviation. `intervals` counts how often the 95 %
+interval of the drive's inertia holds the truth. The tanks are the public record, on which one of
+the trainings is chosen by the last quarter of the training file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import splitband as sb
+from benchmarks.sets import SETS, load
+from splitband.records.named import overhead_crane
+from splitband.report import words
+
+Array = npt.NDArray[np.float64]
+OUT = Path(__file__).parents[1] / "docs/results/benchmarks/unknown.jsonl"
+TRAIN, AHEAD, STEP, NOISE = 2000, 1000, 0.02, 0.01
+
+
+def stribeck(v: Any) -> Any:
+    """Return friction in N m: breakaway, a fall, and a viscous part."""
+    return (0.5 + 0.7 * np.exp(-((v / 0.4) ** 2))) * np.tanh(v / 0.1) + 0.4 * v
+
+
+def dry(v: Any) -> Any:
+    """Return dry friction, smooth within 0.1 rad/s."""
+    return 0.4 * np.tanh(v / 0.05)
+
+
+@dataclass(frozen=True)
+class System:
+    """A simulated system with an unknown term.
+
+    `rhs(t, x, u, p, w)` is what is known of it, `force` what it knows not, a function of the state
+    at the place `of`, and `truth` its parameters; `whole(p, z, w)` is what is compared with the
+    truth, the found `w` or more.
+    """
+
+    rhs: Callable[..., Any]
+    truth: dict[str, float]
+    ranges: dict[str, Any]
+    x0: tuple[float, ...]
+    of: int
+    force: Callable[[Any], Any]
+    push: float
+    whole: Callable[[Any, Any, Any], Any] = lambda p, z, w: w
+
+    def equation(self, **options: Any) -> sb.Ode:
+        """Return the equation with its unknown term."""
+        term = sb.Unknown([f"x{self.of + 1}"], odd=True, **options)
+        return sb.Ode(self.rhs, [*self.x0], parameters=self.ranges, unknown=term)
+
+    def record(self, seed: int, samples: int = TRAIN + AHEAD) -> tuple[sb.Record, Array]:
+        """Return a record, and the states without noise."""
+        rng = np.random.default_rng(seed)
+        force, rhs = self.force, self.rhs
+
+        def true(t: float, x: Any, u: Any, p: Any) -> Any:
+            return rhs(t, x, u, p, [force(x[self.of])])
+
+        u = np.repeat(rng.uniform(-1, 1, samples // 25 + 1), 25)[:samples, None] * self.push
+        ode = sb.Ode(true, [*self.x0], lambda x: x, self.truth)
+        x = np.asarray(ode.simulate(STEP * np.arange(1.0 * samples), u), dtype=float)
+        y = x[:, :1] + rng.normal(0, NOISE * x[:, 0].std(), (samples, 1))
+        return sb.Record(y, STEP, u=u, y_true=x[:, :1]), x
+
+
+SYSTEMS = {
+    "drive": System(
+        lambda t, x, u, p, w: [(u[0] - w[0]) / p.inertia],
+        {"inertia": 0.5},
+        {"inertia": (0.1, 2.0)},
+        (0.0,),
+        0,
+        stribeck,
+        2.5,
+    ),
+    "pendulum": System(
+        lambda t, x, u, p, w: [x[1], -p.k * np.sin(x[0]) - p.c * x[1] + u[0] - w[0]],
+        {"k": 9.0, "c": 0.1},
+        {"k": (1.0, 50.0), "c": 0.1},
+        (1.0, 0.0),
+        1,
+        dry,
+        2.5,
+    ),
+    "spring": System(
+        lambda t, x, u, p, w: [x[1], (u[0] - p.k * x[0] - 0.4 * x[1] - w[0]) / p.mass],
+        {"k": 4.0, "mass": 1.0},
+        {"k": (1.0, 20.0), "mass": (0.2, 5.0)},
+        (0.5, 0.0),
+        0,
+        lambda x: 2.0 * x**3,
+        6.0,
+        lambda p, z, w: p["k"] * z + w,
+    ),
+}
+
+
+def curve_error(system: System, model: sb.GreyBox, x: Array) -> float:
+    """Return the RMS error of the curve where the record went, as a share of its RMS value."""
+    z = np.sort(x[:TRAIN, system.of])
+    curve = model.unknown_curve(z=z[TRAIN // 100 : -TRAIN // 100])  # the ends are visited once
+    found = system.whole(model.parameters["used"], curve.z, curve.w[:, 0])
+    wanted = system.whole(system.truth, curve.z, system.force(curve.z))
+    return float(sb.rmse(wanted, found) / np.sqrt(np.mean(wanted**2)))
+
+
+def simulated(name: str, seed: int, rounds: int) -> dict[str, Any]:
+    """Return the facts of a run of a simulated system."""
+    system = SYSTEMS[name]
+    record, x = system.record(seed)
+    model, facts = compared(record, system.equation(), seed, rounds)
+    values, errors = model.estimate.values, model.estimate.errors
+    return {
+        "parameters": {k: values[k] / system.truth[k] - 1 for k in values},
+        "standard_errors": {k: errors[k] / system.truth[k] for k in values},
+        "curve": curve_error(system, model, x),
+        **facts,
+    }
+
+
+def compared(
+    record: sb.Record, ode: sb.Ode, seed: int, rounds: int
+) -> tuple[sb.GreyBox, dict[str, Any]]:
+    """Return the grey box, the NRMSE of the forecast of each method, and what is recommended."""
+    truth = record.y if record.y_true is None else record.y_true
+    u = None if record.u is None else record.u[TRAIN:]
+    alone = sb.GreyBox(ode.without_terms(), name="grey-box-without-terms")
+    facts: dict[str, Any] = {}
+    if rounds:
+        methods: list[Any] = ["grey-box", alone, "residual-gru-conditioned", "gru"]
+        result = sb.compare(record, TRAIN, methods, simulator=ode, seed=seed, rounds=rounds)
+        ahead = {name: fits[0].ahead for name, fits in result.fits.items()}
+        model: Any = result.fits["grey-box"][0].fitted
+        facts = {"best": result.recommended}
+        facts |= {"says": [w for w in words.warnings(result) if "unknown terms" in w]}
+    else:
+        model = sb.GreyBox(ode).fit(record[:TRAIN], seed=seed)
+        fitted = {"grey-box": model, alone.name: alone.fit(record[:TRAIN])}
+        ahead = {n: each.predict(len(truth) - TRAIN, u=u).y for n, each in fitted.items()}
+    errors = {name: float(np.max(sb.nrmse(truth[TRAIN:], y))) for name, y in ahead.items()}
+    return model, {"nrmse": errors, **facts}
+
+
+def crane(seed: int, rounds: int) -> dict[str, Any]:
+    """Return the facts of a run of the crane, whose swing the equation omits."""
+
+    def trolley(t: float, x: Any, u: Any, p: Any, w: Any) -> list[Any]:
+        return [x[1], (u[0] - x[1]) / p.lag + w[0]]
+
+    ode = sb.Ode(trolley, [0.0, 0.0], parameters={"lag": (0.05, 2.0)}, unknown=sb.Unknown())
+    record = replace(overhead_crane(TRAIN + AHEAD, seed=seed), y_sim=None)
+    return compared(record, ode, seed, rounds)[1]
+
+
+def two_tanks(t: float, x: Any, u: Any, p: Any, w: Any) -> list[Any]:
+    """Return the flows of two tanks that overflow, smooth within 0.05 V of their rims."""
+    upper, lower = np.maximum(x[0], 1e-6), np.maximum(x[1], 1e-6)
+    full = 0.5 + 0.5 * np.tanh((upper - p.rim) / 0.05)
+    high = 0.5 + 0.5 * np.tanh((lower - 10.0) / 0.05)
+    fill = p.pump * u[0] - p.upper * np.sqrt(upper) - p.seep * upper + w[0]
+    over = full * np.maximum(fill, 0.0)
+    fall = p.upper * np.sqrt(upper) - p.lower * np.sqrt(lower) + p.caught * over + w[1]
+    return [fill - over, fall - high * np.maximum(fall, 0.0)]
+
+
+FLOWS: dict[str, Any] = {
+    **dict.fromkeys(("pump", "upper", "lower"), (0.005, 0.5)),
+    "seep": (0.0, 0.05),
+    "caught": (0.0, 3.0),
+    "rim": (8.0, 14.0),
+    "x0_1": (0.0, 12.0),
+    "x0_2": (0.0, 10.0),
+}
+
+
+def tanks(seed: int, rounds: int) -> dict[str, Any]:
+    """Return the RMSE in V on the test file, with and without the term, chosen on the training."""
+    training, test = load(SETS["tanks"].training), load(SETS["tanks"].tests[0])
+    held, facts = 3 * len(training) // 4, dict[str, Any]()
+    for name, term in {
+        "without the term": sb.Unknown(outputs=2, hidden=0),
+        "with it": sb.Unknown(["x1", "x2"], outputs=2, hidden=8),
+    }.items():
+        ode = sb.Ode(
+            two_tanks,
+            [5.0, 5.0],
+            lambda x: np.minimum(x[:, 1], 10.0),
+            FLOWS,
+            hold="zoh",
+            tolerances=(1e-6, 1e-7),
+            unknown=term,
+        )
+        trial = sb.GreyBox(ode).fit(training[:held], seed=seed)
+        ahead = trial.predict(len(training) - held, u=training.u[held:])  # type: ignore[index]
+        model = sb.GreyBox(ode).fit(training, seed=seed)
+        facts[name] = {"held_out": float(sb.rmse(training.y[held:], ahead.y))}
+        for initial in (5, 50):
+            assert test.u is not None
+            u = test.u[initial:]
+            said = model.predict(len(u), test[:initial], u=u, other_record=True)
+            facts[name][f"test, {initial}"] = float(sb.rmse(test.y[initial:], said.y))
+    return facts
+
+
+def interval(seed: int, rounds: int) -> dict[str, Any]:
+    """Return whether the 95 % interval of the drive's inertia holds the truth."""
+    system = SYSTEMS["drive"]
+    record, _ = system.record(seed, 600)
+    model = sb.GreyBox(system.equation(), starts=2).fit(record, seed=seed)
+    value, error = model.estimate.values["inertia"], model.estimate.errors["inertia"]
+    within = abs(value - system.truth["inertia"]) <= 1.96 * error
+    return {"error": value - system.truth["inertia"], "se": error, "holds": bool(within)}
+
+
+RUNS: dict[str, Callable[[int, int], dict[str, Any]]] = {
+    **{name: (lambda s, r, name=name: simulated(name, s, r)) for name in SYSTEMS},  # type: ignore[misc]
+    "crane": crane,
+    "tanks": tanks,
+    "intervals": interval,
+}
+
+
+def table(rows: Iterable[dict[str, Any]]) -> str:
+    """Return medians and ranges of all numbers of each system, a line each."""
+    by_name: dict[str, dict[str, list[float]]] = {}
+
+    def add(system: str, name: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                add(system, f"{name} {key}".strip(), inner)
+        elif isinstance(value, int | float):
+            by_name.setdefault(system, {}).setdefault(name, []).append(float(value))
+
+    for row in rows:
+        add(row["system"], "", row["facts"])
+    lines = ["| system | what | runs | median | least | most |", "|---|---|---|---|---|---|"]
+    for system, of in by_name.items():
+        for name, values in of.items():
+            numbers = (f"{f(np.abs(values)):.4g}" for f in (median, min, max))
+            lines.append(f"| {system} | {name} | {len(values)} | {' | '.join(numbers)} |")
+    held = [row["facts"]["holds"] for row in rows if row["system"] == "intervals"]
+    return "\n".join([*lines, *([f"intervals hold: {np.mean(held):.1%}"] if held else [])])
+
+
+def main() -> None:
+    """Run what is missing, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("systems", nargs="*", metavar=" ".join(RUNS))
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=1000)
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--table", action="store_true")
+    given = parser.parse_args()
+    text = given.out.read_text(encoding="utf-8") if given.out.exists() else ""
+    rows = [json.loads(line) for line in text.splitlines()]
+    done = {(row["system"], row["seed"], row["rounds"]) for row in rows}
+    for name in given.systems:
+        for seed in range(given.first, given.first + given.seeds):
+            if (name, seed, given.rounds) in done:
+                continue
+            facts = RUNS[name](seed, given.rounds)
+            rows.append({"system": name, "seed": seed, "rounds": given.rounds, "facts": facts})
+            print(json.dumps(rows[-1]), flush=True)
+            with given.out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
