@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
+from splitband.networks.layers import nn, torch
 from splitband.networks.plain import Dense, PlainEulerMLP, PlainGRU, PlainStateSpace
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def in_numpy(cell: Cell) -> PlainGRU | PlainEulerMLP | PlainStateSpace | TorchCell:
