@@ -68,7 +68,7 @@ class TorchCell:
 
 def values(tensor: Tensor) -> Array:
     """Return a tensor as an array in double precision."""
-    return tensor.detach().double().cpu().numpy()
+    return np.asarray(tensor.detach().double().cpu().numpy(), np.float64)
 
 
 def linear(layer: nn.Linear) -> tuple[Array, Array]:

@@ -20,8 +20,8 @@ if TYPE_CHECKING or has_torch():
     from torch import nn
 else:
 
-    class Weight:
-        """An array; until a saved one is its `data`, it takes no memory."""
+    class _Weight:
+        """An array. Until a saved one is its `data`, it takes no memory."""
 
         def __init__(self, *shape: int, dtype: Any = np.float32) -> None:
             self.data = np.broadcast_to(np.zeros((), dtype), shape)
@@ -29,119 +29,81 @@ else:
         shape = property(lambda self: self.data.shape)
         dtype = property(lambda self: self.data.dtype)
 
-        def detach(self) -> Weight:
-            """Return itself, as there are no gradients."""
+        def detach(self) -> _Weight:
             return self
 
-        cpu = detach
-
-        def double(self) -> Weight:
-            """Return it in double precision."""
-            new = Weight()
-            new.data = self.data.astype(np.float64)
-            return new
+        cpu = double = detach
 
         def numpy(self) -> Any:
-            """Return the array."""
             return self.data
 
-    class Module:
+    class _Module:
         """Weights and further modules, by the names of attributes."""
 
         _forward_hooks = _forward_pre_hooks = ()
 
         def __call__(self, *_: Any) -> Any:
-            require_torch("calling a layer")
+            require_torch("a call of a layer")
 
-        def register_buffer(self, name: str, value: Weight) -> None:
-            """Keep an array that is not trained."""
+        def register_buffer(self, name: str, value: _Weight) -> None:
             setattr(self, name, value)
 
-        def children(self) -> Iterator[Module]:
-            """Yield the modules among its attributes."""
-            return (each for each in vars(self).values() if isinstance(each, Module))
+        def children(self) -> Iterator[_Module]:
+            return (each for each in vars(self).values() if isinstance(each, _Module))
 
-        def named_parameters(self, recurse: bool = True) -> Iterator[tuple[str, Weight]]:
-            """Yield the weights by their full names."""
+        def named_parameters(self, recurse: bool = True) -> Iterator[tuple[str, _Weight]]:
             for name, each in vars(self).items():
-                if isinstance(each, Weight):
+                if isinstance(each, _Weight):
                     yield name, each
-                elif recurse and isinstance(each, Module):
+                elif recurse and isinstance(each, _Module):
                     yield from ((f"{name}.{of}", x) for of, x in each.named_parameters())
 
-        def state_dict(self, keep_vars: bool = True) -> dict[str, Weight]:
-            """Return the weights by their full names."""
+        def state_dict(self, keep_vars: bool = True) -> dict[str, _Weight]:
             return dict(self.named_parameters())
 
-        def to(self, *_: Any) -> Module:
-            """Return itself: there is one device."""
+        def to(self, *_: Any) -> _Module:
             return self
 
-        def eval(self) -> Module:
-            """Return itself."""
-            return self
+        eval = to
 
-    class Linear(Module):
-        """Weight and bias."""
-
+    class _Linear(_Module):
         def __init__(self, inputs: int, outputs: int) -> None:
-            self.weight, self.bias = Weight(outputs, inputs), Weight(outputs)
+            self.weight, self.bias = _Weight(outputs, inputs), _Weight(outputs)
 
-    class GRUCell(Module):
-        """Weights and biases of three gates."""
-
+    class _GRUCell(_Module):
         def __init__(self, inputs: int, size: int) -> None:
-            self.weight_ih, self.weight_hh = Weight(3 * size, inputs), Weight(3 * size, size)
-            self.bias_ih, self.bias_hh = Weight(3 * size), Weight(3 * size)
+            self.weight_ih, self.weight_hh = _Weight(3 * size, inputs), _Weight(3 * size, size)
+            self.bias_ih, self.bias_hh = _Weight(3 * size), _Weight(3 * size)
 
-    class Tanh(Module):
-        """No weights."""
+    class _Tanh(_Module):
+        pass
 
-    class Sequential(Module):
-        """Layers in a row, by their number."""
-
-        def __init__(self, *layers: Module) -> None:
+    class _Sequential(_Module):
+        def __init__(self, *layers: _Module) -> None:
             vars(self).update({str(i): each for i, each in enumerate(layers)})
 
         def __len__(self) -> int:
             return len(vars(self))
 
-    class ModuleList(Sequential):
-        """Modules by their number."""
-
-        def __init__(self, modules: list[Module]) -> None:
-            super().__init__(*modules)
-
-        def __getitem__(self, i: int) -> Module:
+        def __getitem__(self, i: int) -> _Module:
             return [*self.children()][i]
 
-        def __iter__(self) -> Iterator[Module]:
-            return self.children()
-
-    class nn:  # noqa: N801  as torch calls it
-        """The layers of the package's cells and models."""
-
-        Module, Linear, Tanh, GRUCell = Module, Linear, Tanh, GRUCell
-        Sequential, ModuleList = Sequential, ModuleList
+    class nn:  # noqa: D101, N801
+        Module, Linear, Tanh, GRUCell, Sequential = _Module, _Linear, _Tanh, _GRUCell, _Sequential
+        ModuleList = staticmethod(lambda modules: _Sequential(*modules))
         Parameter = staticmethod(lambda weight: weight)
 
     class _Torch:
         """What building and loading a model uses of torch."""
 
         float32, float64 = np.dtype(np.float32), np.dtype(np.float64)
-        empty = zeros = ones = Weight
+        empty = zeros = ones = _Weight
         as_tensor = staticmethod(np.asarray)
-
-        def device(self, name: str) -> Any:
-            """Return a context: weights take no memory in any."""
-            return nullcontext()
-
-        def is_floating_point(self, weight: Weight) -> bool:
-            """Return that it is: no weight of the package is whole."""
-            return True
+        device = staticmethod(nullcontext)
+        is_floating_point = staticmethod(lambda weight: True)
 
         def __getattr__(self, name: str) -> Any:
-            require_torch(f"a network's torch.{name}")
+            require_torch(f"torch.{name} of a network")
 
     torch = _Torch()
 

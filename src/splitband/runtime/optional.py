@@ -12,6 +12,8 @@ HOW = (
     "pip install torch --index-url https://download.pytorch.org/whl/cpu)"
 )
 """What installs torch; PyTorch documents the second line."""
+LEFT_OUT = f"networks are left out, as torch is not installed: {HOW}"
+"""What a comparison says that chooses its methods without torch."""
 
 
 @cache
