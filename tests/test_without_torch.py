@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_saved_networks_predict_stream_and_export_without_torch(
     expected = {}
     for name, model in models.items():
         model.fit(record[:TRAIN], seed=0).save(tmp_path / name)
-        coming = {"u": record.u[TRAIN:], "y_sim": record.y_sim[TRAIN:]}
+        coming: dict[str, Any] = {"u": record.u[TRAIN:], "y_sim": record.y_sim[TRAIN:]}
         expected[name] = model.predict(AHEAD, **coming).y
     np.savez(tmp_path / "record.npz", y=record.y, u=record.u, y_sim=record.y_sim)
     done = _run(tmp_path, "-c", USED, *models)
