@@ -84,7 +84,7 @@ def _run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def record() -> sb.Record:
     u = np.sign(np.sin(0.07 * np.arange(TRAIN + AHEAD)))
     y = np.convolve(u, 0.1 * 0.9 ** np.arange(60))[: len(u)] + 0.1 * np.sin(0.2 * np.arange(len(u)))
-    return sb.Record(y, 0.1, u=u, y_sim=0.9 * y, inputs=["force"])
+    return sb.Record(y, 0.1, u=u, y_sim=0.9 * y, inputs=("force",))
 
 
 def test_saved_networks_predict_stream_and_export_without_torch(
