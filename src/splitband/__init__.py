@@ -6,6 +6,6 @@ is loaded when it is used, as torch and pandas take seconds.
 
 import lazy_loader
 
-__version__ = "0.2.0"
+__version__ = "0.3.0.dev0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,7 +2,7 @@
 
     python main_paths.py
 
-It needs the installed package alone: no extra, and nothing of this repository beside it.
+It needs the installed package with the extra `networks`, and nothing of this repository beside it.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from importlib.util import find_spec
+from typing import Any
 
-import torch
 from rich.table import Table
 
 from splitband.cli import printing
@@ -14,10 +14,12 @@ from splitband.records import PUBLIC, fetch
 from splitband.records.public import data_folder
 from splitband.report.environment import environment
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import HOW, has_torch
 from splitband.runtime.system import available_cores
 from splitband.runtime.workers import Workers, result_of
 
 EXTRAS = {
+    "networks": "torch",
     "fmu": "fmpy",
     "everywhere": "ziglang",
     "onnx": "onnx",
@@ -42,8 +44,7 @@ def doctor() -> None:
         "versions": found["versions"],
         "machine": found["machine"],
         "cores": available_cores(),
-        "threads": torch.get_num_threads(),
-        "accelerators": _accelerators(),
+        **(_of_torch() if has_torch() else {"networks": f"none without torch: {HOW}"}),
         "public records": {name: _state(name) for name in PUBLIC} | {"folder": str(data_folder())},
         "kernels": _kernels(),
         "extras": {
@@ -61,10 +62,14 @@ def doctor() -> None:
     printing.as_json(facts)
 
 
-def _accelerators() -> str:
+def _of_torch() -> dict[str, Any]:
+    """Return the threads of torch, and the accelerators that it finds."""
+    import torch  # noqa: PLC0415  where it is installed
+
     names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
     named = [f"cuda:{i} {name}" for i, name in enumerate(names)]
-    return ", ".join(named) or "none; --device cpu"
+    found = ", ".join(named) or "none; --device cpu"
+    return {"threads": torch.get_num_threads(), "accelerators": found}
 
 
 def _state(name: str) -> str:

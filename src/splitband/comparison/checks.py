@@ -6,16 +6,21 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from splitband.forecasters.base import Forecaster
+from splitband.forecasters.base import Forecaster, all_parts
+from splitband.forecasters.network import Network
 from splitband.records import Record
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import require_torch
 from splitband.training.settings import default_warmup
 
 
 def check_needs(methods: Sequence[Forecaster], record: Record, others: Sequence[Record]) -> None:
-    """Raise ValueError if a record lacks a signal that a method needs."""
+    """Raise ValueError if a method needs torch, or a signal, that is not there."""
+    for method in methods:
+        if any(isinstance(part, Network) for part in all_parts(method)):
+            require_torch(method.name)
     for need, given in (("simulator", record.y_sim), ("inputs", record.u)):
         lacking = next((m for m in methods if need in m.needs and given is None), None)
         if lacking is not None:

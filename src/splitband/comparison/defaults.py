@@ -12,6 +12,7 @@ from splitband.forecasters.base import Forecaster, all_parts, parts_of
 from splitband.forecasters.network import Network
 from splitband.records import Record
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import has_torch
 from splitband.training import TrainingSettings
 from splitband.training.settings import recipe_settings
 
@@ -20,16 +21,20 @@ def default_names(with_simulator: bool, with_inputs: bool = False) -> list[str]:
     """Return the names of the default methods, with a simulator that helps or without.
 
     Of the methods that ignore inputs, a record with inputs is compared with the mean and with the
-    last value alone.
+    last value alone. Without torch there are no networks.
     """
     naive, first = ["mean", "persistence", "seasonal-naive", "periodic", "harmonic"], ["gru"]
     if with_inputs:
         naive, first = ["linear", "mean", "persistence"], ["state-space", "gru"]
+    if with_simulator:
+        naive = ["simulator", "simulator-calibrated", *naive]
+    if not has_torch():
+        return naive
     if not with_simulator:
         return [*first, *naive]
     hybrids = [f"{kind}-state-space-calibrated-conditioned" for kind in ("filtered", "residual")]
     trained = [hybrids[1], first[0], hybrids[0], *first[1:]] if with_inputs else [*first, *hybrids]
-    return [*trained, "simulator", "simulator-calibrated", *naive]
+    return [*trained, *naive]
 
 
 def usual_names(names: list[str], bands: Bands, high: Bands) -> list[str]:

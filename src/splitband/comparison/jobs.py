@@ -17,6 +17,7 @@ from splitband.forecasters.base import Forecaster, all_parts, cells_of, fitted_l
 from splitband.networks.cell import label_of
 from splitband.records import Record
 from splitband.runtime.deadlines import Deadline, DeadlineError, now, within
+from splitband.runtime.optional import has_torch
 from splitband.runtime.workers import Queue, Workers, ended_from_outside
 
 if TYPE_CHECKING:
@@ -130,7 +131,9 @@ def kernels_of(forecasters: Sequence[Forecaster]) -> list[Callable[[], None]]:
 
 
 def every_kernel() -> list[Callable[[], None]]:
-    """Return what compiles every kernel of the package, in each precision."""
+    """Return what compiles every kernel of networks, in each precision; nothing without torch."""
+    if not has_torch():
+        return []
     return [
         *(
             partial(compile_kernels, cell, rows, dtype)

@@ -33,6 +33,7 @@ from splitband.records import Record, check_alike
 from splitband.records.signals import first_after
 from splitband.runtime.arguments import whole
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import LEFT_OUT, has_torch
 from splitband.simulators import Simulator
 from splitband.simulators.base import matched
 from splitband.simulators.identification import check_runs
@@ -65,6 +66,7 @@ class Plan:
     tests : Records that nothing is fitted to, with distinct names.
     simulator : Simulator whose parameters are fitted, for methods without one.
     high : Bands of hybrids with the simulator in the high band.
+    without_networks : Whether the default methods lack networks, for want of torch.
     train, horizon, ahead, others, initial, budget, rounds, seed, seeds, refit : See `compare`;
         decided.
     """
@@ -90,6 +92,7 @@ class Plan:
     seeds: int | None = None
     refit: bool = False
     high: Bands = field(default_factory=Bands)
+    without_networks: bool = False
 
     @cached_property
     def training(self) -> Record:
@@ -110,7 +113,7 @@ class Plan:
     def warnings(self) -> list[str]:
         """Return what seems wrong in the records, a sentence each; see `Record.warnings`.
 
-        Outputs that are probably inputs come first.
+        Outputs that are probably inputs come first; that networks are left out comes last.
         """
         unnamed = of_unnamed(unnamed_inputs(self.record))
         if self.reach is not None and self.ahead is None:
@@ -121,8 +124,9 @@ class Plan:
         others = (*self.others, *self.tests)
         found = [f"{each.name}: {said}" for each in others for said in each.warnings()]
         own = f"{self.record.name}: " if others and self.record.name else ""
-        still = unmoved([self.training, *self.others])
-        return [*unnamed, *(f"{own}{said}" for said in self.record.warnings()), *found, *still]
+        rest = unmoved([self.training, *self.others])
+        rest += [LEFT_OUT] * self.without_networks
+        return [*unnamed, *(f"{own}{said}" for said in self.record.warnings()), *found, *rest]
 
     def spec(self, forecaster: Forecaster) -> BacktestSpec:
         """Return the predictions by which methods are compared.
@@ -242,6 +246,7 @@ def plan(asked: PlanRequest) -> Plan:
         seeds=asked.seeds,
         refit=asked.refit,
         high=high,
+        without_networks=default and not has_torch(),
     )
     check(planned)
     _check_ahead(planned)

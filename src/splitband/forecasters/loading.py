@@ -265,7 +265,7 @@ def _kind(said: Mapping[str, Any], kinds: tuple[Any, ...]) -> Any:
 
 def _cell(kind: Any, given: Mapping[str, Any]) -> Any:
     """Return a template of a cell: on the meta device, where weights take no memory."""
-    import torch  # noqa: PLC0415  just what has networks needs it
+    from splitband.networks.layers import torch  # noqa: PLC0415  just what has networks needs it
 
     for name, part in given.items():
         if isinstance(part, int) and abs(part) > LARGEST_NUMBER:

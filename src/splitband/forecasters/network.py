@@ -42,6 +42,7 @@ from splitband.records.signals import covered, first_after, last_before, refille
 from splitband.runtime.arguments import check_device
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import has_torch, require_torch
 from splitband.runtime.states import Arrays
 from splitband.runtime.threads import one_thread, seeded
 from splitband.simulators.calibration import Calibration
@@ -167,9 +168,11 @@ class Network(Forecaster):
 
     def to(self, device: str | torch.device) -> Self:
         """Train and run on this device from now on."""
+        check_device(device)
+        if not has_torch():
+            return super().to(device)
         import torch  # noqa: PLC0415  whoever names a device needs it
 
-        check_device(device)
         self._device = torch.device(device)
         if self.model is not None:
             self.model.to(self._device)
@@ -252,7 +255,11 @@ class Network(Forecaster):
         return 0 if beside_network else super().first_needed()
 
     def check(self, *records: Record) -> None:
-        """Raise ValueError for records that do not fit its warm-up, windows, filters or base."""
+        """Raise ValueError for records that do not fit its warm-up, windows, filters or base.
+
+        Without torch, raise it for any.
+        """
+        require_torch()
         super().check(*records)
         if len(records) > 1 and self.base is not None and self.base.anchored:
             raise InputError(

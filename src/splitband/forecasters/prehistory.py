@@ -19,6 +19,7 @@ import scipy
 from splitband import models
 from splitband.records import Record
 from splitband.runtime.arrays import Array, check_shape
+from splitband.runtime.optional import require_torch
 from splitband.training.settings import window_starts
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ class Prehistory:
 
         `y`, the measured history, is then a whole warm-up; `slow` is the output of the base.
         """
+        require_torch("a history shorter than the warm-up of a network")
         import torch  # noqa: PLC0415  see `of`
 
         samples = len(y)

@@ -5,18 +5,21 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
 from splitband.metrics import spread
 from splitband.models.stepping import Stepped
 from splitband.networks import Cell
+from splitband.networks.layers import nn, torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import HOW, has_torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +109,8 @@ class Model(nn.Module, ABC):
         u : Known inputs over warm-up and simulation, `(R + steps, nu)`.
         y_sim : A simulator's output over warm-up and simulation, `(R + steps, ny)`.
         """
+        if not has_torch():
+            return {"simulation": self._stepped_without_torch().simulate(y_warmup, steps, u, y_sim)}
         with torch.no_grad():
             parts = self.components(self._batch_of_one(y_warmup, u, y_sim), steps)
         scaled = {name: part[0].double() * self.y_std for name, part in parts.items()}
@@ -132,6 +137,12 @@ class Model(nn.Module, ABC):
         if self.steps is None:
             raise InputError(f"{type(self).__name__} cannot be stepped")
         return self.steps(self)
+
+    def _stepped_without_torch(self) -> Stepped:
+        try:
+            return self.stepped()
+        except InputError as error:
+            raise InputError(f"{error}; without steps it needs torch: {HOW}") from None
 
     def unfiltered(self, known: Signals, steps: int) -> dict[str, Tensor]:
         """Return the signals before the filters, after the warm-up; empty without filters."""
@@ -281,8 +292,8 @@ def with_weights(build: Callable[[], Model], weights: Mapping[str, Any]) -> Mode
         )
     for name, tensor in tensors.items():
         floating = tensor.dtype in (torch.float32, torch.float64)
-        dtype = expected[name].dtype
-        if not (floating if dtype.is_floating_point else tensor.dtype == dtype):
+        wanted = expected[name]
+        if not (floating if torch.is_floating_point(wanted) else tensor.dtype == wanted.dtype):
             raise InputError(f"weights must be float32 or float64: {name} is {tensor.dtype}")
     kinds = {(expected[name].dtype, tensor.dtype) for name, tensor in tensors.items()}
     if len(kinds) > len({wanted for wanted, _ in kinds}):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import check_downsampling
@@ -35,9 +33,13 @@ from splitband.models.stepping import (
     steady,
 )
 from splitband.networks import Cell, rollout
+from splitband.networks.layers import torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class Hybrid(Model):

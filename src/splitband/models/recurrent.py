@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from splitband.models.base import Model, Signals, Task, as_module, inputs_of
 from splitband.models.stepping import Run, Stepped, SteppedCell
 from splitband.networks import Cell, rollout
 from splitband.runtime.arrays import Array
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class SteppedRecurrent(Stepped):

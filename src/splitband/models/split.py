@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
 from splitband.filters import ComplementaryPair
 from splitband.filters.resampling import Alignment, check_downsampling
@@ -33,9 +31,13 @@ from splitband.models.stepping import (
     steady,
 )
 from splitband.networks import Cell, rollout
+from splitband.networks.layers import nn, torch
 from splitband.records import Record
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LOW, HIGH = "low band", "high band"
 

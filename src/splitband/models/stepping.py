@@ -59,6 +59,21 @@ class Stepped(ABC):
         run, following = self._advance(run, self._u(u), self._y(slow))
         return run, following * self.y_std + self.y_mean
 
+    def simulate(
+        self, y: Array, steps: int, u: Array | None = None, slow: Array | None = None
+    ) -> Array:
+        """Return the free run after a warm-up, `(steps, ny)`; see `Model.simulate_components`."""
+        warmup, ahead, samples = len(y), self.ahead, len(y) + steps
+        u = np.zeros((samples, 0)) if u is None else u
+        slow = np.tile(self.y_mean, (samples, 1)) if slow is None else slow[:samples]
+        # A straight line beyond the end gives the last sample the slope that models take there.
+        slow = np.concatenate([slow, *[2 * slow[-1:] - slow[-2:-1]] * ahead])
+        run, found = self.begin(y, u[:warmup], slow[: warmup + ahead]), []
+        for n in range(warmup, samples):
+            run, predicted = self.advance(run, u[n - 1 : n + 1], slow[n - 1 : n + 1 + ahead])
+            found.append(predicted)
+        return np.array(found).reshape(steps, len(self.y_mean))
+
     @abstractmethod
     def _begin(self, y: Array, u: Array, slow: Array) -> Run:
         """Begin, in the networks' units."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor, nn
+from typing import TYPE_CHECKING
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.networks.in_numpy import dense
+from splitband.networks.layers import nn, torch
 from splitband.runtime.errors import InputError
 from splitband.runtime.options import WithRepr
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class EulerMLP(WithRepr, nn.Module):

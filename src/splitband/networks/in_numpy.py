@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
 
 from splitband.networks.cell import Cell, are_plain
+from splitband.networks.layers import nn, torch
 from splitband.networks.plain import Dense, PlainEulerMLP, PlainGRU, PlainStateSpace
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def in_numpy(cell: Cell) -> PlainGRU | PlainEulerMLP | PlainStateSpace | TorchCell:
@@ -66,7 +68,7 @@ class TorchCell:
 
 def values(tensor: Tensor) -> Array:
     """Return a tensor as an array in double precision."""
-    return tensor.detach().double().cpu().numpy()
+    return np.asarray(tensor.detach().double().cpu().numpy(), np.float64)
 
 
 def linear(layer: nn.Linear) -> tuple[Array, Array]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, get_args
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from splitband.networks.cell import Cell
+from splitband.networks.layers import torch
 from splitband.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Backend = Literal["auto", "plain", "fused"]
 

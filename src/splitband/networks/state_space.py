@@ -6,18 +6,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor, nn
 
 from splitband.networks import plain
 from splitband.networks.cell import are_plain, check_sizes
 from splitband.networks.in_numpy import dense, linear, values
+from splitband.networks.layers import nn, torch
 from splitband.runtime.arguments import whole
 from splitband.runtime.arrays import Array
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import has_torch
 from splitband.runtime.options import WithRepr
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from splitband.linear.model import Realisation
 
 _RADIUS = 0.95
@@ -92,7 +94,8 @@ class StateSpace(WithRepr, nn.Module):
         self.first = nn.Parameter(torch.zeros(states, encoded * (ny + nu)))
         self.first_bias = nn.Parameter(torch.zeros(states))
         """Weights and biases of the map to the state at the first sample."""
-        self._begin()
+        if has_torch():  # else the weights are those of a saved cell
+            self._begin()
 
     def sized(self, ny: int, nu: int, warmup: int) -> StateSpace:
         """Return a new cell with as many states, units and layers, for warm-ups of this length."""

@@ -28,6 +28,8 @@ _ERRORS_OF_CELLS = r"N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!"
 _EXCELS_SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)
 _RAGGED = re.compile(r"Expected (\d+) fields in line (\d+), saw (\d+)")
 _TABLE: Any = {"header": None, "index_col": False, "skipinitialspace": True, "na_values": ["NAN"]}
+if pd.__version__ < "3.1":  # newer ones read every digit, and warn of the option
+    _TABLE["float_precision"] = "round_trip"
 """Options of pandas for rows of cells alone."""
 
 

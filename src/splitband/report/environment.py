@@ -8,10 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from splitband.runtime.optional import has_torch
+
 
 def environment() -> dict[str, Any]:
     """Return versions, machine and, in a checkout, the commit."""
-    packages = ("splitband", "torch", "numpy", "scipy", "numba")
+    packages = ["splitband", "numpy", "scipy", "numba"]
+    if has_torch():
+        packages.insert(1, "torch")
     return {
         "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
         "machine": f"{platform.system()} {platform.machine()}",

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from splitband.runtime.errors import InputError
+from splitband.runtime.optional import require_torch
 
 LARGEST_SIZE = 10_000
 """Largest order, down-sampling or size of a network. Bounds the memory."""
@@ -42,6 +43,7 @@ def check_device(name: Any) -> None:
     """Raise ValueError for an unavailable device of networks."""
     if name == "cpu":
         return
+    require_torch(f"the device {name}")
     import torch  # noqa: PLC0415  only for another device
 
     try:

@@ -10,6 +10,8 @@ from contextlib import contextmanager, nullcontext
 
 import threadpoolctl
 
+from splitband.runtime.optional import has_torch
+
 _DRAWING, _WARNING = threading.RLock(), threading.RLock()
 
 
@@ -96,7 +98,13 @@ def one_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Seed torch's random numbers in this context, safe from other threads; then restore them."""
+    """Seed torch's random numbers in this context, safe from other threads; then restore them.
+
+    Without torch nothing is drawn.
+    """
+    if not has_torch():
+        yield
+        return
     import torch  # noqa: PLC0415  for networks only
 
     with _DRAWING, torch.random.fork_rng(devices=[]):
