@@ -155,6 +155,8 @@ def test_the_version_is_that_of_the_package_and_a_shell_completes_commands(
 
 def test_a_defect_is_no_bad_input(monkeypatch: pytest.MonkeyPatch) -> None:
     """A ValueError that a library raises inside of the package keeps its traceback."""
-    monkeypatch.setattr("splitband.cli.records.load_records", lambda *_, **__: np.reshape([1, 2], 3))
+    monkeypatch.setattr(
+        "splitband.cli.records.load_records", lambda *_, **__: np.reshape([1, 2], 3)
+    )
     with pytest.raises(ValueError, match="cannot reshape"):
         main(["inspect", "record.csv", "--out", "out"])

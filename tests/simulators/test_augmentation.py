@@ -31,7 +31,7 @@ def drive(samples: int = 200) -> sb.Record:
     rng = np.random.default_rng(0)
     u: npt.NDArray[np.float64] = np.repeat(rng.normal(0, 1.5, samples // 20), 20)[:, None]
     rig = sb.Ode(lambda t, x, u: [2 * (u[0] - friction(x[0]))], [0.0])
-    v = np.asarray(rig.simulate(0.05 * np.arange(samples), u))
+    v = np.asarray(rig.simulate(0.05 * np.arange(float(samples)), u))
     return sb.Record(v + rng.normal(0, 0.005, v.shape), 0.05, u=u, y_true=v)
 
 
@@ -64,7 +64,7 @@ def test_a_parameter_that_a_term_could_replace_takes_what_it_can() -> None:
     rng = np.random.default_rng(0)
     u: npt.NDArray[np.float64] = np.repeat(rng.normal(0, 3.0, 20), 15)[:, None]
     rig = sb.Ode(lambda t, x, u: [x[1], u[0] - 4 * x[0] - x[0] ** 3 - 0.5 * x[1]], [0.5, 0.0])
-    x = np.asarray(rig.simulate(0.05 * np.arange(300), u))
+    x = np.asarray(rig.simulate(0.05 * np.arange(300.0), u))
     record = sb.Record(x + rng.normal(0, 0.005, x.shape), 0.05, u=u)
     term = sb.Unknown(lambda x, u: [x[0]], hidden=4, odd=True)
     ode = sb.Ode(hardening, [0.5, 0.0], parameters={"k": (1.0, 9.0)}, unknown=term)
