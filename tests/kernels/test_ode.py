@@ -96,6 +96,10 @@ def test_compiled_code_follows_the_values_that_it_refers_to(
     assert rates() == pytest.approx([1.5, 1.5])
     rig.H = 0.1  # type: ignore[attr-defined]
     assert rates() == pytest.approx([0.15, 0.15])
+    compiled = solve.compiled
+    cell["H"] = 5.0  # a global that is called as an attribute is none of its values
+    assert rates() == pytest.approx([0.15, 0.15])
+    assert solve.compiled is compiled
 
 
 def test_a_hard_saturation_of_a_number_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

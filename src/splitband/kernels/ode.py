@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from dis import get_instructions
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -521,18 +522,28 @@ def referred(function: Any) -> list[Any]:
     function = getattr(function, "py_func", function)
     if not isinstance(function, FunctionType):
         return []
-    codes, names = [function.__code__], set[str]()
+    codes, names, own = [function.__code__], set[str](), set[str]()
     for code in codes:  # grows by the inner functions of `code`
         names |= {*code.co_names}
+        # `names` has attributes, too: a global `k` is none of `p.k`.
+        own |= _globals_in(code)
         codes += [const for const in code.co_consts if isinstance(const, CodeType)]
     spaces, objects = [function.__globals__], list[Any]()
     for space in spaces:
-        values = [space[name] for name in sorted(names & space.keys())]
+        wanted = own if space is function.__globals__ else names
+        values = [space[name] for name in sorted(wanted & space.keys())]
         inner = [vars(value) for value in values if isinstance(value, ModuleType)]
         spaces += [new for new in inner if not any(new is other for other in spaces)]
         objects += [value for value in values if not isinstance(value, ModuleType)]
     cells = (cell.cell_contents for cell in function.__closure__ or ())
     return [_content(value) for value in [*objects, *cells]]
+
+
+@cache
+def _globals_in(code: CodeType) -> frozenset[str]:
+    """Return the global names that a code reads."""
+    found = (each.argval for each in get_instructions(code) if each.opname == "LOAD_GLOBAL")
+    return frozenset(found)
 
 
 def _content(value: Any) -> Any:
