@@ -54,8 +54,8 @@ _OF_TANKS: dict[str, tuple[str, ...]] = {
 _TSFAST_GRU = "0.31 to 0.33", "1.31 to 1.65", "0.29 to 0.34"
 _TANKS = Benchmark(
     "Cascaded tanks, 50 initial samples",
-    "measured, 1,024 + 1,024 samples every 4 s; Schoukens and Noël, 2017. 50 samples are the "
-    "official number since June 2026",
+    "measured, 1,024 + 1,024 samples every 4 s; Schoukens and Noël, 2017. The repository of the "
+    "loader `nonlinear_benchmarks` gives 50 initial samples",
     ("ct_train", "66617b0c3c764dd2"),
     (("ct_test", "83aaf392ce4df46e"),),
     "V",
@@ -68,8 +68,8 @@ SETS = {
     "tanks5": replace(
         _TANKS,
         title="Cascaded tanks, 5 initial samples",
-        source="the same records; 5 samples were the official number until June 2026, by which "
-        "the published scores are",
+        source="the same records; release 1.0.1 of the loader `nonlinear_benchmarks` gives 5 initial "
+        "samples, as in the published scores",
         published=_OF_TANKS | {"jax-sysid, mean of 11 seeds, measured by us": ("0.286",)},
         initial=5,
     ),

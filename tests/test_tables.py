@@ -57,6 +57,7 @@ def _decimals(path: Path, templates: list[str]) -> set[str]:
             text = text[:start] + text[end:]
     tables = "".join(re.findall(r"^\|.*$", text, re.MULTILINE))
     for left_out in (
+        r"^<!--=.*?^<!--/-->",
         r"^```.*?^```",
         r"^\|.*?$",
         r"^    .*?$",
