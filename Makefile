@@ -1,7 +1,7 @@
 # `make demo` runs the main job, `make test` every check; both set up .venv first if need be.
 # `make figures` writes the figures of the documents from the result files.
 # `make paper` lists what is there of the paper's tables and figures, and what the rest would take.
-# `make docs` builds the documentation site, whose tutorials it executes: docs/_build/html/index.html.
+# `make docs` runs the blocks of the pages again, compares, and builds the site: docs/_build/html/index.html.
 # `make desks` runs exported FMUs as Windows (under wine) and Linux do; it needs wine, and ziglang.
 # `make claims` measures what README.md claims of accuracy again, `make claims-all` all that is stored.
 # `make fuzz` looks for failures at random, `make soak` repeats what takes long: both for minutes.
@@ -47,6 +47,7 @@ figures: .venv/.ready
 	$(BIN)/python -m docs.tables
 
 docs: .venv/.ready
+	$(BIN)/python -m docs.run --check
 	$(BIN)/python -m sphinx -b html --fresh-env --fail-on-warning --keep-going docs docs/_build/html
 
 paper: .venv/.ready

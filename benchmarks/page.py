@@ -1,6 +1,6 @@
-"""Make the tables and the picture of docs/results/benchmarks.md of the results that are there.
+"""Make the picture of docs/results/benchmarks.md of the results that are there, and its tables.
 
-    python -m benchmarks.page
+    python -m benchmarks.page                              the picture; `docs.tables` has the tables
     python -m benchmarks.page --budget [--out FOLDER]      where the time of runs went
 
 The results are those of `benchmarks.clock` and `benchmarks.against`.
@@ -23,7 +23,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from benchmarks import against, claims, clock
 from benchmarks.claims import Row
 from benchmarks.sets import SETS, Benchmark
-from splitband.runtime.files import replacing, write_text
+from splitband.runtime.files import replacing
 
 AGAINST = "against.png"
 OUT = Path(__file__).parents[1] / "docs/results/benchmarks"
@@ -33,9 +33,9 @@ TABLES = {
     "benchmark-silverbox": "silverbox",
     "benchmark-time": None,
 }
-"""Files of docs/tables, and their records; None for all records."""
+"""Tables by name, and their records; None for all records."""
 UNDER = "benchmark-against"
-"""The file of docs/tables below the picture: where its runs were measured."""
+"""What stands below the picture: where its runs were measured."""
 
 Array = npt.NDArray[np.float64]
 Points = dict[str, list[against.Point]]
@@ -43,7 +43,7 @@ Points = dict[str, list[against.Point]]
 
 
 def main() -> None:
-    """Draw the picture and write the tables."""
+    """Draw the picture."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--budget", action="store_true", help="print where the time went alone")
@@ -55,9 +55,6 @@ def main() -> None:
     points = _points(out)
     if points:
         save(_over_time(points), out / AGAINST)
-    for name in TABLES:
-        write_text(Path("docs/tables", f"{name}.md"), table_of(name, out))
-    write_text(Path("docs/tables", f"{UNDER}.md"), under_picture(out))
 
 
 def table_of(name: str, out: Path = OUT) -> str:

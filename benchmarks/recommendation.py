@@ -11,7 +11,7 @@ by its clock, on one core each: networks, whose training is searched, and baseli
 
 Constants are chosen on `--development` seeds; without it, other seeds are drawn, and the paper's
 records are added, on which nothing is chosen. Each record is a file in `--parts` that is made once
-for each state of the code: stop it, go on. The tables of baselines and `default` go to docs/tables.
+for each state of the code: stop it, go on. `docs.tables` makes tables of baselines and `default`.
 """
 
 from __future__ import annotations
@@ -241,8 +241,6 @@ def main() -> None:
     print(table(facts))
     if arguments.methods in FILES and not arguments.development:
         write_json(FILES[arguments.methods], facts)
-        page = Path("docs/tables", f"intervals-{arguments.methods}.md")
-        page.write_text(table(facts), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -19,11 +19,10 @@ extensions = [
     "sphinx_copybutton",
     "sphinxcontrib.typer",
     "docstrings",
-    "executed",
     "mathml",
     "repository",
 ]
-exclude_patterns = ["_build", "tables"]
+exclude_patterns = ["_build"]
 nitpicky = True
 
 smartquotes = False  # it takes the two hyphens of an option for a dash

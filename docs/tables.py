@@ -1,9 +1,8 @@
 """Write the tables and numbers of the documents from result files: `python -m docs.tables`.
 
-A table of the site is a file of docs/tables, which pages include. In README.md and in
-reproduction/REPORT.md, which no site builds, a table stands between two comments:
+A table, or the text of an example, stands between two comments, as the outputs of `docs.run` do:
 
-    <!--={tables[learning-based]}-->
+    <!--={benchmark-silverbox}-->
     | ... |
     <!--/-->
 
@@ -29,9 +28,11 @@ from reproduction import statements
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-FOLDER = DOCS / "tables"
-PAGES = ROOT / "README.md", ROOT / "reproduction/REPORT.md"
-"""Documents that have tables between comments."""
+PAGES = (
+    *(ROOT / "README.md", ROOT / "reproduction/REPORT.md"),
+    *sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts),
+)
+"""Documents, which may have tables between comments."""
 FIGURE = re.compile(r"^<!--=([^\n]+)-->\n(.*?)^<!--/-->$", re.DOTALL | re.MULTILINE)
 FIELD = re.compile(r"\{[^{}]+\}")
 NUMBER = r"(-?\d(?:[\d,]*\d)?(?:\.\d+)?(?:e-?\d+)?(?:\s+(?:to|of)\s+[\d.]*\d)?%?)"
@@ -228,7 +229,7 @@ def filled(template: str) -> str:
 
 
 def with_tables(text: str) -> str:
-    """Return a page with the tables between its comments made again.
+    """Return a page with the tables between its comments made again, outputs as they are.
 
     Raises
     ------
@@ -238,7 +239,13 @@ def with_tables(text: str) -> str:
         raise ValueError(
             "a table must stand between <!--=...--> and <!--/-->, each alone on its line"
         )
-    return FIGURE.sub(lambda found: f"<!--={found[1]}-->\n{filled(found[1])}\n<!--/-->", text)
+
+    def made(found: re.Match[str]) -> str:
+        if found[1] == "output":
+            return found[0]
+        return f"<!--={found[1]}-->\n{filled(found[1]).strip()}\n<!--/-->"
+
+    return FIGURE.sub(made, text)
 
 
 def numbers_of(text: str, template: str) -> list[tuple[int, int]]:
@@ -587,12 +594,22 @@ def _families() -> str:
     return families.table(claims.read(page.OUT / families.FILE))
 
 
-TABLES: dict[str, Callable[[], str]] = {
+def examples() -> dict[str, str]:
+    """Return the programs in the folder of examples, by name, as they stand on a page."""
+    return {
+        path.stem: f"```python\n{path.read_text(encoding='utf-8')}```"
+        for path in (ROOT / "examples").glob("*.py")
+    }
+
+
+COMPUTED: dict[str, Callable[[], Any]] = {
     **{
-        function.__name__.replace("_", "-"): function
+        function.__name__: cache(function)
         for function in (
-            *(beyond, fuzz, memory, physics_wrong),
+            *(beyond, calibration, conditioning, examples, few_samples, filter_pays, fuzz, memory),
+            *(over_best, own_warmup, parameters, physics_wrong, published, readme_benchmarks),
             *(speed_accuracy, speed_state_space, speed_steps, speed_training),
+            *statements.FIGURES,
         )
     },
     **{f"intervals-{each}": partial(_intervals, each) for each in recommendation.FILES},
@@ -602,29 +619,19 @@ TABLES: dict[str, Callable[[], str]] = {
     "closed-loop-pendulum": lambda: closed_loop.of_pendulum(claims.read(closed_loop.FILE)),
     "closed-loop-networks": lambda: closed_loop.of_loops(claims.read(closed_loop.FILE)),
 }
-"""The files of docs/tables, without their suffix."""
-COMPUTED: dict[str, Callable[[], Any]] = {
-    function.__name__: cache(function)
-    for function in (
-        *(calibration, conditioning, few_samples, over_best, own_warmup, parameters, published),
-        *(filter_pays, readme_benchmarks, *statements.FIGURES),
-    )
-}
 
 
 def written() -> Iterator[tuple[Path, str]]:
-    """Yield each file that is made here or that has numbers, and its text as it should be.
+    """Yield each page, and its text as it should be.
 
     Raises
     ------
     ValueError : A table or a number cannot be written; the message begins with its page.
     """
-    for name, table in TABLES.items():
-        yield FOLDER / f"{name}.md", table()
-    for path in dict.fromkeys([*PAGES, *(ROOT / name for name, _ in NUMBERS)]):
+    for path in PAGES:
         text = path.read_text(encoding="utf-8")
         try:
-            text = with_tables(text) if path in PAGES else text
+            text = with_tables(text)
             for name, template in NUMBERS:
                 text = with_numbers(text, template) if ROOT / name == path else text
         except ValueError as error:
@@ -636,7 +643,7 @@ def main() -> None:
     """Write the tables, and the numbers of every page, and say which files changed."""
     argparse.ArgumentParser(description=__doc__).parse_args()
     for path, text in written():
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
+        if path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
             print(path.relative_to(ROOT))
 

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLES = ROOT / "docs/tables"
 TODAY = {"sources": "today", "commit": "abc", "computer": None}
 
 
@@ -80,7 +79,9 @@ def test_the_check_of_equal_numbers_lists_both_sources_with_its_output(
 
 
 def test_pages_mark_the_runs_of_older_code_and_no_others(claims: Any) -> None:
-    clock, sets = (importlib.import_module(f"benchmarks.{name}") for name in ("clock", "sets"))
+    clock, page, sets = (
+        importlib.import_module(f"benchmarks.{name}") for name in ("clock", "page", "sets")
+    )
     rows = claims.read(claims.STORED / clock.FILE)
     known = claims.equal()
     stale: dict[tuple[str, str, bool], bool] = {}
@@ -88,12 +89,12 @@ def test_pages_mark_the_runs_of_older_code_and_no_others(claims: Any) -> None:
         key = row["record"], f"{row['asked']:g}", bool(row["beside"])
         stale[key] = stale.get(key, False) or row.get("sources") not in known
     shown = {}
-    for line in (TABLES / "benchmark-time.md").read_text("utf-8").splitlines():
+    for line in page.table_of("benchmark-time").splitlines():
         if found := re.match(r"\| (.+?)( †)? \| (\d+) s(, busy)? \|", line):
             shown[found[1], found[3], bool(found[4])] = bool(found[2])
     assert shown == stale
     for name in sets.SETS:
-        text = (TABLES / f"benchmark-{name}.md").read_text("utf-8")
+        text = page.table_of(f"benchmark-{name}")
         own = re.findall(
             r"^\| `splitband compare --budget (\d+)s`( beside .*?)?( †)? \|", text, re.M
         )

@@ -1,13 +1,12 @@
-"""The documentation site: it builds without a warning, leaves nothing out, and its examples run.
+"""The documentation: it reads where it lies, its site leaves nothing out, and its examples run.
 
-What takes long, executing the tutorials, is left to `make docs`.
+What takes long, running the blocks of the pages, is left to `make docs`.
 """
 
 from __future__ import annotations
 
 import doctest
 import io
-import json
 import re
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
@@ -21,6 +20,8 @@ import numpy as np
 import pytest
 
 import splitband
+from docs.run import PICTURE, blocks, run
+from docs.tables import PAGES
 from splitband.cli import COMMANDS
 from splitband.comparison.methods import NAMES
 from splitband.export.writing import FORMATS
@@ -31,9 +32,6 @@ EXAMPLES = [
     *("compare", "inspect", "load", "networks.rollout", "read", "rmse"),
 ]
 """Public names whose docstrings must have an example."""
-EXECUTED = f"import sys\nsys.path.insert(0, {str(DOCS / '_ext')!r})\n" + (
-    'extensions = ["myst_parser", "executed"]\n'
-)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -107,10 +105,8 @@ def _built(pages: Path, out: Path, *options: str) -> tuple[int, str]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The pages, their blocks shown and not executed."""
     out = tmp_path_factory.mktemp("site")
-    built = _built(DOCS, out, "-D", "run_blocks=0", "-d", str(out / ".doctrees"))
-    assert built == (0, "")
+    assert _built(DOCS, out, "-d", str(out / ".doctrees")) == (0, "")
     return out
 
 
@@ -168,42 +164,36 @@ def _leads(page: Path, link: str) -> bool:
     return anchor in {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in headings}
 
 
-def test_a_block_that_fails_ends_the_build(tmp_path: Path) -> None:
-    (tmp_path / "conf.py").write_text(EXECUTED)
-
-    def built(code: str) -> tuple[int, str]:
-        (tmp_path / "index.md").write_text(f"# Page\n\n```{{run}} python\n{code}\n```\n")
-        return _built(tmp_path, tmp_path / "out", "-b", "text")
-
-    assert built("print('six', 2 * 3)") == (0, "")
-    assert "six 6" in (tmp_path / "out/index.txt").read_text()
-    status, said = built("1 / 0")
-    assert status
-    assert "ZeroDivisionError" in said
+def test_pages_show_what_they_include_and_what_their_blocks_give() -> None:
+    for path in PAGES:
+        text = path.read_text(encoding="utf-8")
+        assert not re.findall(r"^[`:]{3,}\{(?:run|include|literalinclude)\}.*", text, re.M), path
+        for block in blocks(text):
+            given = block["output"]
+            assert "```text" in given or "print(" not in block["code"], (path, block["code"])
+            drawn = re.findall(r"""savefig\("([^"]+)""", block["code"])
+            assert drawn == [Path(link).name for link in PICTURE.findall(given)], path
+            assert all((path.parent / link).is_file() for link in PICTURE.findall(given)), path
 
 
-def test_a_page_with_blocks_is_a_notebook_too(tmp_path: Path) -> None:
-    (tmp_path / "conf.py").write_text(EXECUTED)
-    (tmp_path / "index.md").write_text(
-        "# Page\n\nSee [there](https://example.org) or [here](index.md).\n\n"
-        "```{run} python\nimport pandas as pd\nprint(2 * 3)\npd.Series([7]).to_frame()\n```\n\n"
-        "```{run} console\n:figure: dot.png\n:alt: A dot\n\nprintf dots > dot.png\necho done\n"
-        "```\n"
-    )
-    assert _built(tmp_path, tmp_path / "out") == (0, "")
-    page = (tmp_path / "out/index.html").read_text(encoding="utf-8")
-    (path,) = (tmp_path / "out/_downloads").rglob("index.ipynb")
-    assert str(path.relative_to(tmp_path / "out")) in page
-    assert "<td>7</td>" in page
-
-    read = json.loads(path.read_text(encoding="utf-8"))
-    assert (read["nbformat"], read["nbformat_minor"]) == (4, 5)
-    prose, table, shell, picture = read["cells"]
-    assert prose["source"] == "# Page\n\nSee [there](https://example.org) or here."
-    assert len({cell["id"] for cell in read["cells"]}) == 4
-    printed, shown = table["outputs"]
-    assert printed == {"output_type": "stream", "name": "stdout", "text": "6\n"}
-    assert "<td>7</td>" in shown["data"]["text/html"]
-    assert shell["source"] == "%%bash\nprintf dots > dot.png\necho done"
-    assert picture["source"].endswith('Image("dot.png")')
-    assert picture["outputs"][0]["data"] == {"image/png": "ZG90cw=="}
+def test_blocks_are_run_again_and_what_differs_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("docs.run.DONE", tmp_path / "done")
+    page = tmp_path / "page.md"
+    text = "```python\na = 7\nprint(a)\n```\n<!--=output-->\n```text\n{}\n```\n<!--/-->\n"
+    shell = "\n```bash\necho dot > dot.png; echo 2.00 m, 3 s\n```\n<!--=output-->\n{}<!--/-->\n"
+    picture = "![A dot](img/dot.png)\n"
+    page.write_text(text.format(8) + shell.format(picture))
+    assert len([*run(page, check=True)]) == 2
+    assert not (tmp_path / "img").exists()
+    assert len([*run(page, check=False)]) == 2
+    whole = text.format(7) + shell.format(f"```text\n2.00 m, 3 s\n```\n\n{picture}")
+    assert page.read_text() == whole
+    assert (tmp_path / "img/dot.png").read_text() == "dot\n"
+    for close in (whole.replace("2.00", "2.01").replace("3 s", "9 s"), f"More.\n\n{whole}"):
+        page.write_text(close)
+        assert [*run(page, check=True)] == []
+    page.write_text(whole.replace("print(a)", "print(1 / 0)"))
+    with pytest.raises(ValueError, match="ZeroDivisionError"):
+        [*run(page, check=True)]
