@@ -122,10 +122,20 @@ def _wrapped(line: str) -> str:
 
 def alike(one: str, other: str) -> bool:
     """Return whether two outputs differ by no more than times and last places of numbers."""
-    words = [FRAME.sub(" ", TIME.sub("TIME", text)).strip() for text in (one, other)]
+    words = [FRAME.sub(" ", TIME.sub("TIME", _timeless(text))).strip() for text in (one, other)]
     if NUMBER.sub("N", words[0]) != NUMBER.sub("N", words[1]):
         return False
     return all(map(_close, *(NUMBER.findall(text) for text in words)))
+
+
+def _timeless(text: str) -> str:
+    """Return a table without the cells of columns that are headed by (s)."""
+    lines = [re.split("[│┃]", line) for line in text.splitlines()]
+    timed = {i for line in lines for i, cell in enumerate(line) if "(s)" in cell}
+    return "\n".join(
+        " ".join(cell for i, cell in enumerate(line) if len(line) == 1 or i not in timed)
+        for line in lines
+    )
 
 
 def _close(one: str, other: str) -> bool:
@@ -162,14 +172,15 @@ def run(path: Path, check: bool) -> Iterator[str]:
         return
     outputs = executed(path, page, fetch=not check)
     page = path.read_text(encoding="utf-8")  # its prose may have been edited meanwhile
-    differs = False
-    for block, output in reversed([*zip(blocks(page), outputs, strict=True)]):
-        before = _before(block)
+    text, end, differs = "", 0, False
+    for block, output in zip(blocks(page), outputs, strict=True):
+        before, after = _before(block), block["output"]
         if not alike(before, output):
-            differs = True
+            differs, after = True, _shown(output, block)
             yield "\n".join(difflib.ndiff(before.splitlines(), output.splitlines()))
-            start, end = block.span("output")
-            page = page[:start] + _shown(output, block) + page[end:]
+        text += page[end : block.start("output")] + after
+        end = block.end("output")
+    page = text + page[end:]
     if not check:
         path.write_text(page, encoding="utf-8")
     if not (check and differs):

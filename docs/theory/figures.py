@@ -155,6 +155,31 @@ def growth() -> Figure:
     return figure
 
 
+def timeline() -> Figure:
+    """What the parts of a record, and of a test record, are used for."""
+    figure, (axes,) = _panels(1, 3.4)
+    last = "simulated, compared"
+    rows: dict[str, list[tuple[float, float, str, str]]] = {
+        "choice\n(a trial model)": [(0, 45, "fitted", "C0"), (45, 60, "held out", "C1")],
+        "result\n(the final model)": [(0, 60, "training part", "C0"), (60, 100, last, "C2")],
+        "a test record": [(0, 8, "", "0.6"), (8, 70, last, "C2")],
+    }
+    for height, parts in zip((2, 1, 0), rows.values(), strict=True):
+        for begin, end, text, colour in parts:
+            axes.barh(height, end - begin, 0.5, begin, color=colour, alpha=0.45, ec="0.3")
+            axes.text((begin + end) / 2, height, text, ha="center", va="center")
+        at = parts[0][1]
+        axes.plot([at, at], [height - 0.33, height + 0.33], "k", lw=2)
+        axes.text(at, height + 0.36, "origin", ha="center", va="bottom", fontsize=9)
+        axes.plot([at - 8, at], [height - 0.31] * 2, "0.3", lw=4, solid_capstyle="butt")
+        axes.text(at - 4, height - 0.38, "warm-up", ha="center", va="top", fontsize=9)
+    axes.set(yticks=(2, 1, 0), yticklabels=rows, ylim=(-0.6, 2.7), xlim=(-1, 101))
+    axes.set(xticks=[], xlabel="time")
+    axes.spines[["left"]].set_visible(False)
+    axes.tick_params(left=False)
+    return figure
+
+
 def scheme() -> Figure:
     """Both methods of the paper, as boxes: what is filtered, what is trained, what is added."""
     figure, (left, right) = _panels(2, height=4.6)
@@ -208,7 +233,9 @@ def _boxes(
         axes.annotate("", xy=boxes[end][:2], xytext=boxes[begin][:2], zorder=0, arrowprops=style)
 
 
-FIGURES: tuple[Callable[[], Figure], ...] = (pair, bands, drift, calibration, trap, growth, scheme)
+FIGURES: tuple[Callable[[], Figure], ...] = (
+    *(pair, bands, drift, calibration, trap, growth, timeline, scheme),
+)
 
 
 def main() -> None:
