@@ -53,8 +53,6 @@ of the method's error over as many first samples of the forecasts that are score
 class Origin:
     """Define where a forecast begins.
 
-    Attributes
-    ----------
     fitted : Number of samples at the beginning of the record to which the forecaster is fitted.
     at : Index of the first forecast sample; the warm-up is before it.
     steps : Number of samples to forecast; 0: to the end of the record.

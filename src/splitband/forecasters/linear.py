@@ -254,8 +254,6 @@ class LinearSteps(Steps):
     x, the expected state at the next sample, and its covariance, due to the unknown initial state,
     go on by the filter of the innovations form, whose gain is K once that covariance has vanished.
 
-    Parameters
-    ----------
     model : The fitted model.
     training : Inputs of the training record from its first sample on, `(time, nu)`.
     """

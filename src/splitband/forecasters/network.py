@@ -526,10 +526,7 @@ class Network(Forecaster):
         return y[moved:], u, slow, samples - last
 
     def _span(self, y: Array) -> tuple[int, int, int]:
-        """Return where a warm-up begins, where the samples after it that are filled begin and end.
-
-        Raises ValueError for a history without a warm-up up to its last measured sample.
-        """
+        """Return where a warm-up begins, and where the filled samples after it begin and end."""
         length, measured = self.warmup, np.asarray(np.isfinite(y))
         seen, complete = (np.asarray(f(measured, axis=1)) for f in (np.any, np.all))
         last = len(y) - int(seen[::-1].argmax()) if seen.any() else 0

@@ -28,8 +28,6 @@ class NetworkSteps(Steps):
     The state holds the last `warmup` samples, measured or predicted. After a measured sample, the
     model warms up on them again, once a prediction is requested.
 
-    Parameters
-    ----------
     network : The fitted forecaster.
     model : Its model, step by step.
     base : The step form of its base; None without one.

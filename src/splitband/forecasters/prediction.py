@@ -60,10 +60,7 @@ class ForecastContext:
 
 
 def by_name(name: str, given: npt.ArrayLike | None, names: Sequence[str]) -> npt.ArrayLike | None:
-    """Return a signal whose columns, where it is a DataFrame, are in the order of these names.
-
-    Raises ValueError for other names; numbered ones match any others, in the order given.
-    """
+    """Return a signal whose columns, where it is a DataFrame, are in the order of these names."""
     if not isinstance(given, pd.DataFrame) or not names:
         return given
     columns = {str(column): column for column in given.columns}

@@ -40,8 +40,6 @@ training error is too optimistic. By eye."""
 class Prehistory:
     """Hold the distribution of warm-ups in the training records, as the model sees them.
 
-    Attributes
-    ----------
     mean : Of the normalised outputs, inputs and, where there is a base, its output,
         `(warmup, ny + nu)` or `(warmup, ny + nu + ny)`.
     root : Principal directions, scaled so that their coefficients have a variance of 1,

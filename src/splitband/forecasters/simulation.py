@@ -36,8 +36,6 @@ AFFINE: tuple[Term, ...] = ("gain", "offset")
 class Runs(KnownSimulator):
     """Hold a simulator's runs, computed once for all processes.
 
-    Attributes
-    ----------
     runs : Grid, inputs that drove it, if any, and output `(time, ny)` of each run.
     place : Place of the simulator among those of its method, see `simulators_of`.
     driven : Whether the simulator takes inputs.
@@ -254,10 +252,7 @@ class SimulatorForecaster(Forecaster):
         return record.u if self._driven else None
 
     def _driving_until(self, known: ForecastContext, begin: float) -> Array | None:
-        """Return the inputs from the start of the simulation on, if they drive it.
-
-        Raises ValueError where those before the history are not known.
-        """
+        """Return the inputs from the start of the simulation on, if they drive it."""
         if not self._driven or known.u is None:
             return None
         if begin <= 0:

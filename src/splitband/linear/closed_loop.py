@@ -207,8 +207,6 @@ def _lagged(runs: Sequence[Signals], past: int) -> Array:
 class _PredictorSubspace(NamedTuple):
     """The range of the predictor's observability matrix.
 
-    Attributes
-    ----------
     subspace : The range, by the responses of an ARX model.
     response : Of all future samples to the last outputs.
     scale : RMS errors of the ARX model, `(ny,)`.

@@ -128,8 +128,6 @@ class Units:
 class Delays(NamedTuple):
     """Delays by output and input in samples, `(ny, nu)`.
 
-    Attributes
-    ----------
     taken : Delays accepted on held-out samples, else 0.
     doubted : Rejected delays with the best fit, else 0.
     errors : Standard errors of the accepted delays, else 0: by the curvature of the likelihood of

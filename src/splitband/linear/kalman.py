@@ -66,10 +66,7 @@ def states(a: Array, forced: Array, first: Array) -> Array:
 
 
 def kalman_gain(a: Array, c: Array, q: Array, r: Array) -> Array:
-    """Return the stationary gain for noise of covariance q of the state and r of the output.
-
-    Raises LinAlgError without a stationary filter.
-    """
+    """Return the stationary gain for noise of covariance q of the state and r of the output."""
     with np.errstate(all="ignore"):
         p = scipy.linalg.solve_discrete_are(a.T, c.T, q, r)
     return np.asarray(a @ p @ c.T @ np.linalg.pinv(c @ p @ c.T + r))

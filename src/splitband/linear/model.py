@@ -34,8 +34,6 @@ class LinearModel:
 
     u are the inputs after their delays, in the columns of `taps`; e is white noise.
 
-    Attributes
-    ----------
     a, b, c, d : A `(n, n)`, B `(n, taps)`, C `(ny, n)` and D `(ny, taps)`, in the record's units.
     offset : `(ny,)`.
     drift : Constant flow into integrators, `(n,)`.
@@ -224,8 +222,6 @@ class LinearModel:
         Up to the end of `y`, samples are predicted one step ahead; later ones are simulated. The
         covariance `(n, n)` is due to the unknown initial state.
 
-        Parameters
-        ----------
         u : Inputs from the first sample on, `(time, nu)`.
         y : The first samples, `(any time, ny)`, NaN in gaps.
         before : For a record that continues the training record, the inputs from the first training
@@ -444,8 +440,6 @@ class Realisation(NamedTuple):
 
     The inputs u_n are in the record's units.
 
-    Attributes
-    ----------
     a, b, c, d : `(states, states)`, `(states, nu)`, `(ny, states)` and `(ny, nu)`.
     drift, offset : `(states,)` and `(ny,)`.
     states : State trajectories by record, `(time, states)`.

@@ -70,8 +70,6 @@ class Signals(NamedTuple):
 class Blocks:
     """The parameters of all blocks.
 
-    Attributes
-    ----------
     a : `(blocks, 2)`.
     b : `(blocks, 2, nu)`.
     c : `(blocks, ny, 2)`.
@@ -233,8 +231,6 @@ def blocks_of(  # noqa: PLR0913
 ) -> Blocks:
     """Return the blocks of a system with the poles of A.
 
-    Parameters
-    ----------
     a, c : `(states, states)` and `(ny, states)`.
     direct : Whether an input has feedthrough, `nu` flags.
     integrators : Number of poles set to 1: the nearest real ones.
@@ -298,8 +294,6 @@ def _second_order(poles: Array, vectors: Array) -> tuple[tuple[float, float], Ar
 class Solution:
     """Fitted blocks.
 
-    Attributes
-    ----------
     blocks : The system.
     first : Initial states by record, `(blocks, 2)`.
     errors : Errors by record, `(ny, time)`, 0 in gaps.
@@ -327,8 +321,6 @@ class Solution:
 class Equations:
     """The normal equations N step = g of a part of the samples.
 
-    Attributes
-    ----------
     n, g : `(values, values)` and `(values,)`, of the parameters.
     states : By record, the rows of N and g for initial states: products with the parameters,
         products of states, and g.

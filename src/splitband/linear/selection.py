@@ -83,8 +83,6 @@ distinguishable from a sustained vibration, and would respond to all later input
 class OrderCandidate:
     """A fitted model.
 
-    Attributes
-    ----------
     solution : The model.
     power : Held-out mean squared error by segment and output, NaN without measurements.
     integrators : Number of poles fixed at 1.
@@ -120,8 +118,6 @@ class OrderCandidate:
 class OrderSearch:
     """The search for the order of a model of some outputs.
 
-    Attributes
-    ----------
     runs : The records, normalised.
     direct : Whether an input has feedthrough, `nu` flags.
     integrators : The number of integrators, or None to choose it.

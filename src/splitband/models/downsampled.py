@@ -25,8 +25,6 @@ class LowBand:
     Inputs act on no earlier sample: the step from n to n + k uses the mean of the k rows up to n,
     as the interpolation from n on needs the sample n + k.
 
-    Attributes
-    ----------
     cell : The network.
     k : Down-sampling.
     at_once : With k = 1: rows of inputs belong to steps, and may include inputs at their ends.

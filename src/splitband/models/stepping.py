@@ -39,8 +39,6 @@ class Stepped(ABC):
     def begin(self, y: Array, u: Array, slow: Array) -> Run:
         """Return the run at the last measured sample.
 
-        Parameters
-        ----------
         y, u : The last measured samples, `(R, ny)`, and their inputs, `(R, nu)`.
         slow : A given slow component over these samples, `(R + ahead, ny)`; ignored by models
             without one.
@@ -50,8 +48,6 @@ class Stepped(ABC):
     def advance(self, run: Run, u: Array, slow: Array) -> tuple[Run, Array]:
         """Return the run one sample later, and what it predicts there, `(ny,)`.
 
-        Parameters
-        ----------
         run : At the sample before.
         u : Inputs of the sample before and of the one to predict, `(2, nu)`.
         slow : The slow component over these samples, `(2 + ahead, ny)`.

@@ -99,10 +99,7 @@ class Reading:
 
 
 def of_channels(what: str, given: Mapping[str, Value], names: Sequence[str]) -> dict[str, Value]:
-    """Return values by the names of channels, which may be given without their units.
-
-    Raises ValueError for a name that is not one of `names`.
-    """
+    """Return values by the names of channels, which may be given without their units."""
     if not isinstance(given, Mapping):
         raise InputError(f"{what} must give values by name, got {given!r}")
     found = dict[str, Value]()

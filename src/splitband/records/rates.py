@@ -148,19 +148,13 @@ class Even:
         return np.where(unknown, np.nan, values)
 
 
-# ---------------------------------------------------------------- tables
-
-
 def last_of_each(seconds: Array) -> Flags:
     """Return a mask of the last row of each time; the stamps do not decrease."""
     return np.concatenate([np.diff(seconds) > 0, [True]])
 
 
 def offset_of(first: Array, x: Array, second: Array, z: Array) -> float:
-    """Return what to add to the stamps of the second signal so that it repeats the first, in s.
-
-    Raises ValueError for signals that are not alike.
-    """
+    """Return what to add to the stamps of the second signal so that it repeats the first, in s."""
     from scipy import optimize, signal  # noqa: PLC0415  where clocks differ
 
     step = max(own_step(first), own_step(second))

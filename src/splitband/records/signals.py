@@ -36,9 +36,6 @@ class ReadingWarning(UserWarning):
     """Warn that a column is left out, that its meaning was inferred, or that gaps were filled."""
 
 
-# ---------------------------------------------------------------- values
-
-
 def as_float(value: Any) -> float:
     """Return a value as a float; NaN for what is no finite number."""
     try:
@@ -198,9 +195,6 @@ def in_file(column: Column, row: int) -> str:
     return f" (line {column.index[row]})" if column.index.name == "line" else ""
 
 
-# ---------------------------------------------------------------- numbers as people write them
-
-
 def number_pattern(decimal: str) -> str:
     """Return the pattern of a number with this decimal sign, thousands separators included."""
     sign, thousands = re.escape(decimal), re.escape(_THOUSANDS[decimal])
@@ -216,9 +210,6 @@ def decimal_sign(cells: pd.DataFrame, separator: str) -> str:
     "0,5" has a decimal comma, "1,234.5" a decimal point, and "1,234" is ambiguous. If all cells of
     the file are ambiguous, the sign counts as decimal sign, unless it separates the columns or its
     column also contains integers without it (999 before 1.006).
-
-    Raises ValueError if cells contradict each other, or if the sign stays ambiguous; the message
-    names columns and cells.
     """
     found: dict[str, str] = {}
     unclear: dict[str, str] = {}
@@ -261,16 +252,11 @@ def plain_numbers(column: Column, decimal: str) -> Column:
     return plain if (values.isna() & plain.notna()).any() else values
 
 
-# ---------------------------------------------------------------- gaps
-
-
 def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
     """Fill values that are not finite; return the result and a mask of finite values.
 
     Both have the shape of `values`, `(time, n)`. A gap is a straight line, or the value before it
     with `hold`; before the first and after the last finite value of a channel that value is held.
-
-    Raises ValueError for a channel without finite values.
     """
     known = np.isfinite(values)
     index = np.arange(len(values))
@@ -353,9 +339,6 @@ def covered(y: Array) -> Flags:
         near = own[at] - own[at - 1] <= 1.75 * usual
         known[:, i] |= near & (own[0] <= index) & (index <= own[-1])
     return np.asarray(known.all(axis=1))
-
-
-# ---------------------------------------------------------------- names
 
 
 def numbered(letter: str, count: int) -> tuple[str, ...]:

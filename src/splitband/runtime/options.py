@@ -29,10 +29,7 @@ class WithRepr:
 
 
 def options(value: object) -> dict[str, Any]:
-    """Return the constructor arguments of `value`, by name.
-
-    Raises TypeError if an argument is not kept as an attribute, or has no name (*args, **kwargs).
-    """
+    """Return the constructor arguments of `value`, by name."""
     kind: Any = type(value)
     found = {}
     for parameter in _parameters(kind):

@@ -29,9 +29,6 @@ TRIES, _AGAIN = 20, 0.05
 """Attempts to replace a file in use, and seconds between two of them. Bounds the time."""
 
 
-# ---------------------------------------------------------------- processes
-
-
 def available_cores() -> int:
     """Return the number of cores available to this process."""
     if sys.platform == "linux":
@@ -95,9 +92,6 @@ def glibc() -> ctypes.CDLL | None:
     return None
 
 
-# ---------------------------------------------------------------- files
-
-
 def move(source: Path, target: Path) -> None:
     """Rename a file, in place of an earlier one; raises OSError for a failure.
 
@@ -136,9 +130,6 @@ def _patiently(rename: Callable[[Path], Path], target: Path) -> None:
 
 def _is_busy(error: PermissionError) -> bool:
     return getattr(error, "winerror", None) in _BUSY
-
-
-# ---------------------------------------------------------------- commands
 
 
 def quoted(word: str) -> str:

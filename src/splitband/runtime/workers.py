@@ -277,8 +277,6 @@ class Queue(Generic[Job, Result]):
     ) -> None:
         """Begin jobs.
 
-        Parameters
-        ----------
         work : A module-level function, or a partial of one: other processes have to import it.
         jobs : Jobs in the order of their starts.
         patience : Deadline of the results; `Workers` then end the job.
