@@ -88,7 +88,6 @@ class NetworkSteps(Steps):
         return state | {"run": run, "fresh": np.zeros(())}
 
     def run(self, state: State, u: Array, y_sim: Array) -> tuple[State, Array]:
-        """Return the state one sample later, and the prediction."""
         return self._later(state, u, y_sim, self._predicted)
 
     def advance(

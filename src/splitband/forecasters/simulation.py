@@ -162,7 +162,6 @@ class SimulatorForecaster(Forecaster):
 
     @property
     def name(self) -> str:
-        """Return the given name, or "simulator" with the suffix of its calibration."""
         return self._name or f"simulator{self.suffix}"
 
     @property
@@ -189,7 +188,6 @@ class SimulatorForecaster(Forecaster):
         return [*longest.values()]
 
     def complete(self) -> None:
-        """Check the calibration and the inputs as well; see `Forecaster.complete`."""
         super().complete()
         record = self.require_fitted().record
         self.applied.check(record.ny)
@@ -202,7 +200,6 @@ class SimulatorForecaster(Forecaster):
             self.u = records[0].u
 
     def extrapolate(self, known: ForecastContext) -> Array:
-        """Return the output after the history."""
         return self.trajectory(replace(known, since=len(known.y)))[len(known.y) :]
 
     def trajectory(self, known: ForecastContext) -> Array:
@@ -323,7 +320,6 @@ class SimulatorForecaster(Forecaster):
         return [said] if said else []
 
     def describe(self) -> str:
-        """Return the calibration of its output."""
         return str(self.applied)
 
     def _times(self, known: ForecastContext) -> Grid:
@@ -411,7 +407,6 @@ class Calibrated(SimulatorForecaster):
 
     @property
     def suffix(self) -> str:
-        """Return the end of its name: the terms that it fits."""
         if self.terms is None:
             return "-calibrated"
         return "-affine" if self.terms == AFFINE else "-" + "-".join(self.terms)
@@ -422,17 +417,14 @@ class Calibrated(SimulatorForecaster):
 
     @property
     def calibration(self) -> Calibration | None:
-        """Return the fitted calibration; None before `fit`."""
         return None if self.fitted is None else self.applied
 
     def in_words(self) -> str:
-        """Return a description."""
         if self.terms == AFFINE:
             return "simulator with fitted gain and offset"
         return "calibrated simulator"
 
     def learn(self, records: Sequence[Record], **how: Any) -> None:
-        """Fit the terms to the first record."""
         super().learn(records, **how)
         first, terms = records[0], () if self.terms is None else (self.terms,)
         y, y_sim = first.y_with_gaps, self._output(first)
@@ -442,7 +434,6 @@ class Calibrated(SimulatorForecaster):
         self.applied = calibrate(y_sim, y, first.sampling_time, *terms)
 
     def describe(self) -> str:
-        """Return the fitted terms."""
         return super().describe() + (first_only(self.fitted) if self.fitted is not None else "")
 
     def _needed(self, samples: int, train: int) -> int:
