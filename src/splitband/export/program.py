@@ -120,10 +120,7 @@ def program(
 def begun(
     steps: Steps, forecaster: Forecaster, history: Record | None, other_record: bool
 ) -> State | None:
-    """Return the state after a history, by default that of training.
-
-    None where it depends on a simulator's output up to there that is not available.
-    """
+    """Return the state after a history; None where that needs output that is not there."""
     try:
         return steps.begin(known_of(forecaster, 0, history, other_record))
     except ValueError:

@@ -263,10 +263,7 @@ def _errors(y: Array, predicted: Array) -> Array:
 
 
 def _begin(known: ForecastContext | None) -> float:
-    """Return the time of a history's first sample; 0 for another record, or none.
-
-    It is an integer where it can be, so that times are equal to the bit.
-    """
+    """Return the time of a history's first sample, 0 for another record; whole where it can be."""
     begin = 0.0 if known is None or known.begin is None else known.begin
     return int(begin) if begin == int(begin) else begin
 

@@ -229,10 +229,7 @@ class MedianSteps(Steps):
 
 
 def fitted_ensemble(models: Sequence[Forecaster], held_out: HeldOut | None) -> Forecaster:
-    """Return the ensemble of fitted models, with the held-out errors for its intervals.
-
-    For the seed 0 alone, and for a method without seeds, it is the (first) model itself.
-    """
+    """Return the ensemble of fitted models with these errors; one of seed 0 is itself."""
     usual = [model.require_fitted().report.seed for model in models] == [0]
     model = models[0] if usual or not models[0].random else Ensemble.of(models)
     model.held_out = held_out

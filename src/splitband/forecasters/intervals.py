@@ -187,10 +187,7 @@ class HeldOut:
         return self._known[share]
 
     def around_mean(self, share: float) -> Array:
-        """Return the half-widths of an interval around the record's mean, `(ny,)`.
-
-        An interval that is as wide says nothing.
-        """
+        """Return half-widths `(ny,)` around the mean: as wide an interval says nothing."""
         return np.asarray(_quantile(share) * self.deviation)
 
 

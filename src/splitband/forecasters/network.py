@@ -177,10 +177,7 @@ class Network(Forecaster):
         return super().to(device)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for another process, the model on the CPU.
-
-        Tensors of a GPU cannot be passed on by the process that receives them.
-        """
+        """Return the state for another process, which cannot pass on tensors of a GPU."""
         state, model = {**vars(self)}, self.model
         if model is not None and str(self._device) != "cpu":
             state["model"] = deepcopy(model).to("cpu")

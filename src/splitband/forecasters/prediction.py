@@ -158,10 +158,7 @@ def _means_after(past: Record, coming: Record, ahead: Grid) -> Record:
 def median_components(
     parts: Sequence[Mapping[str, Array]], totals: Sequence[Array]
 ) -> dict[str, Array]:
-    """Return components that add up to the median of several predictions.
-
-    At each sample they are those of the member in the middle, or the mean of the two there.
-    """
+    """Return components, of the members in the middle, that add up to the median."""
     count = len(totals)
     ordered = np.argsort(totals, axis=0, kind="stable")
     middle = ordered[(count - 1) // 2 : count // 2 + 1]

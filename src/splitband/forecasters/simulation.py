@@ -80,10 +80,7 @@ def simulators_of(method: Forecaster) -> list[KnownSimulator]:
 
 
 def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
-    """Give a trained copy of a method its simulators again.
-
-    They replace their `Runs` and, in a copy that was loaded, the descriptions.
-    """
+    """Give a trained copy of a method its simulators, for their `Runs` or descriptions."""
     own = simulators_of(method)
     for part in simulations(model):
         if isinstance(part.simulator, Runs):
@@ -93,10 +90,7 @@ def with_simulators_of(model: Forecaster, method: Forecaster) -> None:
 
 
 def with_simulators_run(method: Forecaster, *records: Record, ran: dict[Any, Runs]) -> Forecaster:
-    """Return a method whose simulators have been run, see `SimulatorForecaster.spans`.
-
-    A run that another method has made is in `ran`, and not made again; new runs are added.
-    """
+    """Return a method whose simulators have been run; runs in `ran` are not made again."""
     own = simulators_of(method)
 
     def changed(part: Forecaster) -> Forecaster:

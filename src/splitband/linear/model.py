@@ -307,10 +307,7 @@ class LinearModel:
         return predictions, x, information, towards, answers
 
     def state_space(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D with delays, for deviations from `mean` and the offsets.
-
-        The states are the model's states, then the delayed inputs.
-        """
+        """Return A, B, C and D; states of delayed inputs follow those of the model."""
         longest = [max((d for i, d in self.taps if i == j), default=0) for j in range(self.nu)]
         n, size = self.order, self.order + sum(longest)
         begin = n + np.cumsum([0, *longest])

@@ -203,10 +203,7 @@ def conditioning(slow: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
 
 
 def value_and_slope(signal: Tensor, scale: Tensor, driven: bool = False) -> Tensor:
-    """Return a signal and its scaled slope, `(..., time, 2 ny)`.
-
-    Arguments as for `conditioning`.
-    """
+    """Return a signal and its scaled slope, `(..., time, 2 ny)`; see `conditioning`."""
     return torch.cat([signal, _slope(signal, driven) / scale.to(signal)], dim=-1)
 
 
@@ -229,10 +226,7 @@ def concat_inputs(u: Tensor | None, extra: Tensor) -> Tensor:
 
 
 def slope_scale(slow: Sequence[Tensor], driven: bool = False) -> Tensor:
-    """Return the slope's standard deviation by channel of records `(time, ny)`; 1 if constant.
-
-    `driven` as for `conditioning`.
-    """
+    """Return the slope's standard deviation by channel of records `(time, ny)`; 1 if constant."""
     spread = torch.cat([_slope(of_record.double(), driven) for of_record in slow]).std(dim=0)
     return torch.where(spread > 0, spread, torch.ones_like(spread))
 

@@ -141,10 +141,7 @@ class FilteredModel(Hybrid):
         return {SIMULATOR: _after_warmup(known, steps), NETWORK: network}
 
     def tasks(self, record: Signals) -> list[Task]:
-        """Return one task, with the record as the target (paper, Eq. 12, hybrid loss).
-
-        L(simulator) is filtered once, as a whole.
-        """
+        """Return one task, the record (paper, Eq. 12, hybrid loss); L(simulator) filtered once."""
         known = self._low_passed(record)
         return [Task(NETWORK, as_module(self.cell), known, record.y, self._combined)]
 

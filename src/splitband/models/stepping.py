@@ -137,10 +137,7 @@ class SteppedCell:
 
 
 def filtered(b: Array, a: Array, state: Array, x: Array) -> tuple[Array, Array]:
-    """Return the state `(P, ny)` and the output `(ny,)` of a filter after another sample.
-
-    It is SciPy's transposed direct form II.
-    """
+    """Return the state `(P, ny)` and output `(ny,)` of SciPy's transposed direct form II."""
     y = b[0] * x + state[0]
     moved = np.concatenate([state[1:], np.zeros((1, state.shape[1]))]) if len(state) > 1 else 0.0
     return b[1:, None] * x - a[1:, None] * y + moved, y

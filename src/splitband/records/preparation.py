@@ -268,10 +268,7 @@ def seconds(record: Record) -> Array:
 def _changed(
     record: Record, change: Callable[[str, str, Array], Array], method: str, **found: Any
 ) -> Record:
-    """Return a record with each column changed, by its field and name; NaN must stay NaN.
-
-    It is the record itself where a method of it has found nothing.
-    """
+    """Return a record with each column changed, or itself where nothing was found."""
     if not any(found.values()):
         return record
     reading, new = _decided(record.reading, method, **found), dict[str, Array]()

@@ -496,10 +496,7 @@ def _gridded(
 
 
 def _spacing(times: Times | None, table: Table, how: _How) -> Spacing | None:
-    """Return the grid of the time stamps; without stamps, the step from the caller or the file.
-
-    None for uneven stamps that are to be put on a grid.
-    """
+    """Return the grid of the stamps, of the caller or of the file; None for uneven stamps."""
     given, fallback = how.sampling_time, how.fallback_sampling_time
     if times is not None and how.step is not None:
         try:

@@ -164,10 +164,7 @@ def _words(column: Column) -> dict[str, str]:
 
 
 def category_names(name: str, words: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the columns for the words of a column but the first: "mode=heat".
-
-    Where there are two words, it is the column's own name.
-    """
+    """Return the names of the columns for the words of one but the first: "mode=heat"."""
     return (name,) if len(words) == 2 else tuple(f"{name}={word}" for word in words[1:])
 
 
@@ -368,10 +365,7 @@ def bare_name(name: str) -> str:
 
 
 def same_names(names: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether two lists can name the same signals; numbered names match any others.
-
-    Numbered names are the defaults of `Record`, and column positions in a file.
-    """
+    """Return whether two lists can name the same signals; numbered names match any others."""
     if sorted(names) == sorted(others) or len(names) != len(others):
         return tuple(names) == tuple(others)
     return any(all(map(_NUMBERED.fullmatch, each)) for each in (names, others))

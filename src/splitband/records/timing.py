@@ -87,10 +87,7 @@ def in_words(stamp: Stamp) -> str:
 
 
 def stamps_at(start: Stamp, step: float, rows: NDArray[np.int_]) -> Array | pd.DatetimeIndex:
-    """Return the time stamps of rows, counted from `start`, for tables and pictures.
-
-    Seconds are rounded to a millionth of the step: 0.3, not 0.30000000000000004.
-    """
+    """Return the stamps of rows from `start` on; seconds are rounded to a millionth of a step."""
     if isinstance(start, pd.Timestamp):
         return start + pd.to_timedelta(np.rint(1e9 * step * rows).astype(np.int64), unit="ns")
     return np.round(start + step * rows, max(0, 6 - math.floor(math.log10(step))))

@@ -69,10 +69,7 @@ def _parameters(kind: Any) -> tuple[inspect.Parameter, ...]:
 
 
 def expression(value: object) -> str:  # noqa: PLR0911  a line for each kind
-    """Return Python code that creates `value`, with the options that differ from their defaults.
-
-    An ellipsis stands for a value without a short expression; a function is given by its name.
-    """
+    """Return Python code that creates `value`; "..." for what has no short expression."""
     own_cell = callable(getattr(value, "sized", None)) and not isinstance(value, type)
     if isinstance(value, WithRepr) or own_cell:
         return _call(value)
