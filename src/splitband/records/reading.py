@@ -12,7 +12,6 @@ from typing import Any, Literal, TypeAlias, get_args, overload
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from splitband.records.columns import (
     NAMELESS,
@@ -363,7 +362,8 @@ def _record(table: Table, how: _How, called: str, written: Table) -> tuple[Recor
         if spaced.grid_rows is not None:
             rows = int(spaced.grid_rows[-1]) + 1
             check_size(8 * rows * len(names))
-            signals = {c: _spread(x, rows, spaced.grid_rows) for c, x in signals.items()}
+            on_grid = pd.DataFrame(signals, spaced.grid_rows).reindex(range(rows))
+            signals = {c: on_grid[c].to_numpy() for c in signals}
         if times is not None and how.time_column is None:
             check_other_clock(table, picked.stamps[-1], step * (rows - 1))
         even = Even.of_rows(rows)
@@ -458,13 +458,6 @@ def _to_fill(
     else:
         held = [c for c in names if c in chosen]
     return held, [c for c in names if c not in held]
-
-
-def _spread(x: Array, rows: int, at: NDArray[np.int_]) -> Array:
-    """Return a column with NaN in the missing rows."""
-    spread = np.full(rows, np.nan)
-    spread[at] = x
-    return spread
 
 
 def _gridded(

@@ -256,15 +256,11 @@ def filled(what: str, values: Array, hold: bool = False) -> tuple[Array, Flags]:
     with `hold`; before the first and after the last finite value of a channel that value is held.
     """
     known = np.isfinite(values)
-    index = np.arange(len(values))
-    whole = np.array(values)
-    for channel, seen in enumerate(known.T):
-        if not seen.any():
-            raise InputError(f"{what} must have a finite value in channel {channel}: it has none")
-        held = np.maximum.accumulate(np.where(seen, index, seen.argmax()))
-        at = held if hold else index
-        whole[~seen, channel] = np.interp(at[~seen], index[seen], values[seen, channel])
-    return whole, known
+    if not (some := known.any(axis=0)).all():
+        raise InputError(f"{what} must have a finite value in channel {some.argmin()}: it has none")
+    seen = pd.DataFrame(np.where(known, values, np.nan))
+    whole = seen.ffill().bfill() if hold else seen.interpolate(limit_direction="both")
+    return whole.to_numpy(), known
 
 
 def refilled(y: Array, seen: Array) -> Array:
