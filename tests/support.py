@@ -110,7 +110,6 @@ def load_model(folder: Path) -> tuple[Model, dict[str, Any]]:
     """The model of a saved network, and the facts that were saved with it."""
     network, facts = load(folder), json.loads((folder / FILE).read_text())
     assert isinstance(network, Network)
-    assert network.model is not None
     return network.model, facts
 
 

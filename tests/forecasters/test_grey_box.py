@@ -38,7 +38,6 @@ def driven(seed: int, state: tuple[float, float] = (0.0, 0.0), noise: float = 0.
 
 
 def inputs(record: sb.Record) -> Array:
-    assert record.u is not None
     return record.u
 
 

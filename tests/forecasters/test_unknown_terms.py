@@ -40,7 +40,6 @@ def model() -> sb.GreyBox:
     columns, inputs = map(tuple, named)
     record = sb.Record(y, 0.04, u=FORCE, columns=columns, inputs=inputs)
     fitted = sb.GreyBox(ode, starts=1).fit(record[:200])
-    assert fitted.adjusted is not None
     members: Any = tuple(term.trained for term in OTHERS)
     fitted.adjusted = replace(fitted.adjusted, members=members)
     return fitted

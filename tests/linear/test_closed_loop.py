@@ -146,7 +146,6 @@ def test_a_stream_of_an_unstable_model_overflows_as_its_prediction(held: sb.Line
 
 def test_a_network_with_fewer_states_than_the_plant_has_poles_begins_with_as_many() -> None:
     record = pendulum(0)
-    assert record.u is not None
     late = sb.Record(record.y[:-5], record.sampling_time, u=record.u[5:])  # a dead time
     assert len(sb.Linear().fit(late).poles()) > 2
     settings = sb.TrainingSettings(100, 50, epochs=1)

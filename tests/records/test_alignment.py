@@ -165,9 +165,7 @@ def test_a_record_is_resampled_with_all_its_signals() -> None:
     assert (found.start, found.sampling_time) == (20.0, DT)
     assert found.time[-1] <= time[-1] < found.time[-1] + DT
     for values, factor in ((found.y, 1), (found.y_true, 1), (found.y_sim, 2)):
-        assert values is not None
         np.testing.assert_allclose(values[:, 0], factor * signal(found.time), atol=1e-3)
-    assert found.u is not None
     np.testing.assert_allclose(found.u[:, 0], found.time, atol=1e-9)
     lost = found.time[~found.complete]
     assert len(lost) == 2
