@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
@@ -13,9 +12,8 @@ import splitband as sb
 from benchmarks import residuals
 from splitband.checks.residuals import LAGS, ResidualTests, residual_tests
 from splitband.forecasters.prediction import ForecastContext
+from splitband.runtime.arrays import Array
 from tests.support import known_after
-
-Array = npt.NDArray[np.float64]
 
 
 def left_with(e: Array, u: Array) -> ResidualTests:

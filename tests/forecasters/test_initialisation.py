@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
@@ -11,7 +10,6 @@ import splitband as sb
 from splitband.forecasters.initialisation import begin_as_linear
 from tests.support import simulated
 
-Array = npt.NDArray[np.float64]
 SAMPLES, TRAINED, AHEAD = 900, 600, 200
 
 

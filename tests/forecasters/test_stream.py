@@ -3,15 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
 import splitband as sb
 from splitband.forecasters.prediction import ForecastContext
+from splitband.runtime.arrays import Array
 from tests.streams import BANDS, SHORT, WITH_INPUTS, WITHOUT, driven, fitted, free, rows
-
-Array = npt.NDArray[np.float64]
 
 pytestmark = pytest.mark.filterwarnings("ignore::splitband.ExtrapolationWarning")
 

@@ -5,13 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import splitband as sb
 from splitband.report import words
 
-Array = npt.NDArray[np.float64]
 FORCE = np.sin(0.04 * np.arange(300.0))
 
 

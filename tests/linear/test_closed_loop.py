@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy
 
@@ -15,8 +14,7 @@ from splitband.checks.responses import respond_over_range
 from splitband.comparison.plan import plan
 from splitband.comparison.request import PlanRequest
 from splitband.linear.identification import identified, unstable
-
-Array = npt.NDArray[np.float64]
+from splitband.runtime.arrays import Array
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy.signal
 
@@ -16,7 +15,6 @@ from splitband.linear.delays import delayed, input_delays
 from splitband.metrics import leaves_range, rmse
 from tests.support import known_after
 
-Array = npt.NDArray[np.float64]
 TRAIN, SAMPLES, DT = 600, 900, 0.02
 
 

@@ -32,10 +32,10 @@ from splitband.linear.refinement import (
 from splitband.linear.subspace import subspace
 from splitband.metrics import fit_percent
 from splitband.records.named import overhead_crane
+from splitband.runtime.arrays import Array
 from splitband.runtime.deadlines import Deadline, current, within
 from tests.support import known_after
 
-Array = npt.NDArray[np.float64]
 TRAIN, LENGTH = 400, 600
 
 

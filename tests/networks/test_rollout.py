@@ -4,15 +4,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from torch import Tensor, nn
 
 from examples.own_cell import LSTM
 from splitband.networks import GRU, Backend, Cell, EulerMLP, StateSpace, free_run, rollout
-
-Array = npt.NDArray[Any]
+from splitband.runtime.arrays import Array
 
 NY, NU, HIDDEN = 2, 3, 5
 BATCH, WARMUP, STEPS = 4, 6, 9

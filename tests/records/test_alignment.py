@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 
@@ -13,7 +12,6 @@ from splitband.records import Grid, aligned, resampled
 from splitband.records.alignment import reach
 from tests.records.support import SAMPLES, signal, times, write
 
-Array = npt.NDArray[np.float64]
 DT = 0.1
 
 

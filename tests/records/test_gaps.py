@@ -3,13 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from splitband import Record
+from splitband.runtime.arrays import Array
 from tests.signals import (
     DT,
     NAN,
@@ -20,9 +20,6 @@ from tests.signals import (
     with_gaps,
 )
 from tests.support import compare
-
-Array = npt.NDArray[np.float64]
-
 
 gappy = hnp.arrays(
     np.float64,

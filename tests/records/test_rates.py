@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 
 import splitband as sb
 from splitband.records.signals import ReadingWarning
+from splitband.runtime.arrays import Array
 
-Array = npt.NDArray[np.float64]
 pytestmark = pytest.mark.filterwarnings("ignore::splitband.records.signals.ReadingWarning")
 STEP, N = 0.1, 2000
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import torch
 from scipy.signal import butter, filtfilt
@@ -29,9 +28,7 @@ from splitband.forecasters.prediction import ForecastContext
 from splitband.metrics import rmse
 from splitband.models import Signals, SplitModel
 from splitband.records.named import double_mass_spring, van_der_pol
-
-Array = npt.NDArray[np.float64]
-
+from splitband.runtime.arrays import Array
 
 ROW = ["--systems", "i", "--seeds", "2", "--epochs", "2", "--jobs", "1"]
 METHODS = ["--methods", "split-gru,harmonic,oracle"]
